@@ -5,7 +5,7 @@
 
 Converts the corpus first (resumable; about half an hour on two cores). Every benchmark writes its
 tables into --out; what is copied from there into benchmarks/results is what `make tables` writes
-into the documents. `clients` and `mutants` have commands of their own in the Makefile.
+into the documents. `mutants` has a command of its own in the Makefile.
 """
 
 import argparse

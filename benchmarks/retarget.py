@@ -32,10 +32,11 @@ from benchmarks.protocol import (
     tell,
 )
 from recon import BodyModel, Motion
-from recon.benchmark.dataset import Licence, Part, Splits, clip_files
+from recon.benchmark.dataset import Part, Splits, clip_files
 from recon.body.motion_files import copied, with_shape
 from recon.core.struct import concatenate
 from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, physics_samples
+from training.settings import Licence
 
 IDENTITIES = Path(__file__).parent / "identities.toml"
 SEED, FPS = 2024, 20.0

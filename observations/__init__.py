@@ -1,7 +1,6 @@
 """Observations: one adapter per sensor, each an energy with data inside."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import recon
 
@@ -16,15 +15,8 @@ if TYPE_CHECKING:
     from observations.joints3d import Joints3D as Joints3D
     from observations.markers3d import Markers3D as Markers3D
 
+from recon.core.lazy import lazy  # after the guard
+
 _HOMES = {"Joints3D": "observations.joints3d", "Markers3D": "observations.markers3d"}
 
-
-def __getattr__(name: str) -> Any:
-    """A sensor, loaded on first use."""
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'observations' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -65,7 +65,7 @@ class Keypoints2D(PointsOfBody):
     focal_known: bool = True
     """Whether the camera's focal length is known. If not, it is a guess, which `Scene.lens` of a
     fit to this one view corrects; the camera's pose must not be known either."""
-    level: bool = False
+    level: bool | None = False
     """Whether the z axis of the recording's frame points up where its ground is not known."""
     unit_known: bool = True
     """Whether a moving camera's translations are metres; if not, a fit corrects their unit."""

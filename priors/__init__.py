@@ -1,7 +1,6 @@
 """Learned priors: which motions are likely, and what part of a body a point shows."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import recon
 
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
     from priors.humor.shooting import Shooting as Shooting
     from priors.pose.prior import PosePrior as PosePrior
 
+from recon.core.lazy import lazy  # after the guard
+
 _HOMES = {
     "Collocation": "priors.humor.collocation",
     "Humor": "priors.humor.prior",
@@ -25,13 +26,4 @@ _HOMES = {
     "PosePrior": "priors.pose.prior",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """A prior, loaded on first use."""
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'priors' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -7,6 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
+from recon.core.lazy import lazy
+
 __version__ = "0.2.0"
 __distribution__ = "motion-recon"
 
@@ -104,15 +106,12 @@ _FORMER = {
 """Names that were here until 0.2.0, with the modules where they are now."""
 
 
+_named, __dir__ = lazy(__name__, _HOMES)
+
+
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
     if name in _FORMER:
         home = _FORMER[name]
         warn(f"recon.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
         return getattr(import_module(home), name)
-    raise AttributeError(f"module 'recon' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return _named(name)

@@ -13,10 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.benchmark.dataset import Splits, load_clips, poses
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from training.recordings import poses
 from training.run import LOG
 from training.settings import CorpusSettings, told_settings
 from training.weights import save_checkpoint
@@ -41,9 +41,7 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    splits = Splits.load(settings.splits)
-    learned = load_clips(settings.corpus, splits, "train", settings.data)
-    held_out = load_clips(settings.corpus, splits, "validation", settings.data)
+    learned, held_out = settings.load_clips("train"), settings.load_clips("validation")
     if len(learned) == 0:
         raise ValueError(f"{settings.corpus}: no clip there may be learned from ({settings.data})")
 

@@ -17,10 +17,8 @@ import torch
 from torch import Tensor, nn
 
 from recon.formats.opening import replacing
+from training.settings import LOG as LOG
 from training.settings import TrainingSettings, identity, plain, same_run
-
-LOG = logging.getLogger("training")
-"""Logger of all trainings; what it is told also stands in the log of the run."""
 
 
 @contextmanager

@@ -1,19 +1,21 @@
 """Settings of a training run, and whether a folder holds that same run."""
 
 import dataclasses
+import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from recon.benchmark.dataset import (
-    SPLITS,
-    Licence,
-    Part,
-    Splits,
-    clip_files,
-    files_on_flat_ground,
-)
+from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
+from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, files_checksum
+from training.recordings import CorpusClip
+
+LOG = logging.getLogger("training")
+"""Logger of all trainings; its messages also stand in the log of the run."""
+
+Licence = Literal["open", "nc"]
+"""Clips that weights in an open package may learn from, or those for non-commercial use too."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,34 @@ class CorpusSettings:
     splits: Path = SPLITS
     """Table of the subjects that are held out."""
 
+    def files(self, part: Part) -> dict[str, Path]:
+        """The motion files of one part by clip name, those that the licence allows.
+
+        Raises:
+            FileNotFoundError: when there is no splits file, or the corpus holds no motion files.
+            ValueError: when two files have the same name.
+        """
+        files, splits = clip_files(self.corpus), Splits.load(self.splits)
+        return {
+            name: files[name]
+            for name, own in splits.parts(list(files)).items()
+            if own == part and (self.data == "nc" or splits.is_open(name))
+        }
+
     def flat_files(self, part: Part) -> dict[str, Path]:
-        """The motion files on flat ground that a part may be taken from, by clip name."""
-        return files_on_flat_ground(self.corpus, Splits.load(self.splits), part, self.data)
+        """`files` without the clips on stairs or slopes, where heights mean nothing."""
+        return {name: path for name, path in self.files(part).items() if is_flat(path)}
+
+    def load_clips(self, part: Part, fps: float = 30.0) -> list[CorpusClip]:
+        """All clips of one part, resampled; those of one frame only are skipped."""
+        clips: list[CorpusClip] = []
+        splits = Splits.load(self.splits)
+        for name, path in self.files(part).items():
+            motion = load_motion(path).motion.resample(fps)
+            if motion.frames > 1:
+                clips.append(CorpusClip(name, splits.subject(name), motion))
+        LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
+        return clips
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, cheapest_path, nearest_placed
+from observations.start.rigid import TORSO, at_rest_in, cheapest_path, nearest_placed
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -58,7 +57,9 @@ def image_start(
     (Viterbi's algorithm). The distance is that of `bone_distance`. Frames that show too little
     take the place of the nearest one that does not.
     """
-    weight = confidence.square() * _trust(points).to(confidence)
+    # arms of a rest pose say nothing about the torso, legs a little
+    trust = [1.0 if b in TORSO else _LEG_WEIGHT if b in _LEGS else 0.0 for b in points.bones]
+    weight = confidence.square() * (torch.tensor(trust) * points.known).to(confidence)
     placed = (weight > 0).sum(-1) >= _LEAST_POINTS
     angles = torch.arange(HEADINGS, dtype=pixels.dtype, device=pixels.device) * math.tau / HEADINGS
     upright = so3.exp(pixels.new_tensor(UPRIGHT))
@@ -68,27 +69,19 @@ def image_start(
     look = camera.T_camera_world[..., None, :3, :3] @ turns
     seen = (rest @ look.mT)[..., :2].expand(*pixels.shape[:2], -1, -1, -1)
 
-    fit = _weak_perspective(pixels, weight, seen)
-    chosen = smooth_path(fit.misfit.where(placed[..., None], 0.0), angles, fps)
+    misfit, centre = _weak_perspective(pixels, weight, seen)
+    chosen = smooth_path(misfit.where(placed[..., None], 0.0), angles, fps)
     nearest = nearest_placed(placed)
     chosen = chosen.gather(-1, nearest)
     pick = chosen[..., None]
     distance = bone_distance(points, rest, pixels, confidence, camera)
     distance = _running_median(distance.gather(-1, nearest), round(_SMOOTHING * fps))
     own = nearest[..., None]
-    centre = fit.centre.gather(-3, own[..., None].expand(*own.shape[:-1], HEADINGS, 2))
+    centre = centre.gather(-3, own[..., None].expand(*own.shape[:-1], HEADINGS, 2))
     centre = centre.gather(-2, pick[..., None].expand(*pick.shape, 2))
     pelvis = camera.unproject(centre, distance[..., None])[..., 0, :]
-    root = turns[chosen]
-    others = torch.eye(3).to(pixels).expand(*root.shape[:-2], 21, 3, 3)
-    return Motion(
-        translation=pelvis - body.joint_template[0].to(pixels),
-        rotations=torch.cat((root[..., None, :, :], others), -3),
-        shape=shape,
-        valid=torch.ones_like(placed),
-        fps=fps,
-        start_time=start_time,
-    )
+    translation = pelvis - body.joint_template[0].to(pixels)
+    return at_rest_in(body, translation, turns[chosen], fps=fps, start_time=start_time)
 
 
 def bone_distance(
@@ -131,30 +124,16 @@ def bone_scale(
     return torch.where(scale.isnan(), usual, scale).clamp(min=1e-3)
 
 
-def _trust(points: BodyPoints) -> Float[Tensor, " points"]:
-    """How much a point of the rest pose says about the torso: arms nothing, legs a little."""
-    one = [1.0 if b in TORSO else _LEG_WEIGHT if b in _LEGS else 0.0 for b in points.bones]
-    return torch.tensor(one) * points.known
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Weak perspective, for every frame and heading."""
-
-    scale: Float[Tensor, "batch time headings"]
-    """Pixels per metre."""
-    centre: Float[Tensor, "batch time headings 2"]
-    """The pelvis' place in the image, pixels."""
-    misfit: Float[Tensor, "batch time headings"]
-    """What remains, 0 to 1."""
-
-
 def _weak_perspective(
     pixels: Float[Tensor, "batch time points 2"],
     weight: Float[Tensor, "batch time points"],
     seen: Float[Tensor, "batch time headings points 2"],
-) -> _Fit:
-    """Least Σ w |u - c - s q|² over centre c and scale s > 0, relative to Σ w |u - ū|²."""
+) -> tuple[Float[Tensor, "batch time headings"], Float[Tensor, "batch time headings 2"]]:
+    """Least Σ w |u - c - s q|² over centre c and scale s > 0, relative to Σ w |u - ū|².
+
+    Returns:
+        What remains, 0 to 1, for every frame and heading, and c, the pelvis' pixels.
+    """
     share = (weight / weight.sum(-1, keepdim=True).clamp(min=1e-12))[..., None, :, None]
     image = pixels[..., None, :, :]
     image_middle = (share * image).sum(-2, keepdim=True)
@@ -164,7 +143,7 @@ def _weak_perspective(
     scale = ((share * u * q).sum((-1, -2)) / size).clamp(min=0)
     total = (share * u.square()).sum((-1, -2)).clamp(min=1e-12)
     centre = (image_middle - scale[..., None, None] * body_middle)[..., 0, :]
-    return _Fit(scale, centre, 1 - scale.square() * size / total)
+    return 1 - scale.square() * size / total, centre
 
 
 def smooth_path(

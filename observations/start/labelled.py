@@ -222,7 +222,7 @@ class _Tracker:
         )  # fmt: skip
         repeated = (readings, 1, 1)
         eye = None if moments.eye is None else moments.eye.repeat(readings, 1)
-        seen = evidence(
+        misfit, contradicted = evidence(
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(readings, 1), eye,
         )  # fmt: skip
@@ -230,7 +230,7 @@ class _Tracker:
         away = labels.away(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
-        cost = seen.misfit + _AGAINST * seen.contradicted + _LABELS * share
+        cost = misfit + _AGAINST * contradicted + _LABELS * share
         cost = cost.view(readings, rows).mT
         change = _changes(posed, readings, moments.seconds)
         return cheapest_path(cost[None], change)[0]

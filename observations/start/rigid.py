@@ -55,15 +55,26 @@ def rigid_start(
     translation = translation.take_along_dim(nearest[..., None], -2)
     turn = turn.take_along_dim(nearest[..., None, None], -3)
     none = (~placed.any(-1))[..., None, None]
-    identity = torch.eye(3, dtype=positions.dtype, device=positions.device)
-    turn = torch.where(none[..., None], identity, turn)
+    turn = torch.where(none[..., None], torch.eye(3).to(turn), turn)
     translation = torch.where(none, 0.0, translation)
-    others = identity.expand(*turn.shape[:-2], 21, 3, 3)
+    return at_rest_in(body, translation, turn, fps=fps, start_time=start_time)
+
+
+def at_rest_in(
+    body: BodyModel,
+    translation: Float[Tensor, "*batch time 3"],
+    root: Float[Tensor, "*batch time 3 3"],
+    *,
+    fps: float,
+    start_time: float,
+) -> Motion:
+    """The average body in its rest pose, at these places and with these rotations of its root."""
+    others = torch.eye(3).to(root).expand(*root.shape[:-2], 21, 3, 3)
     return Motion(
         translation=translation,
-        rotations=torch.cat((turn[..., None, :, :], others), -3),
-        shape=positions.new_zeros(*positions.shape[:-3], body.shape_size),
-        valid=torch.ones_like(placed),
+        rotations=torch.cat((root[..., None, :, :], others), -3),
+        shape=root.new_zeros(*root.shape[:-3], body.shape_size),
+        valid=torch.ones_like(translation[..., 0], dtype=torch.bool),
         fps=fps,
         start_time=start_time,
     )

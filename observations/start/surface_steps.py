@@ -152,16 +152,6 @@ _BEFORE = 0.12
 """Metres that a surface may be nearer to the sensor than the points along its line of sight."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What speaks against poses: shares from 0 to 1, one of every row."""
-
-    misfit: Float[Tensor, " rows"]
-    """Mean of d² / (d² + 0.1²) over the distances d of points from the facing surface, metres."""
-    contradicted: Float[Tensor, " rows"]
-    """Share of the facing surface where the sensor saw past it or through it; 0 without one."""
-
-
 def evidence(
     motion: Motion,
     body: BodyModel,
@@ -169,8 +159,8 @@ def evidence(
     points: Float[Tensor, "rows points 3"],
     present: Bool[Tensor, "rows points"],
     eye: Float[Tensor, "rows 3"] | None,
-) -> Evidence:
-    """Evidence against every frame of a motion.
+) -> tuple[Float[Tensor, " rows"], Float[Tensor, " rows"]]:
+    """What speaks against every frame of a motion: two shares from 0 to 1.
 
     Args:
         motion: one clip, whose frames are the rows.
@@ -179,6 +169,11 @@ def evidence(
         points: seen in every row, metres.
         present: which of them exist.
         eye: the sensor's place in every row; None where points come from all sides.
+
+    Returns:
+        The mean of d² / (d² + 0.1²) over the distances d of points from the facing surface,
+        metres, and the share of the facing surface where the sensor saw past it or through it,
+        0 without a sensor.
     """
     middles, normals = surfels.posed(body.pose(motion))
     shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
@@ -190,7 +185,7 @@ def evidence(
     share = (nearest / (nearest + _HALF_COUNTED**2)).nan_to_num(1.0).where(present, 0.0)
     misfit = share.sum(-1) / present.sum(-1).clamp(min=1)
     if eye is None:
-        return Evidence(misfit, torch.zeros_like(misfit))
+        return misfit, torch.zeros_like(misfit)
     away = torch.where(present[..., None], points - eye[:, None], 0.0)
     far = away.norm(dim=-1)
     ray = away / far.clamp(min=1e-6)[..., None]
@@ -203,4 +198,4 @@ def evidence(
     before = far.gather(-1, best.indices) - depth > _BEFORE
     against = shown & ((lateral > _BESIDE) | before)
     share = against.sum(-1) / shown.sum(-1).clamp(min=1)
-    return Evidence(misfit, share.to(misfit))
+    return misfit, share.to(misfit)

@@ -268,11 +268,11 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    found = believed(given, known, model)
-    seen = found.seen.replace(ground_known=ground == "known")
-    how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
+    seen, start, repaired = believed(given, known, model)
+    seen = seen.replace(ground_known=ground == "known")
+    how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit(seen, prior, **how)
-    repairs = Findings(found.repairs)
+    repairs = Findings(repaired)
     examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
 

@@ -110,9 +110,9 @@ def fitted(
         fit = _completed(clip.observations, options, body, watch)
     else:
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.motions.belt import on_belt  # there are few treadmills
+            from recon.diagnosis.movement import in_room  # there are few treadmills
 
-            start = on_belt(start, clip.belt)
+            start = in_room(start, -clip.belt)
         # first guess: the motion that the data tell without a prior, or the caller's
         seen, guess = guessed(clip.observations, options, body, start)
         # the problem: each sensor's residuals with its noise; scene, ground, lens to be found

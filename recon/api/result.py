@@ -15,10 +15,9 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
-from recon.diagnosis.examination import Examined
+from recon.diagnosis.examination import Examined, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
@@ -317,40 +316,30 @@ def result_of(
     cycle = None
     if completes and not found.stretches:
         # only a cycle of gait is judged as one
-        from recon.diagnosis.domain import cycle_report
+        from recon.diagnosis.doubts import cycle_report
 
-        cycle = cycle_report(found, examined.residuals)
+        cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
-        from recon.diagnosis.motions.belt import in_room, path_of_belt  # there are few treadmills
+        from recon.diagnosis.movement import in_room, path_of_belt  # there are few treadmills
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
-    observed = torch.from_numpy(examined.observed_at(motion))
-    # on a treadmill the prior's ground is the belt, not the floor of the room
-    probability = None if belt is not None else examined.contact_probability_at(motion)
+    known = examined.described_at(motion)
+    if belt is not None:
+        # on a treadmill the prior's ground is the belt, not the floor of the room
+        known["contact_probability"] = None
     return Result(
-        file=described(
-            motion,
-            body,
-            ground,
-            T_world_camera,
-            observed,
-            belt,
-            examined.joint_std_at(motion),
-            examined.ground_std,
-            probability,
-            examined.angle_std_at(motion),
-        ),
+        file=described(motion, body, ground, T_world_camera, belt=belt, **known),
         body=body,
         examined=examined,
         warnings=(
             *(() if stopped is None else (stopped,)),
             *examined.warnings,
-            *(() if cycle is None else cycle.warnings),
+            *(() if cycle is None else cycle[1]),
         ),
         notes=clip.notes,
-        cycle=None if cycle is None else cycle.numbers,
+        cycle=None if cycle is None else cycle[0],
         arguments=arguments,
     )
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.diagnosis.agreement import ResidualSummary
+from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import MotionFile

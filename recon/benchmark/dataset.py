@@ -1,23 +1,12 @@
-"""The converted corpus in memory: clips, whose they are, and which may be learned from."""
+"""The converted corpus: its clips, whose they are, and to which part they belong."""
 
 import json
-import logging
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
-
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
-from recon.core.motion import Motion
-from recon.core.skeleton import MIRROR
-from recon.formats.motions import load_motion
-
-_LOG = logging.getLogger(__name__)
 
 SPLITS = Path(__file__).parent / "splits.toml"
 """The committed splits, and the windows of the benchmarks, which are part of the package."""
@@ -27,8 +16,6 @@ Part = Literal["train", "validation", "test", "apart"]
 part moves like them."""
 Listed = tuple[tuple[str, float], ...]
 """Windows: clip, and first second from the clip's first frame."""
-Licence = Literal["open", "nc"]
-"""Clips that weights in an open package may learn from, or those for non-commercial use too."""
 
 
 @dataclass(frozen=True)
@@ -117,15 +104,6 @@ class Splits:
         return {clip: held_out.get(clip, "train") for clip in kept}
 
 
-@dataclass(frozen=True)
-class CorpusClip:
-    """One recording on our body."""
-
-    name: str
-    subject: str
-    motion: Motion
-
-
 def clip_files(corpus: str | Path) -> dict[str, Path]:
     """The motion files of a converted corpus by clip name, in the order of names.
 
@@ -167,79 +145,9 @@ def _name(motion: Path) -> str:
     return name if isinstance(name, str) else motion.stem
 
 
-def files_of(corpus: str | Path, splits: Splits, part: Part, licence: Licence) -> dict[str, Path]:
-    """The motion files of one part by clip name, those that the licence allows.
-
-    Raises:
-        FileNotFoundError: when the folder holds no motion files.
-        ValueError: when two files have the same name.
-    """
-    files = clip_files(corpus)
-    return {
-        name: files[name]
-        for name, own in splits.parts(list(files)).items()
-        if own == part and (licence == "nc" or splits.is_open(name))
-    }
-
-
-def files_on_flat_ground(
-    corpus: str | Path, splits: Splits, part: Part, licence: Licence
-) -> dict[str, Path]:
-    """`files_of` without the clips on stairs or slopes, where heights mean nothing."""
-    files = files_of(corpus, splits, part, licence)
-    return {name: path for name, path in files.items() if is_flat(path)}
-
-
-def load_clips(
-    corpus: str | Path, splits: Splits, part: Part, licence: Licence = "open", fps: float = 30.0
-) -> list[CorpusClip]:
-    """All clips of one part, resampled; those of one frame only are skipped."""
-    clips: list[CorpusClip] = []
-    for name, path in files_of(corpus, splits, part, licence).items():
-        motion = load_motion(path).motion.resample(fps)
-        if motion.frames > 1:
-            clips.append(CorpusClip(name, splits.subject(name), motion))
-    _LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
-    return clips
-
-
 def is_flat(path: Path) -> bool:
     """Whether the notes of the conversion beside a clip say flat ground; without notes, yes."""
     return bool(notes(path).get("flat", True))
-
-
-def mirrored(motion: Motion) -> Motion:
-    """The motion as a mirror at the plane x = 0 shows it: left and right exchanged.
-
-    With S = diag(-1, 1, 1), rotations become S R S of the counterpart; bodies are symmetric.
-    """
-    flip = motion.translation.new_tensor([-1.0, 1.0, 1.0])
-    return motion.replace(
-        translation=motion.translation * flip, rotations=mirrored_rotations(motion.rotations)
-    )
-
-
-def mirrored_rotations(
-    rotations: Float[Tensor, "*shape 22 3 3"],
-) -> Float[Tensor, "*shape 22 3 3"]:
-    """Rotations of the mirrored pose."""
-    flip = rotations.new_tensor([-1.0, 1.0, 1.0])
-    return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
-
-
-def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
-    """Poses of all clips, `rate` of them per second, evenly spaced, each with its mirror image.
-
-    No subject gives more than about `most` (before mirroring), taken evenly from all its clips:
-    whoever was recorded for an hour must not decide alone what a pose is.
-    """
-    by_subject: dict[str, list[Tensor]] = {}
-    for clip in clips:
-        step = max(1, round(clip.motion.fps / rate))
-        by_subject.setdefault(clip.subject, []).append(clip.motion.rotations[::step])
-    rows = [torch.cat(own) for own in by_subject.values()]
-    together = torch.cat([row[:: -(-len(row) // most)] for row in rows])
-    return torch.cat((together, mirrored_rotations(together)))
 
 
 def _matches(clip: str, patterns: Sequence[str]) -> bool:

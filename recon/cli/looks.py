@@ -28,8 +28,10 @@ def look_at(given: Mapping[str, Any]) -> None:
             refuse_foreign(paths)
             if settings.up is None:
                 refuse_unknown_markers(paths, settings.mapping, settings.unit)
-    if "recording" in given and given["mapping"] is None:
-        refuse_unknown_recording(given["recording"], given["unit"], given["up"])
+    recording = given.get("recording", given.get("trial"))
+    is_motion = "trial" in given and recording.suffix.lower() == ".npz"
+    if recording is not None and not is_motion and given["mapping"] is None:
+        refuse_unknown_recording(recording, given["unit"], given["up"])
 
 
 def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> None:

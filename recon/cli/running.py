@@ -120,7 +120,9 @@ def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
     elif found is not None:
         for title, rows in found.tables.items():
             console.table(title, rows)
-        console.last(found.place)
+        for warning in getattr(found, "warnings", ()):
+            console.warn(warning)
+        console.last(str(found.place))
 
 
 def _is_read(parameter: Parameter, value: Any) -> bool:

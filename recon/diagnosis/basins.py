@@ -14,13 +14,13 @@ from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
 
 _MOMENTS = 12
-"""Moments that are looked at."""
+"""Frames of the cloud that are looked at."""
 _SURE = 0.5
 """Confidence of the labels that are asked."""
 _MANY = 0.75
-"""Share of the moments in which labels ought to agree with the body."""
+"""Share of the frames in which labels ought to agree with the body."""
 _MIN_LABELLED = 10
-"""Points of a moment that tell something."""
+"""Labelled points that a frame must have to be used."""
 
 
 def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
@@ -41,22 +41,15 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
     index = torch.from_numpy(cloud.surfels.vertices)
     rest = estimate.body.model.template[index]
     sure = (cloud.labels.confidence > _SURE) & cloud.present
-    told = [m for m in range(seen.start, seen.stop) if int(sure[0, m].sum()) >= _MIN_LABELLED]
+    usable = [m for m in range(seen.start, seen.stop) if int(sure[0, m].sum()) >= _MIN_LABELLED]
     found: list[float] = []
-    for moment in told[:: max(math.ceil(len(told) / _MOMENTS), 1)]:
+    for moment in usable[:: max(math.ceil(len(usable) / _MOMENTS), 1)]:
         own = sure[0, moment]
         places = cloud.labels.places[0, moment][own].to(rest)
         here, points = middles[0, moment - seen.start], cloud.points[0, moment][own]
         surfel = torch.cdist(places, rest).argmin(-1)
         found.append(float((here[surfel] - points).norm(dim=-1).median()))
     return float(np.quantile(found, _MANY)) if found else None
-
-
-def share_on_body(cloud: PointCloud) -> float | None:
-    """Mean probability that a point lies on a body at all; None without labels."""
-    if cloud.labels is None or not bool(cloud.present.any()):
-        return None
-    return float(cloud.labels.on_body[cloud.present].mean())
 
 
 _BESIDE = 0.06
@@ -68,12 +61,12 @@ validation people that are right have 1 %, those whose lower half is hidden 47 %
 _FAR_POINTS = 0.06
 """Metres that the farthest tenth of the points may be away from the body; right fits have 2 cm."""
 _NOISY = 2.0
-"""Multiple of the sensor's standard deviation that the farthest tenth may be away besides; a tenth
-of normal deviations is larger than 1.6."""
+"""Multiple of the sensor's standard deviation that the farthest tenth may be away in addition; a
+tenth of normal deviations is larger than 1.6."""
 _ELSEWHERE = 0.075
-"""Metres, beside the sensor's noise, that points may lie away from the places that their labels
-name in a quarter of the moments. On validation windows right fits have 3 to 5 cm, and up to 7 cm
-before a sensor with 5 cm of noise; a fit that is 12 cm wrong has 11 cm."""
+"""Metres, in addition to the sensor's noise, that points may lie away from the places that their
+labels name in a quarter of the moments. On validation windows right fits have 3 to 5 cm, and up to
+7 cm before a sensor with 5 cm of noise; a fit that is 12 cm wrong has 11 cm."""
 _NO_BODY = 0.8
 """Mean probability of lying on a body below which points are taken to show something else. People
 have 0.99, tables and chairs 0.3 to 0.7; a box of the size of a person passes for one."""
@@ -95,10 +88,12 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # where another sensor, or the caller, told where to begin
+    cloud = cloud.labelled()  # labels are missing where the first guess came from elsewhere
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
-    on_body = share_on_body(cloud)
+    on_body = 1.0
+    if cloud.labels is not None and bool(cloud.present.any()):
+        on_body = float(cloud.labels.on_body[cloud.present].mean())
     noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
     reasons = {
         f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
@@ -109,9 +104,7 @@ def basin_findings(
         ),
         f"half of the points lie more than {100 * labelled:.0f} cm from the place on it that "
         "their labels name, in a quarter of the moments": labelled > math.hypot(_ELSEWHERE, noise),
-        "the points look like furniture or something else that is no body": (
-            on_body is not None and on_body < _NO_BODY
-        ),
+        "the points look like furniture or something else that is no body": (on_body < _NO_BODY),
     }
     said = [reason for reason, holds in reasons.items() if holds]
     if not said:

@@ -12,15 +12,14 @@ from recon.body.angles import isb_angles
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Unit
+from recon.core.residuals import Unit
 from recon.core.skeleton import JOINTS
 from recon.fitting.clip import GROUND_DEVIATION
 from recon.fitting.fitted import ClipFit
 from recon.formats.joint_table import JointCertainty
-from recon.method.derivatives import GroundBelief, GroundDeviation
+from recon.method.derivatives import GroundBelief
 from recon.method.laplace import Deviations, Measure, deviations
-from recon.method.protocols import Estimate
-from recon.method.sensor import Sensor, frame_is_level, views_of
+from recon.method.sensor import frame_is_level, views_of
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""
@@ -40,18 +39,13 @@ def angles_of(body: BodyModel) -> Measure | None:
         away = values - values[:1]
         return values[:1] + away - 360 * (away / 360).round()
 
+    turns, zeros = torch.eye(3).repeat(1, 22, 1, 1), body.template.new_zeros
+    rest = Motion.create(zeros(1, 3), turns.to(zeros(1)), zeros(body.shape_size), 30.0)
     try:
-        isb_angles(_rest(body), body)
+        isb_angles(rest, body)
     except ValueError:  # landmarks of other bodies are not known
         return None
     return measured
-
-
-def _rest(body: BodyModel) -> Motion:
-    """One frame in the rest pose."""
-    turns = torch.eye(3, dtype=body.template.dtype).repeat(1, 22, 1, 1)
-    shape = body.template.new_zeros(body.shape_size)
-    return Motion.create(body.template.new_zeros(1, 3), turns, shape, 30.0)
 
 
 _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
@@ -64,7 +58,7 @@ flesh and clothes misses stays the same over many frames."""
 _STANCE = 0.03
 """Metres by which standing feet miss the ground, clip by clip."""
 _LEAN_STD_RAD = 0.04
-"""Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
+"""Radians by which people lean on average over a clip, without what a prior knows of gravity."""
 _UPRIGHT_ALONE = 0.09
 """Radians likewise where the ground is only put below people, by priors that know no gravity."""
 
@@ -81,7 +75,10 @@ def certainty(found: ClipFit) -> Deviations | None:
         return None
     seen, noises = [], []
     for one, noise in zip(found.observations, found.noises, strict=True):
-        thin, noise, worth = _thinned(one, noise, estimate)
+        thin, worth, model = one, _WORTH.get(one.unit, 1.0), estimate.body.model
+        if not one.point_names(model):
+            thin, worth = one.coarse(model), _CLOUD_WORTH
+            noise = thin.noise(estimate.motion, model, noise.metres)
         seen.append(thin)
         noises.append(replace(noise, own=noise.own / worth**0.5))
     with torch.no_grad():
@@ -93,7 +90,7 @@ def certainty(found: ClipFit) -> Deviations | None:
     if not views_of(found.observations):
         return known
     # images alone leave the size of a person open
-    from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
+    from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 
     with torch.no_grad():
         return with_unknown_size(known, found) if size_is_unknown(found) else known
@@ -112,30 +109,18 @@ def _ground(found: ClipFit) -> GroundBelief | None:
     return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
 
 
-def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noise, float]:
-    """The sensor with fewer points where it is a cloud, and what one of its points is worth."""
-    body = estimate.body.model
-    if one.point_names(body):
-        return one, noise, _WORTH.get(one.unit, 1.0)
-    thin = one.coarse(body)
-    return thin, thin.noise(estimate.motion, body, noise.metres), _CLOUD_WORTH
-
-
 def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
     """Standard deviations as a report has them: medians of joints and root, shape, ground."""
     every = deviations.joints.median(0).values.tolist()
     ground = deviations.ground
+    found = ground and {"normal_degrees": ground.normal_degrees, "height": ground.height}
     return {
         **({} if joints is None else asdict(joints)),
-        **({} if ground is None else {"ground": _ground_report(ground)}),
+        **({} if ground is None else {"ground": found}),
         "joints": dict(zip(JOINTS, every, strict=True)),
         "root": float(deviations.root.median()),
         "shape": deviations.shape.tolist(),
     }
-
-
-def _ground_report(ground: GroundDeviation) -> dict[str, float]:
-    return {"normal_degrees": ground.normal_degrees, "height": ground.height}
 
 
 _HEIGHT_STD_RATIO = 0.3

@@ -10,7 +10,8 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
 
 from dataclasses import replace
 
-from recon.diagnosis.agreement import residual_warnings
+from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
+from recon.body.soles import sole_heights
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
     AfterFit,
@@ -21,17 +22,17 @@ from recon.diagnosis.examination import (
     before_fit,
 )
 from recon.diagnosis.findings import NOTHING, Finding, Findings
-from recon.diagnosis.motions.belt import treadmill_finding, with_belt
-from recon.diagnosis.motions.gravity import rate_finding
-from recon.diagnosis.motions.support import support_findings
-from recon.diagnosis.plausibility import child_findings
-from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.frame_rate import rate_finding
+from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
+from recon.diagnosis.points import screen_points
+from recon.fitting.fitted import ClipFit
+from recon.method.sensor import views_of
 
 
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, copies, outliers, exchanged names, and cameras that contradict each other."""
-    from recon.diagnosis.views.screening import screen_views  # for clips with images alone
+    from recon.diagnosis.keypoints import screen_views  # for clips with images alone
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
     names = [clip.names[k] for k in views]
@@ -76,12 +77,9 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
-    from recon.diagnosis.views.fitted import lens_doubtful, lens_finding
+    from recon.diagnosis.cameras import lens_findings
 
-    said = () if (one := lens_finding(clip.names[0], clip.fit)) is None else (one,)
-    if lens_doubtful(clip.fit):
-        return clip, Findings(warnings=said)
-    return clip, Findings(diagnosis=said)
+    return clip, lens_findings(clip.names[0], clip.fit)
 
 
 @after_fit("view")
@@ -92,9 +90,9 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
         return clip, NOTHING
     if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
-    from recon.diagnosis.motions.carried import carried_finding
-    from recon.diagnosis.views.images import Images
-    from recon.diagnosis.views.rest import moving_finding, rest_of
+    from recon.diagnosis.cameras import moving_finding, rest_of
+    from recon.diagnosis.carried import carried_finding
+    from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.model)
     rest = rest_of(seen)
@@ -112,16 +110,41 @@ def _broken(clip: Examined) -> bool:
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
+_SUSPECT = 5.0
+"""Multiple of the estimated standard deviation from which on a median residual is suspicious."""
+_MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
+"""Median residuals below these are not suspicious, whatever the noise."""
+
+
 @after_fit()
 def residuals(clip: Examined) -> tuple[Examined, Findings]:
     """Sensors whose residuals are far above their noise: model and data contradict each other."""
-    return clip, Findings(warnings=residual_warnings(clip.residuals))
+    found: list[Finding] = []
+    for one in clip.residuals:
+        if one.median is None:
+            said = Finding("unseen", "nothing was seen at the times of the motion")
+            found.append(said.of(one.name))
+        elif one.median > max(_SUSPECT * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
+            known = [(value, name) for name, value in one.by_point.items() if value is not None]
+            points = tuple(name for _, name in sorted(known, reverse=True)[:3])
+            where = f", most at {', '.join(points)}" if points else ""
+            said = Finding(
+                "residual",
+                f"half of the data is more than {one.median:.3g} {one.unit} away from the fitted "
+                f"body{where}, and the data's own noise is {one.noise:.2g}; what was recorded is "
+                "not what the file says: check which person, which points and which camera it "
+                "shows",
+                points,
+                value=one.median,
+            )
+            found.append(said.of(one.name))
+    return clip, Findings(warnings=found)
 
 
 @after_fit("view")
 def distance(clip: Examined) -> tuple[Examined, Findings]:
     """A wrong focal length moves a body to where nobody films."""
-    from recon.diagnosis.views.fitted import distance_warnings
+    from recon.diagnosis.cameras import distance_warnings
 
     sensors = zip(clip.names, clip.observations, strict=True)
     return clip, Findings(warnings=tuple(
@@ -149,17 +172,75 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     """Nobody is as large or odd as the fitted person, or floats above a known ground."""
-    return clip, Findings(warnings=clip.of_body)
+    return clip, body_findings(clip.fit)
+
+
+_ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
+"""Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
+people differ by, and real markers stand off the skin or away from the landmark that they are named
+after: good recordings reach 14. Wrong units and scales show in the height."""
+_SHORTEST_CHILD = 0.95
+"""Metres; smaller children do not walk on command."""
+_OFF_GROUND = 0.15
+"""Metres between the soles that stand and the ground."""
+
+
+def body_findings(found: ClipFit) -> Findings:
+    """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
+
+    Where no camera and no ground determines the size, the prior does, and nothing is reported.
+    Points in metres that a small body fits show a child, which is no fault of the data.
+    """
+    posed, views = found.result.estimate.body, views_of(found.observations)
+    tall = float(posed.model.height(posed.shape.detach()).mean())
+    odd = float(posed.shape.abs().max())
+    # markers off the skin distort the shape
+    on_skin = any(one.named and one.named.on_skin for one in found.observations)
+    sizes = "the unit, the scale and the labels of the points"
+    if views:
+        sizes = "focal lengths, units and the poses of the cameras"
+    said = Findings()
+    if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
+        text = (
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points"
+        )
+        said += Findings(diagnosis=(Finding("body size", text, value=tall),))
+    elif not SHORTEST_BODY < tall < TALLEST_BODY:
+        text = (
+            f"the person would be {tall:.2f} m tall; check {sizes} (for a child this is as well "
+            "as an adult body can do)"
+        )
+        said += Findings(warnings=(Finding("body size", text, value=tall),))
+    if not said.warnings and odd > (_ODDEST_MARKERS if on_skin else _ODDEST):
+        text = (
+            f"the person's shape is {odd:.1f} standard deviations from the average; check {sizes}"
+        )
+        said += Findings(warnings=(Finding("body size", text, value=odd),))
+    if found.ground_known:
+        soles = float(sole_heights(found.result.motion, posed.model).median())
+        if abs(soles) > _OFF_GROUND:
+            text = (
+                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
+                "image sizes and the heights of the cameras, unless the person stands or sits on "
+                "something"
+            )
+            said += Findings(warnings=(Finding("floor", text, value=soles),))
+    return said
 
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
-    """Images that fit together better when mirrored."""
-    from recon.diagnosis.views.fitted import mirror_warnings
+    """Images that fit together better when mirrored, unless that was said before the fit."""
+    from recon.diagnosis.keypoints import together
+    from recon.diagnosis.odds import mirror_warnings
 
-    return clip, Findings(
-        warnings=mirror_warnings([one.view for one in clip.observations if one.view])
-    )
+    if any(one.code == "mirrored" for one in clip.warnings):
+        return clip, NOTHING
+    names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
+    groups = together([one.view for one in clip.observations if one.view], names, clip.model)
+    found = [said for _, images in groups for said in mirror_warnings(images)]
+    return clip, Findings(warnings=found)
 
 
 @after_fit()
@@ -167,7 +248,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
     # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
-        one.code != "floor" for one in clip.of_body
+        one.code != "floor" for one in body_findings(clip.fit).warnings
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:
         return clip, NOTHING
@@ -204,12 +285,6 @@ def support(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
 
 
-@after_fit()
-def child(clip: Examined) -> tuple[Examined, Findings]:
-    """Points in metres that a small body fits show a child, which is no fault of the data."""
-    return clip, Findings(diagnosis=child_findings(clip.fit))
-
-
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)
 """Checks of the data; what they repair is fitted as repaired."""
 AFTER: tuple[AfterFit, ...] = (
@@ -225,6 +300,5 @@ AFTER: tuple[AfterFit, ...] = (
     unseen,
     guessed,
     support,
-    child,
 )
 """Checks of the fit."""

@@ -1,4 +1,4 @@
-"""Runners-up: other motions that a fit compared with the one it gives, and their energies."""
+"""What is doubtful about a fit: other motions, what was merely guessed, cycles that are none."""
 
 import math
 from collections.abc import Sequence
@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
-from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.diagnosis.findings import Finding, chosen, listed, spans, stretches
 from recon.fitting.fitted import ClipFit
+from recon.fitting.observed import seen_times
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
 from recon.method.stages import Compared
@@ -89,43 +90,25 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     best = int(kept[compared.value[kept].argmin()])
     given_up = finite[~compared.kept[finite]]
     ordered = given_up[compared.value[given_up].argsort()].tolist()
-    joints = {k: _joints(compared.motion, k, body) for k in (best, *ordered)}
-    distinct, found = [joints[best]], list[Alternative]()
-    for row in ordered:
-        if all(_apart(joints[row], other) > _SAME_MOTION_M for other in distinct):
-            distinct.append(joints[row])
-            found.append(_alternative(compared, best, row, joints[best], joints[row]))
-    return found
-
-
-def _alternative(
-    compared: Compared,
-    best: int,
-    row: int,
-    chosen: Float[Tensor, "time 22 3"],
-    other: Float[Tensor, "time 22 3"],
-) -> Alternative:
-    turn = _turn(compared.motion[best], compared.motion[row])
-    kind = "posture"
-    if turn > _TURNED:
-        kind = "heading"
-    elif _apart(other[:, _EXCHANGED], chosen[:, _LEGS]) < 0.5 * _apart(
-        other[:, _LEGS], chosen[:, _LEGS]
-    ):
-        kind = "leg order"
-    return Alternative(
-        kind,
-        math.degrees(turn),
-        _apart(chosen, other),
-        float(compared.value[row]),
-        float(compared.value[best]),
-    )
-
-
-def _joints(motion: Motion, row: int, body: BodyModel) -> Float[Tensor, "time 22 3"]:
-    one = motion[row]
     with torch.no_grad():
-        return body.pose(one.window(0, int(one.valid.sum()))).joints
+        clips = [compared.motion[k] for k in (best, *ordered)]
+        posed = [body.pose(one.window(0, int(one.valid.sum()))).joints for one in clips]
+    (kept_joints, *others), found = posed, list[Alternative]()
+    distinct = [kept_joints]
+    for row, joints in zip(ordered, others, strict=True):
+        if all(_apart(joints, other) > _SAME_MOTION_M for other in distinct):
+            distinct.append(joints)
+            turn = _turn(compared.motion[best], compared.motion[row])
+            sides = [
+                _apart(joints[:, legs], kept_joints[:, _LEGS]) for legs in (_EXCHANGED, _LEGS)
+            ]
+            kind = "leg order" if sides[0] < 0.5 * sides[1] else "posture"
+            kind = "heading" if turn > _TURNED else kind
+            energies = (float(compared.value[k]) for k in (row, best))
+            found.append(
+                Alternative(kind, math.degrees(turn), _apart(kept_joints, joints), *energies)
+            )
+    return found
 
 
 def _apart(one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]) -> float:
@@ -161,7 +144,7 @@ def guessed_findings(
 ) -> list[Finding]:
     """Stretches in which a large part of the body that nobody saw may be anywhere near.
 
-    Joints that were seen are left out: what one camera cannot tell of their distance is no guess.
+    Joints that were seen are left out: that one camera leaves their distance open is no guess.
 
     Args:
         joint_std: standard deviation of a coordinate of every joint, metres.
@@ -173,7 +156,7 @@ def guessed_findings(
     if flags.sum() < _SHORTEST * fps:
         return []
     often = loose[flags].mean(0) > 0.5
-    names = tuple(name for name, one in zip(JOINTS, often, strict=True) if one)
+    names = chosen(JOINTS, often)
     typical = float(np.median(joint_std[flags][loose[flags]]))
     frames = stretches(flags)
     return [
@@ -222,10 +205,12 @@ def observed_joints(
     or begins there; or where points of a cloud lie within 15 cm of it.
     """
     motion = estimate.motion
+    times = motion.start_time + np.arange(motion.frames) / motion.fps
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = observation.shown_joints(estimate)
-        number = _nearest_moments(observation, motion)
+        # the nearest tick of the observation's clock, for every frame of the motion
+        number = np.rint((times - observation.start_time) * observation.fps).astype(int)
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]
     return seen
@@ -234,9 +219,7 @@ def observed_joints(
 def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     """Joints that were never seen, and frames in which nothing was seen, as said to the user."""
     found: list[Finding] = []
-    never = tuple(
-        name for name, some in zip(JOINTS, np.any(observed, axis=0), strict=True) if not some
-    )
+    never = chosen(JOINTS, ~np.any(observed, axis=0))
     if never:
         found.append(
             Finding(
@@ -262,10 +245,79 @@ def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     return found
 
 
-def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
-    """The number of the nearest tick of the observation's clock, for every frame of the motion.
+_COVERED = 0.75
+"""Share of the completed motion that this cycle must be."""
+_ANYTHING = 2.0
+"""Difference of hips that have nothing to do with gait."""
+_FEW_MOMENTS = 4
+"""Number of frames seen below which most of the motion is the prior's."""
 
-    Frames before its first and after its last moment have numbers beyond its own.
+
+def cycle_report(
+    found: ClipFit, medians: Sequence[float | None]
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Numbers of the first clip's cycle, and warnings where it is none or little was seen.
+
+    The prior makes something like a cycle of anything. Latent codes do not show that:
+    people who stand have codes like those who walk. Hips do: one cycle of gait takes them once
+    through their swing, and back.
+
+    `code_distance` is half the squared Mahalanobis distance of the code from those of recorded
+    cycles, per dimension; recorded cycles have 0.5, completed ones less, as little is seen of
+    them. `swing_difference` is that of `SWING`, null where the hips do not even return.
+
+    Args:
+        found: by `recon.fitting.cycles.complete`.
+        medians: of the residuals of its observations, metres; None where nothing was seen.
     """
-    times = motion.start_time + np.arange(motion.frames) / motion.fps
-    return np.rint((times - observation.start_time) * observation.fps).astype(int)
+    motion = found.result.clip(0).detach().to(device="cpu")
+    # only gait cycles need these
+    from recon.fitting.recording import SWING
+    from recon.method.cycle_prior import CyclePrior
+
+    prior = found.result.reports[-1].stage.prior
+    assert isinstance(prior, CyclePrior)
+    latent = found.result.estimate.decoded.energies["latent"][0]
+    moments = np.unique(np.concatenate([seen_times(one) for one in found.observations]).round(3))
+    difference = swing_difference(motion)
+    numbers = {
+        "seconds": (motion.frames - 1) / motion.fps,
+        "moments_seen": len(moments),
+        "code_distance": float(latent) / prior.code_size,
+        "swing_difference": difference,
+        "residual_mm": [None if one is None else 1000 * one for one in medians],
+        "details": any(report.stage.name == "details" for report in found.result.reports),
+    }
+    warnings: list[Finding] = []
+    if difference is None or difference > SWING:
+        warnings.append(
+            Finding(
+                "residual",
+                "this is no cycle of gait, which is all that the prior knows: the hips do not go "
+                "through one swing and back. Cut one cycle out (--between), or fit with another "
+                "prior",
+                value=difference,
+            )
+        )
+    if len(moments) < _FEW_MOMENTS:
+        warnings.append(
+            Finding(
+                "gap",
+                f"something is seen at {len(moments)} moments only; what happens between them is "
+                "a guess of the prior",
+                value=float(len(moments)),
+            )
+        )
+    if not all(one.ground_known for one in found.observations):
+        message = "nobody knows where the ground is; it was taken to be at z = 0"
+        warnings.append(Finding("floor", message))
+    return numbers, tuple(warnings)
+
+
+def swing_difference(motion: Motion) -> float | None:
+    """How far the hips' swing is from that of one cycle of gait; None where they do not return."""
+    from recon.body.cycles import find_cycles  # only gait cycles need it
+
+    least = _COVERED * (motion.frames - 1) / motion.fps
+    costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= least]
+    return min(costs, default=None)

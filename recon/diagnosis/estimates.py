@@ -1,7 +1,8 @@
 """An estimate of a motion as something observed: what in it is to be believed, and how far."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -13,6 +14,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, stretches
+from recon.diagnosis.sides import cheapest_path
 
 _SWITCH = 0.18
 """Root mean square angle over the joints of both limbs, radians, whose square a change of sides
@@ -40,18 +42,9 @@ def exchanged_frames(
     step = both[1:, :, None] - both[:-1, None, :]  # axes (time, to, from, joints, 3, 3)
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # angle², nearly
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
-    stay = torch.tensor([0.0, _STAY], dtype=torch.float64)
-    cost, before = stay.clone(), []
-    for frame in squared:
-        total = cost[None, :] + frame + switch
-        before.append(total.argmin(1))
-        cost = total.min(1).values + stay
-    state = int(cost.argmin())
-    states = [state]
-    for back in reversed(before):
-        state = int(back[state])
-        states.append(state)
-    return torch.tensor(states[::-1], dtype=torch.bool)
+    between = (squared + switch).mT.numpy()
+    here = np.tile((0.0, _STAY), (len(both), 1))
+    return torch.from_numpy(cheapest_path(here, between)[0]).bool()
 
 
 def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "time joints 3 3"]:
@@ -64,16 +57,17 @@ def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "ti
 FASTEST = 60.0
 """Hz; estimates at higher rates are thinned to it."""
 OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
-"""Error of a point beside the path. The numbers are chosen on windows of validation people and on
-martial arts, runs and climbs of training people (benchmarks/refine.py): numbers that suit walks
-alone let a prior that never saw a handspring overrule it. The jitter is the least assumed."""
+"""Error of a point relative to the path of the body. The numbers are chosen on windows of
+validation people and on martial arts, runs and climbs of training people (benchmarks/refine.py):
+numbers that suit walks alone let a prior that never saw a handspring overrule it. The jitter is
+the least assumed."""
 PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
 """Error of the path."""
 _ALIKE = 2.0
-"""Points of one limb err together, so that what a point's own path tells of its jitter is
+"""Points of one limb err together, so that the jitter estimated from one point is
 multiplied."""
 _LIMITS = (0.004, 0.05)
-"""Metres, of the jitter that a point's path tells."""
+"""Least and largest jitter that is estimated, metres."""
 _JUMP, _TIMES = 0.01, 4.0
 """A point jumps where its step differs from those before and after by more than so many metres
 and so many times as much as usual."""
@@ -83,24 +77,19 @@ _LIMBS = {
 }
 
 
-@dataclass(frozen=True)
-class Believed:
-    """An estimate as it is believed."""
-
-    seen: EstimatedPoints
-    """Points of the skin with their covariance; a leading axis of one clip."""
-    motion: Motion
-    """The estimate with its exchanges of limbs undone, no leading axis."""
-    repairs: tuple[Finding, ...]
-
-
-def believed(motion: Motion, known: Bool[Tensor, " time"], body: BodyModel) -> Believed:
-    """What an estimate tells: points of the skin, how long their errors last, where they jump.
+def believed(
+    motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
+) -> tuple[EstimatedPoints, Motion, tuple[Finding, ...]]:
+    """An estimate as observed points: their noise, how long errors last, where they jump.
 
     Args:
         motion: the estimate in a world with z up, of a shape of this body; no leading axis.
         known: frames that were estimated.
         body: whose motion it is.
+
+    Returns:
+        Points of the skin with their covariance, with a leading axis of one clip; the estimate
+        with its exchanges of limbs undone; and what was repaired.
     """
     step = max(round(motion.fps / FASTEST), 1)
     if step > 1:
@@ -127,7 +116,7 @@ def believed(motion: Motion, known: Bool[Tensor, " time"], body: BodyModel) -> B
         segment=_segments(points - path)[None],
         start_time=motion.start_time,
     )
-    return Believed(seen, motion, tuple(repairs))
+    return seen, motion, tuple(repairs)
 
 
 def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -161,8 +150,8 @@ def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time poi
     if len(points) < 4:
         return none
     steps = points.diff(dim=0)
-    beside = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
-    away = (steps - beside).norm(dim=-1)
+    usual = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
+    away = (steps - usual).norm(dim=-1)
     around = torch.nn.functional.max_pool1d(away.mT[None], 3, 1, 1)[0].mT
     jumps = (away > _JUMP + _TIMES * away.median(0).values) & (away >= around)
     none[1:] = jumps.to(points).cumsum(0)

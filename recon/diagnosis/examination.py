@@ -1,18 +1,18 @@
 """The record that checks work on: one clip before its fit, and after it with what follows."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial, wraps
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.diagnosis.agreement import ResidualSummary, summarise
+from recon.core.residuals import Noise, Unit
 from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
 from recon.diagnosis.doubts import Alternative, alternatives, observed_joints
 from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn
@@ -21,6 +21,55 @@ from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
+
+_QUANTILES = (0.5, 0.9, 0.99)
+
+
+@dataclass(frozen=True)
+class ResidualSummary:
+    """How far one sensor's data are from the fitted body, in the sensor's own unit."""
+
+    name: str
+    unit: Unit
+    noise: float
+    """Standard deviation of a coordinate that the fit assumed."""
+    median: float | None
+    """Median length of all residuals; None where nothing was seen at the motion's times."""
+    quantiles: tuple[float, ...] | None
+    """The 50th, 90th and 99th percentile."""
+    by_point: dict[str, float | None]
+    """Median of every named point; empty for clouds, whose points have no names."""
+    by_frame: tuple[float | None, ...]
+    """Median of every moment of the observation."""
+
+    def report(self) -> dict[str, Any]:
+        """The record as it stands in a report's list `residuals`."""
+        return asdict(self)
+
+
+def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> ResidualSummary:
+    """Numbers about the residuals of the first clip for its report."""
+    with torch.no_grad():
+        residuals = seen.residuals(estimate)
+    seen_here = residuals.seen[0].cpu().numpy()
+    lengths = np.where(seen_here, residuals.distances[0].double().cpu().numpy(), np.nan)
+    flat = lengths[np.isfinite(lengths)]
+    names = seen.point_names(estimate.body.model)
+    return ResidualSummary(
+        name=name,
+        unit=residuals.unit,
+        noise=noise.own,
+        median=float(np.median(flat)) if len(flat) > 0 else None,
+        quantiles=tuple(np.quantile(flat, _QUANTILES).tolist()) if len(flat) > 0 else None,
+        by_point=dict(zip(names, _medians(lengths.T), strict=True)) if names else {},
+        by_frame=tuple(_medians(lengths)),
+    )
+
+
+def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
+    """Median of the finite values of every row."""
+    known = [row[np.isfinite(row)] for row in rows]
+    return [float(np.median(row)) if len(row) > 0 else None for row in known]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +108,10 @@ class Examined(CheckedClip):
     """A clip with its fit, and what is known about the data and the result."""
 
     fit: ClipFit
+    estimate: Estimate
+    """The fitted motion and scene, without derivatives."""
+    motion: Motion
+    """The fitted motion on the processor, at the fit's own frames."""
     residuals: tuple[ResidualSummary, ...]
     """Residuals of every sensor, in the order of the observations."""
     observed: Bool[np.ndarray, "time 22"]
@@ -71,85 +124,56 @@ class Examined(CheckedClip):
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "Examined":
         """A clip after its fit, without further checks."""
-        here = _detached(fit)
+        here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
+            estimate=here,
+            motion=fit.result.clip(0).detach().to(device="cpu"),
             residuals=tuple(summarise(*sensor, here) for sensor in sensors),
             observed=observed_joints(fit.observations, here),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
 
-    @cached_property
-    def estimate(self) -> Estimate:
-        """The fitted motion and scene, without derivatives."""
-        return _detached(self.fit)
-
-    @cached_property
-    def motion(self) -> Motion:
-        """The fitted motion on the processor, at the fit's own frames."""
-        return self.fit.result.clip(0).detach().to(device="cpu")
-
     @property
     def model(self) -> BodyModel:
         """The fitted body on the processor."""
         return self.estimate.body.model.to(device="cpu")
-
-    @cached_property
-    def of_body(self) -> tuple[Finding, ...]:
-        """What is odd about the fitted person's size and soles; two checks ask for it."""
-        from recon.diagnosis.plausibility import body_warnings  # a fit without checks loads none
-
-        return tuple(body_warnings(self.fit))
 
     @property
     def seen(self) -> Bool[Tensor, "time 22"]:
         """`observed` at the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
-    def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
-        """`observed` at the frames of the fitted motion resampled to another rate."""
-        return self.observed[self._frames(motion, len(self.observed))]
+    def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
+        """What is known of the frames of the fitted motion resampled to another rate.
 
-    def joint_std_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """Standard deviations of a joint's coordinates at the frames of that motion, metres."""
-        if self.deviations is None:
-            return None
-        joints = self.deviations.joints
-        return joints[torch.from_numpy(self._frames(motion, len(joints)))].float().cpu()
-
-    def angle_std_at(self, motion: Motion) -> Float[Tensor, "time angles"] | None:
-        """Standard deviations of ISB angles at the frames of that motion, degrees."""
-        if self.deviations is None or self.deviations.measures is None:
-            return None
-        angles = self.deviations.measures.clamp(max=MOST)
-        return angles[torch.from_numpy(self._frames(motion, len(angles)))].float().cpu()
-
-    def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """How likely joints touch the ground in frames of that motion; None without a ground."""
-        if not self.fit.grounded:
-            return None
-        contacts = fitted_contacts(self.fit, self.deviations)
-        return contacts[torch.from_numpy(self._frames(motion, len(contacts)))].float()
-
-    @property
-    def ground_std(self) -> Float[Tensor, "2"] | None:
-        """Standard deviations of a ground that was found: normal, radians, and height, metres."""
-        ground = None if self.deviations is None else self.deviations.ground
-        return None if ground is None else torch.tensor([ground.normal, ground.height])
-
-    def _frames(self, motion: Motion, count: int) -> Int[np.ndarray, " time"]:
-        """The fitted frame that is nearest to each of a motion's."""
-        fitted = self.fit.result.motion
+        By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
+        coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that
+        was found (normal, radians; height, metres); `contact_probability`. None where unknown.
+        """
+        fitted, known = self.fit.result.motion, self.deviations
         times = motion.start_time + np.arange(motion.frames) / motion.fps
-        frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
-        return np.clip(frames, 0, count - 1)
-
-
-def _detached(fit: ClipFit) -> Estimate:
-    return replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
+        frames = torch.from_numpy(np.rint((times - fitted.start_time) * fitted.fps).astype(int))
+        ground = None if known is None else known.ground
+        angles = None if known is None else known.measures
+        values = {
+            "observed": torch.from_numpy(self.observed),
+            "joint_std": None if known is None else known.joints.float(),
+            "angle_std": None if angles is None else angles.clamp(max=MOST).float(),
+            "contact_probability": (
+                fitted_contacts(self.fit, known).float() if self.fit.grounded else None
+            ),
+        }
+        return {
+            "ground_std": None if ground is None else torch.tensor([ground.normal, ground.height]),
+            **{
+                name: None if one is None else one[frames.clamp(0, len(one) - 1)].cpu()
+                for name, one in values.items()
+            },
+        }
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
@@ -162,8 +186,15 @@ Clip = TypeVar("Clip", bound=CheckedClip)
 
 
 def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
-    """The clip after some checks, one after the other, with all that they found."""
-    clip, found = in_turn(clip, checks)
+    """The clip after some checks, one after the other, with all that they found.
+
+    A check that names what it `sees` is not asked about clips without such sensors.
+    """
+    kinds = ("named", "view", "cloud")
+    there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
+    there.add("any")
+    asked = [one for one in checks if there.intersection(getattr(one, "sees", ()) or ("any",))]
+    clip, found = in_turn(clip, asked)
     return replace(clip, found=clip.found + found)
 
 
@@ -182,13 +213,6 @@ def after_fit(*sees: str) -> Callable[[AfterFit], AfterFit]:
     return partial(_marked, sees=sees, comes_before_fit=False)
 
 
-def _marked(check: Any, sees: tuple[str, ...], comes_before_fit: bool) -> Any:
-    @wraps(check)
-    def asked(clip: Any) -> tuple[Any, Findings]:
-        told = not sees or any(
-            getattr(one, what, None) for one in clip.observations for what in sees
-        )
-        return check(clip) if told else (clip, NOTHING)
-
-    asked.__dict__.update(sees=sees, comes_before_fit=comes_before_fit)
-    return asked
+def _marked(check: Any, **marks: Any) -> Any:
+    vars(check).update(marks)
+    return check

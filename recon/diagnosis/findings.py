@@ -142,10 +142,26 @@ def in_turn(
     return data, found
 
 
-def stretches(flags: Bool[np.ndarray, " frames"]) -> tuple[tuple[int, int], ...]:
-    """The runs of true values, first and last index of each."""
+def stretches(
+    flags: Bool[np.ndarray, " frames"], least: float | int = 1
+) -> tuple[tuple[int, int], ...]:
+    """The runs of at least so many true values, first and last index of each."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return tuple((first, stop - 1) for first, stop in runs if stop - first >= least)
+
+
+def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:
+    """The runs of at least so many true values."""
+    out = np.zeros_like(flags)
+    for first, last in stretches(flags, least):
+        out[first : last + 1] = True
+    return out
+
+
+def chosen(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[str, ...]:
+    """The names whose flag is true."""
+    return tuple(name for name, flag in zip(names, flags, strict=True) if flag)
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:

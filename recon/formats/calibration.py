@@ -6,61 +6,21 @@ in OpenCV's axes.
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import TABLE, check_pose
 from recon.core.units import METRES, Axis, to_z_up
+from recon.formats.cameras import CameraArrays, CameraFields, settle_camera
 from recon.formats.json_files import read_json
-from recon.formats.observations import CameraArrays
-from recon.formats.opencv_yaml import CameraFields, read_opencv_yaml, settle_camera
+from recon.formats.opencv_yaml import read_opencv_yaml
 from recon.formats.opening import decode, existing, load_arrays, read_bytes
-
-FILM_DIAGONAL = 43.27
-"""Millimetres; the diagonal of 35 mm film."""
-PHONE = 28.0
-"""Focal length for 35 mm film of a phone's main camera that films, millimetres: a diagonal field
-of view of 75 degrees."""
-USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
-"""Widths and heights of films, pixels."""
-
-
-def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
-    """A phone's camera with images of this size: 75 degrees across, its centre in the middle.
-
-    Its focal length is marked as not known, so that a fit corrects it.
-    """
-    width, height = image_size
-    focal = PHONE / FILM_DIAGONAL * float(np.hypot(width, height))
-    matrix = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    return CameraArrays(matrix, (int(width), int(height)), focal_known=False)
-
-
-def guessed_size(
-    pixels: Float[np.ndarray, "detections points 2"],
-    confidence: Float[np.ndarray, "detections points"],
-    sizes: Sequence[tuple[int, int]] = USUAL_SIZES,
-) -> tuple[int, int]:
-    """The smallest usual size of a film, lying or upright, that holds the keypoints.
-
-    One keypoint in a hundred may lie outside, as detectors guess what the image cuts off. Larger
-    ones than all are taken as they are.
-    """
-    seen = pixels[confidence > 0]
-    reach = np.quantile(seen, 0.99, axis=0) if len(seen) > 0 else np.zeros(2)
-    for long, short in sizes:
-        for size in ((long, short), (short, long)):
-            if (reach <= size).all():
-                return size
-    width, height = np.ceil(reach).astype(int).tolist()
-    return width, height
 
 
 def read_toml(path: Path) -> dict[str, CameraFields]:

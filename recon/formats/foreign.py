@@ -1,7 +1,7 @@
 """Files that no sensor's reader takes, refused at a look, before anything heavy is loaded."""
 
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from recon.core.errors import FormatError
@@ -45,16 +45,12 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
         ending = path.suffix.lower()
         if ending in _ELSEWHERE:
             raise FormatError(f"{path}: {_ELSEWHERE[ending]}; expected {EXPECTED}")
-        if ending not in _LOOKS:
-            raise FormatError(
-                f"{path}: files ending in {ending or 'nothing'} are not known; expected {EXPECTED}"
-            )
         with path.open("rb") as file:
             head = file.read(_HEAD)
         if len(head) == 0:
             raise FormatError(f"{path}: the file is empty")
-        if (seen := _LOOKS[ending](path, head)) is not None:
-            raise FormatError(f"{path}: {seen}")
+        if (wrong := _wrong(path, ending, head)) is not None:
+            raise FormatError(f"{path}: {wrong}")
 
 
 def is_estimate(paths: Sequence[Path]) -> bool:
@@ -78,14 +74,51 @@ _POSES = {"poses", "pose", "pose_body", "body_pose", "pose_world", "fullpose"}
 """Arrays of such a file, of which it has one of each."""
 
 
-def _npz(path: Path, head: bytes) -> str | None:
-    del head
+def _wrong(path: Path, ending: str, head: bytes) -> str | None:
+    """What is wrong with a file, by its ending and first bytes; None where nothing is."""
+    text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
+    lines = [line for line in text.splitlines() if line.strip()]
+    first = repr(lines[0][:60]) if lines else "nothing"
+    match ending:
+        case ".npz":
+            return _wrong_archive(path)
+        case ".npy" if not head.startswith(b"\x93NUMPY"):
+            return "expected an .npy file, got other bytes"
+        case ".c3d" if head[1:2] != b"\x50":
+            return "expected a C3D file, whose second byte is 0x50"
+        case ".trc" if not text.lower().startswith("pathfiletype"):
+            return f"expected a TRC file, whose first line is PathFileType; got {first}"
+        case ".csv":
+            axes = {cell.strip()[-1:].lower() for cell in "".join(lines[:1]).split(",")}
+            heads = [line.lower().startswith(("scorer", "bodyparts")) for line in lines[:4]]
+            if not {"x", "y"} <= axes and not any(heads):
+                return (
+                    "expected a table of keypoints: columns such as left_hip_x, left_hip_y, "
+                    "left_hip_z, or frame, keypoint, x, y, z, or DeepLabCut's header rows scorer, "
+                    f"bodyparts, coords; got {first}"
+                )
+        case ".json" if text.lstrip()[:1] not in ("{", "["):
+            return "expected JSON, which begins with { or ["
+        case ".json" if len(head) < _HEAD and not any(key in head for key in _KEYS):
+            return (
+                "expected keypoints in JSON (people, annots, keypoints, landmarks, bodies, "
+                f"names); got {text[:60]!r}"
+            )
+        case ".npy" | ".c3d" | ".trc" | ".json":
+            return None
+        case _:
+            known = ending or "nothing"
+            return f"files ending in {known} are not known; expected {EXPECTED}"
+    return None
+
+
+def _wrong_archive(path: Path) -> str | None:
     try:
         with zipfile.ZipFile(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         return f"expected an .npz file of plain arrays, but it cannot be read ({error})"
-    if "kind" not in names and {"trans", "poses"} <= set(names):
+    if "kind" not in names and {"trans", "poses"} <= names:
         return (
             "a motion, not an observation; `recon refine` takes what a network told from video, "
             "`recon simulate` makes observations of a motion"
@@ -93,57 +126,3 @@ def _npz(path: Path, head: bytes) -> str | None:
     if "kind" not in names and "v_template" in names:
         return "a body, not an observation; give it with --body"
     return None
-
-
-def _npy(path: Path, head: bytes) -> str | None:
-    del path
-    return None if head.startswith(b"\x93NUMPY") else "expected an .npy file, got other bytes"
-
-
-def _trc(path: Path, head: bytes) -> str | None:
-    del path
-    lines = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf").splitlines()
-    if not lines or not lines[0].lower().startswith("pathfiletype"):
-        return f"expected a TRC file, whose first line is PathFileType; got {_quoted(lines)}"
-    return None
-
-
-def _c3d(path: Path, head: bytes) -> str | None:
-    del path
-    return None if head[1:2] == b"\x50" else "expected a C3D file, whose second byte is 0x50"
-
-
-def _csv(path: Path, head: bytes) -> str | None:
-    del path
-    lines = [line for line in head.decode("latin-1").lower().splitlines() if line.strip()]
-    cells = [cell.strip() for cell in lines[0].split(",")] if lines else []
-    axes = {cell[-1:] for cell in cells}
-    if {"x", "y"} <= axes or any(line.startswith(("scorer", "bodyparts")) for line in lines[:4]):
-        return None
-    return (
-        "expected a table of keypoints: columns such as left_hip_x, left_hip_y, left_hip_z, or "
-        "frame, keypoint, x, y, z, or DeepLabCut's header rows scorer, bodyparts, coords; got "
-        f"{_quoted(lines)}"
-    )
-
-
-def _json(path: Path, head: bytes) -> str | None:
-    del path
-    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
-    if start not in (b"{", b"["):
-        return "expected JSON, which begins with { or ["
-    if len(head) < _HEAD and not any(key in head for key in _KEYS):
-        return (
-            "expected keypoints in JSON (people, annots, keypoints, landmarks, bodies, names); "
-            f"got {head[:60].decode('latin-1')!r}"
-        )
-    return None
-
-
-def _quoted(lines: list[str]) -> str:
-    return repr(lines[0][:60]) if lines else "nothing"
-
-
-_LOOKS: dict[str, Callable[[Path, bytes], str | None]] = {
-    ".npz": _npz, ".npy": _npy, ".trc": _trc, ".c3d": _c3d, ".csv": _csv, ".json": _json,
-}  # fmt: skip

@@ -1,136 +1,15 @@
 """OpenCV's YAML: EasyMocap's `intri.yml` and `extri.yml`, or the calibration of one camera."""
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import IMAGE_SIZE, TABLE, check_camera, check_pose
-from recon.formats.observations import CameraArrays
+from recon.core.limits import TABLE
+from recon.formats.cameras import CameraFields
 from recon.formats.opening import decode, read_bytes
-
-_COEFFICIENTS = (4, 5, 8)
-"""OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
-
-
-@dataclass(frozen=True)
-class CameraFields:
-    """What a file says about a camera, unchecked."""
-
-    name: str
-    matrix: Any
-    size: Any = None
-    """Width and height."""
-    distortion: Any = None
-    rotation: Any = None
-    """World to camera: Rodrigues vector or matrix."""
-    translation: Any = None
-    pose: Any = None
-    """Instead of the two: 3x4 or 4x4, one or one per frame."""
-
-
-def settle_camera(
-    parts: CameraFields, image_size: tuple[int, int] | None, path: Path
-) -> CameraArrays:
-    """A camera of finite numbers and right shapes, in the file's unit and world.
-
-    Raises:
-        ValueError: for what is not numbers, has a wrong shape, a focal length that is not
-            positive, a rotation that is none, or an image size that is neither stated nor given.
-    """
-    where = f"{path}, camera {parts.name}"
-    matrix = _numbers(parts.matrix, "camera matrix", where)
-    if matrix.shape != (3, 3):
-        raise FormatError(
-            f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
-            f"an array of shape {matrix.shape}"
-        )
-    size = _size(parts.size, image_size, where)
-    distortion = _distortion(parts.distortion, where)
-    check_camera(matrix, size, distortion, where)
-    return CameraArrays(
-        camera_matrix=matrix,
-        image_size=size,
-        distortion=distortion,
-        T_camera_world=_pose(parts, where),
-    )
-
-
-def _numbers(value: Any, what: str, where: str) -> np.ndarray:
-    try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        shown = repr(value)[:80]
-        raise FormatError(f"{where}: expected numbers in the {what}, got {shown}") from error
-    if not np.isfinite(numbers).all():
-        raise FormatError(f"{where}: the {what} holds NaN or infinity")
-    return numbers
-
-
-def _size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    if stated is None and given is None:
-        raise FormatError(
-            f"{where}: the calibration does not state the image size; give it with --image-size "
-            "WIDTH HEIGHT"
-        )
-    size = _numbers(given if stated is None else stated, "image size", where)
-    if size.shape != (2,):
-        raise FormatError(f"{where}: expected a width and a height in pixels, got {size.tolist()}")
-    IMAGE_SIZE.check(size, where, "image size")
-    return int(size[0]), int(size[1])
-
-
-def _distortion(value: Any, where: str) -> np.ndarray | None:
-    if value is None:
-        return None
-    numbers = _numbers(value, "distortion", where).ravel()
-    longest = _COEFFICIENTS[-1]
-    if len(numbers) > longest and not numbers[longest:].any():
-        numbers = numbers[:longest]
-    if len(numbers) < _COEFFICIENTS[0]:
-        numbers = np.pad(numbers, (0, _COEFFICIENTS[0] - len(numbers)))
-    if len(numbers) not in _COEFFICIENTS:
-        raise FormatError(
-            f"{where}: expected up to 4, or 5 or 8 distortion coefficients (k1 k2 p1 p2 [k3 [k4 "
-            f"k5 k6]]), got {len(numbers)}; calibrate without thin prism or tilt"
-        )
-    return numbers if numbers.any() else None
-
-
-def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
-    if parts.pose is not None:
-        pose = _numbers(parts.pose, "pose", where)
-        pose = pose[None] if pose.ndim == 2 else pose
-        if pose.ndim != 3 or pose.shape[1:] not in ((3, 4), (4, 4)) or len(pose) == 0:
-            raise FormatError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
-        rotation, translation = pose[:, :3, :3], pose[:, :3, 3]
-    elif parts.rotation is None and parts.translation is None:
-        return None
-    elif parts.rotation is None or parts.translation is None:
-        raise FormatError(f"{where}: expected both rotation and translation, got only one")
-    else:
-        turn = _numbers(parts.rotation, "rotation", where)
-        if turn.size == 3:
-            import cv2
-
-            turn = np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0])
-        translation = _numbers(parts.translation, "translation", where).reshape(1, -1)
-        if turn.shape != (3, 3) or translation.shape != (1, 3):
-            raise FormatError(
-                f"{where}: expected a rotation of 3 or 3x3 numbers and a translation of 3, got "
-                f"{turn.shape} and {translation.shape}"
-            )
-        rotation = turn[None]
-    out = np.tile(np.eye(4), (len(rotation), 1, 1))
-    out[:, :3, :3] = rotation
-    # a translation may still be in millimetres: its range is checked when its unit is known
-    check_pose(out, where, "rotation from world to camera")
-    out[:, :3, 3] = translation
-    return out
-
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M")
 _DISTORTION = (

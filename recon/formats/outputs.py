@@ -46,17 +46,19 @@ class Output:
         return self.kind in (Kind.FOLDER, Kind.CONTINUED)
 
     @property
+    def base(self) -> Path:
+        """The folder to which names of files in the report are relative."""
+        return self.real if self.is_folder else self.real.parent
+
+    @property
     def report(self) -> Path | None:
         """The file that says which files are recon's own; a continued folder has several."""
-        match self.kind:
-            case Kind.FILE:
-                return self.real.with_name(self.real.name + ".json")
-            case Kind.REPORT:
-                return self.real
-            case Kind.FOLDER:
-                return self.real / "report.json"
-            case Kind.CONTINUED:
-                return None
+        places = {
+            Kind.FILE: self.real.parent / f"{self.real.name}.json",
+            Kind.REPORT: self.real,
+            Kind.FOLDER: self.real / "report.json",
+        }
+        return places.get(self.kind)
 
     @property
     def places(self) -> tuple[Path, ...]:
@@ -169,19 +171,20 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     Raises:
         FileExistsError: when there are others, unless they may be replaced.
     """
-    if output.kind is Kind.CONTINUED:
-        if not overwrite:
-            _refuse_other_folder(output)
+    if output.report is None:
+        assert output.is_former is not None
+        if not overwrite and _present(output) and not output.is_former(output.real):
+            raise FileExistsError(
+                f"{output.path} holds files already, and is no folder of a run that could go on; "
+                "give a new folder, or write into it by --overwrite"
+            )
         return {}
-    assert output.report is not None
     report = read_report(output.report)
     if report is None and output.report.exists() and not overwrite:
         raise FileExistsError(
             f"{output.report} is there already, and not as recon writes reports (somebody else's, "
             f"or changed since); move it away, write somewhere else, or replace it by --overwrite"
         )
-    if output.kind is Kind.REPORT:
-        return {}
     own: dict[str, str] = {}
     for name, path in _present(output).items():
         checksum = None if report is None else report.checksum_if_own(name, path)
@@ -199,27 +202,14 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
 def _present(output: Output) -> dict[str, Path]:
     """Files that are there now, by their names in the report; hidden ones do not count."""
     real = output.real
-    if output.kind is Kind.FILE:
-        return {real.name: real} if real.exists() else {}
-    if not real.exists():
-        return {}
-    files = (path for path in sorted(real.rglob("*")) if path.is_file() or path.is_symlink())
-    named = {path.relative_to(real).as_posix(): path for path in files}
+    found = sorted(real.rglob("*")) if output.is_folder else [real]
     return {
-        name: path
-        for name, path in named.items()
-        if path != output.report and not any(part.startswith(".") for part in name.split("/"))
+        path.relative_to(output.base).as_posix(): path
+        for path in found
+        if (path.is_file() or path.is_symlink())
+        and path != output.report
+        and not any(part.startswith(".") for part in path.relative_to(real).parts)
     }
-
-
-def _refuse_other_folder(output: Output) -> None:
-    """A folder with contents must be one that a former run of the verb made."""
-    assert output.is_former is not None
-    if len(_present(output)) > 0 and not output.is_former(output.real):
-        raise FileExistsError(
-            f"{output.path} holds files already, and is no folder of a run that could go on; give "
-            "a new folder, or write into it by --overwrite"
-        )
 
 
 def _same(a: Path, b: Path) -> bool:

@@ -6,7 +6,7 @@ inside a file is ever executed (`smpl_pickle`).
 
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,6 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.formats.opening import DAMAGE, check_sizes, existing
-
-
-def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The named arrays of a pickled dictionary, those that are there; nothing is run.
-
-    Raises:
-        ValueError: when the file is damaged, or names anything that is not on the list.
-    """
-    content = read_tree(path)
-    return {name: _array(content[name], name, path) for name in names if name in content}
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -42,7 +32,7 @@ def read_tree(path: Path) -> dict[Any, Any]:
             content = _Unpickler(file, encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
-            f"{path}: refusing to load {error.name}, which no body model and no list of poses "
+            f"{path}: refusing to load {error}, which no body model and no list of poses "
             "contains; nothing in the file was run"
         ) from None
     except (
@@ -91,38 +81,35 @@ class _Chumpy(_Inert):
         return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
 
 
-class _CompressedColumns(_Inert):
+class _CompressedRows(_Inert):
+    """scipy.sparse.csr_matrix; entries named twice add up."""
+
+    def value(self) -> np.ndarray:
+        return self._dense(*(int(size) for size in self.state["_shape"]))
+
+    def _dense(self, lines: int, length: int) -> np.ndarray:
+        """Compressed lines as a full matrix."""
+        MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
+        if min(lines, length) < 0:
+            raise FormatError(f"a sparse matrix of shape {lines} x {length}")
+        dense = np.zeros((lines, length))
+        starts = np.asarray(self.state["indptr"], np.int64)
+        line = np.repeat(np.arange(lines), np.diff(starts))
+        columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
+        np.add.at(dense, (line, columns), numbers)
+        return dense
+
+
+class _CompressedColumns(_CompressedRows):
     """scipy.sparse.csc_matrix."""
 
     def value(self) -> np.ndarray:
         rows, columns = (int(size) for size in self.state["_shape"])
-        return _dense(self.state, columns, rows).T
-
-
-class _CompressedRows(_Inert):
-    """scipy.sparse.csr_matrix."""
-
-    def value(self) -> np.ndarray:
-        rows, columns = (int(size) for size in self.state["_shape"])
-        return _dense(self.state, rows, columns)
-
-
-def _dense(state: Mapping[str, Any], lines: int, length: int) -> np.ndarray:
-    """Compressed lines as a full matrix; entries named twice add up."""
-    MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
-    if min(lines, length) < 0:
-        raise FormatError(f"a sparse matrix of shape {lines} x {length}")
-    dense = np.zeros((lines, length))
-    starts = np.asarray(state["indptr"], np.int64)
-    line = np.repeat(np.arange(lines), np.diff(starts))
-    np.add.at(dense, (line, np.asarray(state["indices"])), np.asarray(state["data"]))
-    return dense
+        return self._dense(columns, rows).T
 
 
 def _plain(value: object) -> object:
-    if isinstance(value, _Chumpy | _CompressedColumns | _CompressedRows):
-        return value.value()
-    return value
+    return value.value() if isinstance(value, _Chumpy | _CompressedRows) else value
 
 
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
@@ -156,34 +143,19 @@ def _bare(kind: type, base: type, state: object) -> object:
     return kind.__new__(kind)
 
 
-def _numpy_names() -> dict[tuple[str, str], object]:
-    """What numpy's own pickles refer to, under the module names of numpy 1 and 2."""
-    frombuffer = np.zeros(1).__reduce_ex__(5)[0]
-    scalar = np.float64(0).__reduce__()[0]
-    names: dict[tuple[str, str], object] = {
-        ("numpy", "ndarray"): np.ndarray,
-        ("numpy", "dtype"): np.dtype,
-    }
-    for core in ("numpy.core", "numpy._core"):
-        names[f"{core}.multiarray", "_reconstruct"] = _empty
-        names[f"{core}.multiarray", "scalar"] = scalar
-        names[f"{core}.numeric", "_frombuffer"] = frombuffer
-    return names
-
-
-def _builtin_names() -> dict[tuple[str, str], object]:
-    """Plain containers and numbers, under the names of Python 2 and 3."""
-    kinds = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
-    modules = ("builtins", "__builtin__")
-    names: dict[tuple[str, str], object] = {
-        (module, kind.__name__): kind for module in modules for kind in kinds
-    }
-    return names | {(m, kind): _some_bytes for m in modules for kind in ("bytes", "bytearray")}
-
-
+_NUMPY = ("numpy.core", "numpy._core")
+"""Modules of numpy 1 and 2."""
+_BUILTINS = ("__builtin__", "builtins")
+"""Modules of Python 2 and 3."""
+_CONTAINERS = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
 _ALLOWED: dict[tuple[str, str], object] = {
-    **_numpy_names(),
-    **_builtin_names(),
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+    **{(f"{core}.multiarray", "_reconstruct"): _empty for core in _NUMPY},
+    **{(f"{core}.multiarray", "scalar"): np.float64(0).__reduce__()[0] for core in _NUMPY},
+    **{(f"{core}.numeric", "_frombuffer"): np.zeros(1).__reduce_ex__(5)[0] for core in _NUMPY},
+    **{(module, kind.__name__): kind for module in _BUILTINS for kind in _CONTAINERS},
+    **{(module, kind): _some_bytes for module in _BUILTINS for kind in ("bytes", "bytearray")},
     ("_codecs", "encode"): _latin_bytes,
     ("copy_reg", "_reconstructor"): _bare,
     ("copyreg", "_reconstructor"): _bare,
@@ -196,27 +168,24 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("scipy.sparse.csr", "csr_matrix"): _CompressedRows,
     ("scipy.sparse._csr", "csr_matrix"): _CompressedRows,
 }
+"""What pickles of body models and of arrays name, by module and name."""
 
 
 class _RefusedError(Exception):
     """A pickle named something that is not on the list."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self.name = name
 
 
 class _Unpickler(pickle.Unpickler):
     """Knows the names in `_ALLOWED` and no others."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        try:
-            return _ALLOWED[module_name, global_name]
-        except KeyError:
-            raise _RefusedError(f"{module_name}.{global_name}") from None
+        if (module_name, global_name) not in _ALLOWED:
+            raise _RefusedError(f"{module_name}.{global_name}")
+        return _ALLOWED[module_name, global_name]
 
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
+_USED = (*_NEEDED, "posedirs")
 _RANGES: dict[str, Limit] = {
     "v_template": MODEL_LENGTH, "shapedirs": MODEL_LENGTH, "posedirs": MODEL_LENGTH,
     "J_regressor": MODEL_WEIGHT, "weights": MODEL_WEIGHT,
@@ -265,15 +234,15 @@ def load_smpl(path: str | Path) -> SmplArrays:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(_MISSING.format(path=path))
-    existing(path)
-    readers: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
-        ".npz": _read_npz,
-        ".pkl": _read_pickle,
-    }
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {path.suffix!r}")
-    return _checked(reader(path), path)
+    match existing(path).suffix.lower():
+        case ".npz":
+            fields = _read_npz(path)
+        case ".pkl":
+            tree = read_tree(path)
+            fields = {name: _array(tree[name], name, path) for name in _USED if name in tree}
+        case other:
+            raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {other!r}")
+    return _checked(fields, path)
 
 
 def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
@@ -367,15 +336,10 @@ def _correctives(
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     """The needed arrays; SMPL-X's object arrays beside them stay closed."""
     try:
-        check_sizes(path, BINARY, (*_NEEDED, "posedirs"))
+        check_sizes(path, BINARY, _USED)
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            names = [name for name in (*_NEEDED, "posedirs") if name in file.files]
-            return {name: np.asarray(file[name]) for name in names}
+            return {name: np.asarray(file[name]) for name in _USED if name in file.files}
     except DAMAGE as error:
         raise FormatError(
             f"{path}: expected an .npz body model of plain arrays, but {error}"
         ) from error
-
-
-def _read_pickle(path: Path) -> dict[str, np.ndarray]:
-    return read_pickle(path, (*_NEEDED, "posedirs"))

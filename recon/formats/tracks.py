@@ -20,8 +20,8 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.units import to_z_up
+from recon.formats.cameras import CameraFields
 from recon.formats.json_files import read_json
-from recon.formats.opencv_yaml import CameraFields
 from recon.formats.opening import existing, load_array, load_arrays
 
 _MODELS = {
@@ -36,10 +36,8 @@ _MODELS = {
 _LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
-def read_colmap(
-    path: Path,
-) -> tuple[Int[np.ndarray, " poses"] | None, Float[np.ndarray, "poses 4 4"], CameraFields | None]:
-    """Frame numbers, T_world_camera and intrinsics of a model's `images.txt` and `cameras.txt`.
+def read_colmap(path: Path) -> "CameraTrack":
+    """The track of a model's `images.txt`, with the intrinsics of `cameras.txt` beside it.
 
     Images come in the order of their names; the last number of a name is that of its frame.
 
@@ -47,84 +45,81 @@ def read_colmap(
         ValueError: when there are no images or lines are damaged, or they are of several cameras.
     """
     lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
-    images: dict[str, tuple[list[float], str]] = {}
-    for line in lines[::2]:  # every other line lists the points that an image shows
-        fields = line.split()
-        if not fields:
-            continue
-        if len(fields) < 10:
-            raise FormatError(
-                f"{path}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line[:80]!r}"
-            )
-        images[" ".join(fields[9:])] = (_numbers(fields[1:8], line, path), fields[8])
+    # every other line lists the points that an image shows
+    fields = [line.split(maxsplit=9) for line in lines[::2] if line.strip()]
+    if short := [one for one in fields if len(one) < 10]:
+        raise FormatError(
+            f"{path}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got "
+            f"{' '.join(short[0])[:80]!r}"
+        )
+    images = {one[9].strip(): one for one in fields}
     if len(images) < 2:
         raise FormatError(f"{path}: expected images with poses, found {len(images)}")
-    names = sorted(images, key=lambda name: (_number(name) or 0, name))
-    if len({camera for _, camera in images.values()}) > 1:
+    if len({one[8] for one in images.values()}) > 1:
         raise FormatError(
             f"{path}: its images are of several cameras; expected those of one film, which COLMAP "
             "takes as one with --ImageReader.single_camera 1"
         )
-    rows = np.array([images[name][0] for name in names])
+    found = {name: re.findall(r"\d+", Path(name).stem)[-1:] for name in images}
+    names = sorted(images, key=lambda name: (int((found[name] or "0")[0]), name))
+    rows = np.array([_numbers(images[name][1:8], path) for name in names])
     T = np.linalg.inv(rigid(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
-    numbers = [_number(name) for name in names]
-    counted = None not in numbers and len(set(numbers)) == len(numbers)
+    numbers = [int(found[name][0]) for name in names if found[name]]
+    counted = len(set(numbers)) == len(names)
     cameras = path.with_name("cameras.txt")
-    camera = _camera(cameras, images[names[0]][1]) if cameras.is_file() else None
-    return (np.array(numbers, np.int64) if counted else None), T, camera
+    camera = _camera(cameras, images[names[0]][8]) if cameras.is_file() else None
+    return CameraTrack(T, np.array(numbers) if counted else None, None, camera, "COLMAP")
 
 
-def read_tum(path: Path) -> tuple[Float[np.ndarray, " poses"], Float[np.ndarray, "poses 4 4"]]:
-    """Times in seconds and T_world_camera of a trajectory.
+def read_tum(path: Path) -> "CameraTrack":
+    """The track of a text of times in seconds and poses; whole times are numbers of frames.
 
     Raises:
         ValueError: when a line has not eight numbers, or times do not rise.
     """
-    rows = []
+    rows: list[list[float]] = []
     for line in path.read_text("utf-8").splitlines():
-        if not line.strip() or line.startswith("#"):
-            continue
         fields = line.replace(",", " ").split()
+        if not fields or line.startswith("#"):
+            continue
         if len(fields) != 8:
             raise FormatError(
                 f"{path}: expected timestamp tx ty tz qx qy qz qw, got {line[:80]!r}"
             )
-        rows.append(_numbers(fields, line, path))
+        rows.append(_numbers(fields, path))
     table = np.array(rows).reshape(-1, 8)
-    if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
+    times = table[:, 0]
+    if len(table) < 2 or not (np.diff(times) > 0).all():
         raise FormatError(f"{path}: expected rising timestamps, got {len(table)} poses")
-    return table[:, 0], rigid(table[:, 4:], table[:, 1:4], path)
+    frames = times.astype(np.int64) if (times == np.round(times)).all() else None
+    return CameraTrack(rigid(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM")
 
 
 def _camera(path: Path, identity: str) -> CameraFields:
-    for line in path.read_text("utf-8").splitlines():
-        fields = line.split()
-        if line.startswith("#") or not fields or fields[0] != identity:
-            continue
-        model, size = fields[1], _numbers(fields[2:4], line, path)
-        if model not in _MODELS or len(fields) != 4 + len(_MODELS[model]):
-            raise FormatError(
-                f"{path}: expected a camera of the models {', '.join(_MODELS)}, got {line[:80]!r}"
-            )
-        own = dict(zip(_MODELS[model], _numbers(fields[4:], line, path), strict=True))
-        fx, fy = own.get("fx", own.get("f", 0.0)), own.get("fy", own.get("f", 0.0))
-        lens = [own.get(name, 0.0) for name in _LENS]
-        # COLMAP counts from the corner of the first pixel, OpenCV from its middle
-        matrix = [[fx, 0, own["cx"] - 0.5], [0, fy, own["cy"] - 0.5], [0, 0, 1]]
-        return CameraFields("track", matrix, size, lens if any(lens) else None)
-    raise FormatError(f"{path}: expected camera {identity}, which images.txt names")
+    """The camera of this identity in COLMAP's `cameras.txt`."""
+    lines = [line.split() for line in path.read_text("utf-8").splitlines()]
+    fields = next((one for one in lines if one[:1] == [identity]), None)
+    if fields is None:
+        raise FormatError(f"{path}: expected camera {identity}, which images.txt names")
+    names = _MODELS.get("".join(fields[1:2]), ())
+    if not names or len(fields) != 4 + len(names):
+        raise FormatError(
+            f"{path}: expected a camera of the models {', '.join(_MODELS)}, got "
+            f"{' '.join(fields)[:80]!r}"
+        )
+    own = dict(zip(names, _numbers(fields[4:], path), strict=True))
+    fx, fy = own.get("fx", own.get("f", 0.0)), own.get("fy", own.get("f", 0.0))
+    lens = [own.get(name, 0.0) for name in _LENS]
+    # COLMAP counts from the corner of the first pixel, OpenCV from its middle
+    matrix = [[fx, 0, own["cx"] - 0.5], [0, fy, own["cy"] - 0.5], [0, 0, 1]]
+    return CameraFields("track", matrix, _numbers(fields[2:4], path), lens if any(lens) else None)
 
 
-def _number(name: str) -> int | None:
-    found = re.findall(r"\d+", Path(name).stem)
-    return int(found[-1]) if found else None
-
-
-def _numbers(fields: list[str], line: str, path: Path) -> list[float]:
+def _numbers(fields: list[str], path: Path) -> list[float]:
     try:
         return [float(one) for one in fields]
     except ValueError as error:
-        raise FormatError(f"{path}: expected numbers, got {line[:80]!r}") from error
+        raise FormatError(f"{path}: expected numbers, got {' '.join(fields)[:80]!r}") from error
 
 
 def rigid(
@@ -143,8 +138,12 @@ def rigid(
             f"{path}: expected finite numbers and quaternions of length 1, got lengths from "
             f"{np.nanmin(length):.3g} to {np.nanmax(length):.3g}; are its columns in order?"
         )
+    return _transforms(Rotation.from_quat(quaternion).as_matrix(), places)
+
+
+def _transforms(turns: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "poses 4 4"]:
     T = np.tile(np.eye(4), (len(places), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(quaternion).as_matrix(), places
+    T[:, :3, :3], T[:, :3, 3] = turns, places
     return T
 
 
@@ -169,13 +168,13 @@ class CameraTrack:
     """Numbers of the frames; None where times tell, or nothing."""
     times: Float[np.ndarray, " poses"] | None
     """Seconds, from any beginning."""
-    metric: bool
-    """Whether translations are metres; otherwise their unit is to be found."""
-    level: bool
-    """Whether the z axis of the world points up."""
     camera: CameraFields | None
     """Intrinsics, where the tracker states them."""
     producer: str
+    metric: bool = False
+    """Whether translations are metres; otherwise their unit is to be found."""
+    level: bool = False
+    """Whether the z axis of the world points up."""
 
     def at(
         self, first: int, count: int, fps: float
@@ -222,15 +221,8 @@ def read_track(path: Path) -> CameraTrack:
         path = path / "images.txt"
     existing(path)
     match path.suffix.lower():
-        case ".txt" | ".tum" if path.name == "images.txt":
-            names, poses, camera = read_colmap(path)
-            return CameraTrack(poses, names, None, False, False, camera, "COLMAP")
         case ".txt" | ".tum":
-            times, poses = read_tum(path)
-            whole = np.arange(len(times)) if len(times) < 2 else times
-            numbers = bool((whole == np.round(whole)).all())
-            frames = np.round(times).astype(np.int64) if numbers else None
-            return CameraTrack(poses, frames, times, False, False, None, "TUM")
+            return (read_colmap if path.name == "images.txt" else read_tum)(path)
         case ".npy":
             return _droid(load_array(path), None, None, path)
         case ".npz":
@@ -255,14 +247,12 @@ def _between(
     order = np.argsort(known)
     known, T = known[order], T[order]
     held = wanted.clip(known[0], known[-1])
-    found = np.tile(np.eye(4), (len(wanted), 1, 1))
-    found[:, :3, :3] = Slerp(known, Rotation.from_matrix(T[:, :3, :3]))(held).as_matrix()
-    found[:, :3, 3] = np.stack([np.interp(held, known, T[:, k, 3]) for k in range(3)], -1)
-    return found
+    turns = Slerp(known, Rotation.from_matrix(T[:, :3, :3]))(held).as_matrix()
+    places = np.stack([np.interp(held, known, T[:, k, 3]) for k in range(3)], -1)
+    return _transforms(turns, places)
 
 
 def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
-    rows = np.asarray(rows)
     if rows.ndim != 2 or rows.shape[1] != 7 or rows.dtype.kind not in "fiu" or len(rows) < 2:
         raise FormatError(
             f"{path}: expected poses of DROID-SLAM or DPVO, an array (frames, 7) of tx ty tz qx "
@@ -274,12 +264,9 @@ def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
         raise FormatError(f"{path}: expected rising tstamps, one for each of {len(rows)} poses")
     camera = None
     if intrinsics is not None:
-        values = np.asarray(intrinsics, np.float64)
-        values = values if values.ndim == 1 else values[0]
-        fx, fy, cx, cy = values[:4]
+        fx, fy, cx, cy = np.atleast_2d(np.asarray(intrinsics, np.float64))[0, :4]
         camera = CameraFields("track", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    T = rigid(rows[:, 3:], rows[:, :3], path)
-    return CameraTrack(T, frames, None, False, False, camera, "DROID-SLAM")
+    return CameraTrack(rigid(rows[:, 3:], rows[:, :3], path), frames, None, camera, "DROID-SLAM")
 
 
 def _arkit(path: Path) -> CameraTrack:
@@ -301,7 +288,7 @@ def _arkit(path: Path) -> CameraTrack:
     size = entries[0].get("imageResolution")
     camera = None if stated is None else CameraFields("track", _square(stated, 3, path), size)
     known = None if None in times else np.array(times, np.float64)
-    return CameraTrack(level @ T, None, known, True, True, camera, "ARKit")
+    return CameraTrack(level @ T, None, known, camera, "ARKit", metric=True, level=True)
 
 
 def _square(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:

@@ -85,26 +85,17 @@ class _Stage:
 
     @property
     def report(self) -> Path:
-        """Path at which the report is prepared."""
-        match self.output.kind:
-            case Kind.FILE:
-                return self.folder / f"{self.path.name}.json"
-            case Kind.REPORT:
-                return self.path
-            case _:
-                return self.path / "report.json"
+        """Path at which the report is prepared, where it will lie beside or in the result."""
+        assert self.output.report is not None
+        return self.folder / self.output.report.relative_to(self.output.real.parent)
 
     def files(self) -> dict[str, Path]:
         """What was written, by its name in the report."""
-        match self.output.kind:
-            case Kind.FILE:
-                return {self.path.name: self.path}
-            case Kind.REPORT:
-                return {}
-            case _:
-                found = sorted(path for path in self.path.rglob("*") if path.is_file())
-                named = {path.relative_to(self.path).as_posix(): path for path in found}
-                return {name: path for name, path in named.items() if path != self.report}
+        found = [self.path]
+        if self.output.is_folder:
+            found = [path for path in sorted(self.path.rglob("*")) if path.is_file()]
+        base = self.path if self.output.is_folder else self.folder
+        return {p.relative_to(base).as_posix(): p for p in found if p != self.report}
 
     def add_report(self, report: Mapping[str, Any], own: Mapping[str, str]) -> None:
         """Write the report, and what was written down to the disk."""
@@ -117,25 +108,22 @@ class _Stage:
 
     def move_report(self) -> None:
         """Put the report in place; that of a new folder comes with the folder."""
-        if self.output.is_folder and not self.output.real.exists():
-            return
-        assert self.output.report is not None
-        os.replace(self.report, self.output.report)
+        if not self.output.is_folder or self.output.real.exists():
+            os.replace(self.report, self.output.real.parent / self.report.relative_to(self.folder))
 
     def move(self, own: Mapping[str, str]) -> None:
         """Put the result in place, and remove what a former run left of its own."""
         real = self.output.real
-        if self.output.kind is Kind.FILE:
-            os.replace(self.path, real)
-        elif self.output.is_folder and not real.exists():
+        if self.output.is_folder and not real.exists():
             os.rename(self.path, real)
-        elif self.output.is_folder:
-            files = self.files()
-            for name, path in files.items():
-                (real / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(path, real / name)
-            for name in own.keys() - files.keys():
-                (real / name).unlink(missing_ok=True)
+            return
+        files = self.files()
+        for name, path in files.items():
+            place = self.output.base / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, place)
+        for name in own.keys() - files.keys():
+            (self.output.base / name).unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,17 +1,18 @@
 """`recon.report`: the laboratory report of a recording, a motion or a fit."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
-from recon.api.results import MotionResult
+from recon.api.results import MotionResult, Tables
 from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
-from recon.diagnosis.motions.belt import belt_velocity
+from recon.diagnosis.movement import belt_velocity
 from recon.formats.json_files import read_json
 from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile
@@ -137,28 +138,55 @@ def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class WrittenReport:
+    """What was written, and what the person at the terminal should see of it."""
+
+    place: Path
+    """The page."""
+    tables: Tables
+    warnings: tuple[str, ...]
+
+
 def report_file(
-    source: Path,
+    trial: Path,
     out: Path | None = None,
     *,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
     up: Axis | None = None,
     mapping: Path | None = None,
     overwrite: bool = False,
-) -> tuple[Path, LaboratoryReport]:
-    """Write the page OUT and the table beside it; the default is the source's name, here.
+) -> WrittenReport:
+    """Gait events, joint angles over the cycle, cadence, lengths and speed as one page.
 
-    Returns where the page is, and what it says.
+    Of a recording (.c3d, .trc, .bvh, .amc, .mat) or a motion file. The page needs no network; the
+    table beside it (.csv) has all its numbers. It needs matplotlib: pip install
+    'motion-recon[report]'.
+
+    Args:
+        trial: recording, or motion file of `recon fit` or `recon convert`, whose report is read,
+            too.
+        out: page to write; default: the trial's name with .html, in this folder.
+        unit: of a recording; default: found out.
+        up: axis of a recording that points up; default: found out.
+        mapping: JSON or TOML file that says which markers of a recording are which.
+        overwrite: replace files that are there and recon did not write.
 
     Raises:
         FileNotFoundError, ValueError: as `recon.report`; nothing is written then.
         FileExistsError: when a file is there and recon did not write it, unless `overwrite`.
     """
-    page = Path(f"{source.name.partition('.')[0]}.html") if out is None else out
-    read = recording_files(source) + ([] if mapping is None else [mapping])
+    page = Path(f"{trial.name.partition('.')[0]}.html") if out is None else out
+    read = recording_files(trial) + ([] if mapping is None else [mapping])
     check_outputs(outputs_of(page), read, overwrite=overwrite)
     matplotlib()
-    found = report(source, unit=unit, up=up, mapping=mapping)
+    found = report(trial, unit=unit, up=up, mapping=mapping)
     said = {"inputs": checksums(read), "versions": versions()}
     found.save(page, overwrite=overwrite, report=said)
-    return page, found
+    figures = {
+        f"{one.name} ({one.unit})": {"value": one.mean}
+        for one in found.gait.figures
+        if one.side == "both"
+    }
+    title = f"{trial}: {len(found.gait.cycles)} cycles of gait"
+    return WrittenReport(page, {title: figures}, found.warnings)

@@ -19,17 +19,17 @@ from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import belt_velocity, treadmill_finding
-from recon.diagnosis.motions.gravity import rate_finding
-from recon.diagnosis.motions.support import support_findings
+from recon.diagnosis.frame_rate import rate_finding
+from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.motions import MotionFile, save_motion
-from recon.ingest.skeleton import Solved, residual_names, solve
+from recon.ingest.skeleton import Solved, solve
 from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed
 
 GLITCH_SPEED = 20.0
 """Metres per second: no joint of a body moves so fast; between such frames it jumped."""
+_FINGERS = ("finger", "thumb", "index", "mid", "ring", "pinky")
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def convert_skeletons(
     """
     soles = Soles.of(body)
     solved = solve(recordings, subject, body)
-    names = residual_names(subject)
+    names = tuple(JOINTS[joint] for joint in subject.skeleton.joints)
     return [
         _finish(recording, found, names, body, soles, keep_frame)
         for recording, found in zip(recordings, solved, strict=True)
@@ -157,9 +157,7 @@ def floored(
         stance = Stance.of(motion, body, soles, belt, placed)
         tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
         notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")
-    shift = stance.height()
-    if unseen:
-        shift = 0.0
+    shift = 0.0 if unseen else stance.height()
     down = motion.translation.new_tensor([0.0, 0.0, shift])
     motion = motion.replace(translation=motion.translation - down)
     joints = body.pose(motion).joints
@@ -249,12 +247,7 @@ def glitches(recording: SkeletonRecording) -> tuple[int, ...]:
     asked = [
         joint
         for joint, name in enumerate(recording.joint_names)
-        if not name.endswith("_end") and not _is_finger(name)
+        if not name.endswith("_end") and not any(word in name.lower() for word in _FINGERS)
     ]
     step = np.linalg.norm(np.diff(recording.positions[:, asked], axis=0), axis=-1)
     return tuple((step.max(1) * recording.fps > GLITCH_SPEED).nonzero()[0].tolist())
-
-
-def _is_finger(name: str) -> bool:
-    word = name.lower()
-    return any(part in word for part in ("finger", "thumb", "index", "mid", "ring", "pinky"))

@@ -84,8 +84,8 @@ class Correctives(TensorStruct):
         local = (self._turns(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
         slopes = (local @ self.directions.mT).unflatten(-1, (-1, 3, 3))
         bent = 2 * so3.axis_sine(poses.rotations[:, 1:].mT @ slopes)
-        turns = turns + world_turns(_rootless(bent), poses.orientations)
-        return torch.nn.functional.pad(turns, (3, 0))
+        turns = turns + world_turns(pad(bent, (0, 0, 1, 0)), poses.orientations)
+        return pad(turns, (3, 0))
 
     def _unposed(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
         body = poses.rotations[:, 1:] - torch.eye(3).to(poses.rotations)
@@ -139,11 +139,6 @@ class SkinPoints(TensorStruct):
     def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:
         """Derivatives of the points by the coefficients of the shape, metres."""
         return ShapeLevers.of(self.carried, body).by_shape(poses.bones)
-
-
-def _rootless(bent: Float[Tensor, "frames 21 3"]) -> Float[Tensor, "frames 22 3"]:
-    """Vectors of all joints from those of the body joints; zero for the root."""
-    return torch.nn.functional.pad(bent, (0, 0, 1, 0))
 
 
 @cache
@@ -209,8 +204,8 @@ class PoseEnergies(TiedFrames[Poses]):
             positions=self.positions[index],
             visible=self.visible[index],
             linked=linked,
-            natural=_of_frames(self.natural, index),
-            pull=_of_frames(self.pull, index),
+            natural=_some(self.natural, index),
+            pull=_some(self.pull, index),
         )
 
     def untied(self) -> "PoseEnergies":
@@ -232,14 +227,16 @@ class PoseEnergies(TiedFrames[Poses]):
         gradient = self.markers.pull(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
-        natural, pull = _of_frames(self.natural, rows), _of_frames(self.pull, rows)
+        natural, pull = _some(self.natural, rows), _some(self.pull, rows)
         value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
         bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
         gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
         if self.soles is not None:
             depth, weight = self.depths(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
-            gradient = gradient + self.soles.pull(some, _upwards(weight * depth))
+            gradient = gradient + self.soles.pull(
+                some, pad((weight * depth)[:, None], (0, 0, 2, 0))
+            )
         return self.weight * value, self.weight * gradient
 
     def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
@@ -248,7 +245,7 @@ class PoseEnergies(TiedFrames[Poses]):
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
         diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
-        diagonal[..., 1:] += _of_frames(self.pull, rows)[:, None, None]
+        diagonal[..., 1:] += _some(self.pull, rows)[:, None, None]
         if self.soles is not None:
             _, weight = self.depths(some)
             touching = weight.any(-1).nonzero()[:, 0]
@@ -309,19 +306,11 @@ class PoseEnergies(TiedFrames[Poses]):
         return share * size * seen, share.square() * seen, away
 
 
-def _upwards(force: Float[Tensor, "frames points"]) -> Float[Tensor, "frames 3 points"]:
-    return torch.stack((torch.zeros_like(force), torch.zeros_like(force), force), 1)
-
-
 def _rows(state: Poses, rows: Tensor) -> Poses:
     # indexing copies, so all frames are taken as they are
     return state if len(rows) == len(state.translation) else state[rows]
 
 
-def _of_frames(values: Tensor, rows: Tensor) -> Tensor:
-    # one value belongs to all frames
-    return values if len(values) == 1 else _some(values, rows)
-
-
 def _some(values: Tensor, rows: Tensor) -> Tensor:
-    return values if len(rows) == len(values) else values[rows]
+    # one value belongs to all frames
+    return values if len(values) in (1, len(rows)) else values[rows]

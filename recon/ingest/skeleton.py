@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from observations.joints3d import Joints3D
 from recon.body.model import BodyModel
 from recon.core.motion import Motion, pad
 from recon.core.scene import Scene
-from recon.core.skeleton import JOINTS, PARENTS
+from recon.core.skeleton import PARENTS
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.ingest.subject import BoneOrientations, Frames, SubjectModel, joint_terms
 from recon.method import terms
@@ -49,23 +50,16 @@ def solve(
     motion = pad(
         [_start(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
     )
-    fps, clips, longest = motion.fps, len(frames), motion.frames
-
-    def padded(tensors: list[Tensor]) -> Tensor:
-        out = tensors[0].new_zeros(clips, longest, *tensors[0].shape[1:])
-        for row, tensor in enumerate(tensors):
-            out[row, : len(tensor)] = tensor
-        return out
-
     points = subject.skeleton.joints
     seen = Joints3D(
-        positions=padded([f.positions for f in frames]),
+        positions=pad_sequence([f.positions for f in frames], batch_first=True),
         visible=motion.valid[..., None].expand(-1, -1, len(points)).contiguous(),
         joints=points,
-        fps=fps,
+        fps=motion.fps,
         offset_rows=(0, len(points)),
     )
-    targets = padded([f.orientations @ subject.alignments for f in frames])
+    aligned = [f.orientations @ subject.alignments for f in frames]
+    targets = pad_sequence(aligned, batch_first=True)
     stage = Stage(
         "frames",
         FreeMotion(),
@@ -77,50 +71,39 @@ def solve(
         frozenset({"translation", "root", "pose"}),
         LBFGS(max_iterations=SOLVE_ITERATIONS, history=10, tolerance_decrease=1e-6),
     )
-    scene = Scene(subject.offsets.expand(clips, -1, -1))
+    scene = Scene(subject.offsets.expand(len(frames), -1, -1))
     estimate, _ = run_stages((stage,), body, motion, scene)
     with torch.no_grad():
         apart = (seen.predicted(estimate) - seen.positions).norm(dim=-1)
     found = estimate.motion.detach()
-    solved = []
-    for row, f in enumerate(frames):
-        count = len(f.positions)
-        solved.append(
-            Solved(
-                motion=found[row].window(0, count),
-                residuals=apart[row, :count].mean(0),
-                source_feet=f.positions[:, slice(*subject.skeleton.feet)],
-            )
+    return [
+        Solved(
+            motion=found[row].window(0, len(f.positions)),
+            residuals=apart[row, : len(f.positions)].mean(0),
+            source_feet=f.positions[:, slice(*subject.skeleton.feet)],
         )
-    return solved
+        for row, f in enumerate(frames)
+    ]
 
 
 def _start(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
     """Recorded orientations; bones without a record keep their place in their parent."""
     targets = frames.orientations @ subject.alignments
     recorded = {bone: targets[:, row] for row, bone in enumerate(subject.skeleton.bones)}
-    world: list[Tensor] = []
     identity = torch.eye(3).expand(len(targets), 3, 3)
+    bones: list[Tensor] = []
     for joint, parent in enumerate(PARENTS):
-        above = identity if parent < 0 else world[parent]
-        world.append(recorded.get(joint, above))
-    local = [
-        world[j] if p < 0 else world[p].transpose(-1, -2) @ world[j] for j, p in enumerate(PARENTS)
-    ]
+        bones.append(recorded.get(joint, identity if parent < 0 else bones[parent]))
+    world = torch.stack(bones, 1)
+    local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)
     motion = Motion.create(
         translation=torch.zeros(len(targets), 3),
-        rotations=torch.stack(local, 1),
+        rotations=local,
         shape=subject.shape,
         fps=fps,
     )
     posed = body.pose(motion)
     points = list(subject.skeleton.joints)
-    predicted = posed.joints[:, points] + (
-        posed.orientations[:, points] @ subject.offsets[..., None]
-    ).squeeze(-1)
-    return motion.replace(translation=(frames.positions - predicted).mean(1))
-
-
-def residual_names(subject: SubjectModel) -> tuple[str, ...]:
-    """Names of our joints in the order of `Solved.residuals`."""
-    return tuple(JOINTS[joint] for joint in subject.skeleton.joints)
+    offsets = (posed.orientations[:, points] @ subject.offsets[..., None])[..., 0]
+    away = frames.positions - posed.joints[:, points] - offsets
+    return motion.replace(translation=away.mean(1))

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel, PosedBody
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
@@ -66,11 +67,8 @@ class Aligned:
     @property
     def orientations(self) -> Float[Tensor, "22 3 3"]:
         """Rotations of the bones from the body's own rest pose to the other's."""
-        local = so3.exp(self.turns)
-        found: list[Tensor] = []
-        for joint, parent in enumerate(PARENTS):
-            found.append(local[joint] if parent < 0 else found[parent] @ local[joint])
-        return torch.stack(found)
+        local = so3.exp(self.turns)[None]
+        return forward_kinematics(local, local.new_zeros(len(JOINTS), 3))[0][0]
 
 
 def align(

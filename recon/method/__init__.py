@@ -5,8 +5,9 @@ A `Prior` changes variables into a motion with energies (`Decoded`), and is fitt
 A `Sensor` has data and says what it would have measured of a `PosedBody`.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from recon.core.lazy import lazy
 
 if TYPE_CHECKING:
     from recon.body.model import PosedBody as PosedBody
@@ -41,13 +42,4 @@ _HOMES = {
     "shape": "recon.method.terms",
 }
 
-
-def __getattr__(name: str) -> Any:
-    """A name of the list, loaded on first use."""
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'recon.method' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -10,10 +10,10 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.fitting.observed import Clip, seen_times, window
 from recon.fitting.settings import FitSettings
-from recon.reading.clip import DETECTIONS, format_errors, of_projects, seen_in, together
+from recon.reading.clip import DETECTIONS, format_errors, of_projects, together
 from recon.reading.same_person import everybody_across_views
 from recon.reading.tracks import Track
-from recon.reading.views import SeenViews, Views
+from recon.reading.views import SeenViews, Views, read_views
 
 _LEAST_SECONDS = 0.5
 _LEAST_SHARE = 0.1
@@ -71,7 +71,7 @@ def people_in(
                 )
         if settings.masks is not None:
             raise ObservationError("--masks are of one person; leave them out with --person all")
-        seen = seen_in(paths, settings)
+        seen = read_views(paths, settings)
         found = everyone(seen)
         people: list[PersonClip] = []
         for one in found.people:

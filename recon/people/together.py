@@ -1,20 +1,21 @@
 """`load_people` and `recon.fit_people`: everybody in a recording, in one world."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from observations.keypoints2d import Keypoints2D
 from recon.api.fit import fit
-from recon.api.given import BodyLike, body_given
+from recon.api.given import BodyLike, body_given, paths_given
+from recon.api.observations import ObservationsLike
 from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.observed import Clip
-from recon.fitting.settings import FitSettings
+from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.priors import PriorLike
 from recon.method.sensor import views_of
 from recon.people.camera import SharedCamera, shared_camera
@@ -107,6 +108,49 @@ def fit_people(
     if shared is not None:
         results = [_on_one_floor(one) for one in results]
     return People(tuple(results), numbers, shared is not None, tuple(notes))
+
+
+def fit_files(
+    observations: ObservationsLike,
+    *,
+    body: BodyLike = None,
+    shape: Any = None,
+    noise: float | Mapping[str, float | None] | None = None,
+    ground: Any = "auto",
+    robust: float | str = "auto",
+    **how: Any,
+) -> People:
+    """Reconstruct everybody in files of 2D detections, all in one world.
+
+    OUT is a folder with `person_0.npz` and so on, by the numbers that --person takes, and
+    report.json.
+
+    Args:
+        observations: files and folders of 2D detections of one recording.
+        body: as of `recon.fit`.
+        shape: None; a shape is of one person.
+        noise: of keypoints, pixels, or {"pixels": 3.0}.
+        ground: as of `recon.fit`.
+        robust: as of `recon.fit`.
+        how: options of reading files (`recon.fitting.settings.ReadOptions`), and others of
+            `recon.fit`, the same for all people.
+
+    Raises:
+        ReconError: as `load_people` and `fit_people`, and when a shape is given.
+        FileNotFoundError: when there is no such file.
+    """
+    if shape is not None:
+        raise ReconError("--shape is of one person; leave it out with --person all")
+    model, plane = body_given(body), ground if isinstance(ground, tuple) else None
+    names = [one.name for one in fields(ReadOptions)]
+    reading = {name: how.pop(name) for name in names if name in how}
+    reading |= {"person": "all", "ground": plane, "robust": None if robust == "auto" else robust}
+    people, notes = people_in(paths_given(observations), FitSettings.of(reading), model)
+    if isinstance(noise, Mapping):
+        noise = noise.get("pixels")
+    # the reader knows the plane
+    told = "auto" if plane is not None else ground
+    return fit_people(people, body=model, notes=notes, noise=noise, ground=told, **how)
 
 
 def _on_one_floor(result: Result) -> Result:

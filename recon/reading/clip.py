@@ -22,7 +22,6 @@ from recon.formats.keypoints3d.reader import (
     markers_of_study,
     read_points_3d,
 )
-from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -39,7 +38,7 @@ from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes, masked
 from recon.reading.points import positions_of
 from recon.reading.readers import Reader, read_by, readers
-from recon.reading.views import SeenViews, read_views
+from recon.reading.views import read_views
 
 _CLOUDS, _IMAGES, DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
 Content = ObservationFile | Sensor
@@ -81,7 +80,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "one clip is of one person; `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
-        views = seen_in(detections, settings).person(settings.person)
+        views = read_views(detections, settings).person(settings.person)
         shown = views.files
         if settings.masks is not None:
             if len(shown) != 1:
@@ -110,15 +109,15 @@ def _read(
         )
     if (seen := read_by(own, path, body)) is not None:
         return seen, ()
-    recording = _recording(path, settings)
-    if recording is not None and _on_skin(recording, settings):
-        # markers alone need the body that meets them
-        from recon.ingest.marker_observation import seen_markers
-
-        return seen_markers(recording, body, settings.mapping, settings.robust)
-    if (file := _points_3d(path, settings, body, recording)) is not None:
-        found = positions_of(file, path, body, up="z", robust=settings.robust)
-        return found, file.decisions
+    if path.suffix.lower() in RECORDINGS and path.is_file():
+        return _recorded(path, settings, body)
+    if holds_points_3d(path, images=settings.camera is not None):
+        person = None if settings.person == "all" else settings.person
+        file = settled(
+            read_points_3d(path, person=person), body, fps=settings.frame_rate,
+            unit=settings.unit, up=settings.up, layout=settings.layout,
+        )  # fmt: skip
+        return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
     if holds_detections(path):
         return None
     if path.suffix.lower() == ".npz":
@@ -135,13 +134,23 @@ def _read(
     )
 
 
-def seen_in(paths: Sequence[Path], settings: FitSettings) -> SeenViews:
-    """Everybody in 2D detections of one or several views."""
-    return read_views(
-        paths, settings.camera, fps=settings.frame_rate, layout=settings.layout,
-        camera_unit=settings.camera_unit, camera_up=settings.camera_up,
-        image_size=settings.image_size, track=settings.camera_track,
-    )  # fmt: skip
+def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Sensor, Sequence[str]]:
+    """The labelled points of a .c3d or .trc file: keypoints, or markers on the skin.
+
+    What the caller maps are markers. Markers that OpenCap computed from keypoints are placed as it
+    places them; others are first met with the body, which finds their offsets.
+    """
+    recording = marker_recording(path, settings.unit, settings.up)
+    file = markers_of_study(recording)
+    skin = file is None and not are_keypoints(recording.marker_names)
+    if skin or settings.mapping is not None:
+        from recon.ingest.marker_observation import seen_markers
+
+        return seen_markers(recording, body, settings.mapping, settings.robust)
+    if file is None:
+        points = from_recording(recording)
+        file = settled(points, body, fps=settings.frame_rate, layout=settings.layout)
+    return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
 
 
 @contextmanager
@@ -170,58 +179,24 @@ def of_projects(
     for path in paths:
         if not path.exists():
             raise FileNotFoundError(f"no observation at {path}")
+    if settings.camera is not None:
+        return list(paths), settings, []
+    projects = {path: one for path in paths if (one := project_at(path)) is not None}
+    if len(projects) > 1:
+        folders = ", ".join(str(one.folder) for one in projects.values())
+        raise ObservationError(f"expected one project at a time, got {folders}")
     found: list[Path] = []
-    projects: list[Project] = []
     for path in paths:
-        project = project_at(path) if settings.camera is None else None
-        if project is None:
+        one = projects.get(path)
+        if one is None:
             found.append(path)
             continue
-        projects.append(project)
-        seen = project.detections if project.calibration is not None else None
-        if seen is None and project.points is None:
-            seen = project.detections
-        found.append(seen or project.points or path)
-    if len(projects) == 1:
-        (one,) = projects
+        calibrated = one.calibration is not None or one.points is None
+        found.append((one.detections if calibrated else None) or one.points or path)
         settings = replace(
             settings, camera=one.calibration, frame_rate=settings.frame_rate or one.fps
         )
-    elif projects:
-        raise ObservationError(
-            f"expected one project at a time, got {', '.join(str(p.folder) for p in projects)}"
-        )
-    return found, settings, projects
-
-
-def _points_3d(
-    path: Path, settings: FitSettings, body: BodyModel, recording: MarkerRecording | None
-) -> PositionsFile | None:
-    """The 3D keypoints of a file or folder, z up; None where it holds something else."""
-    if recording is not None:
-        if (markers := markers_of_study(recording)) is not None:
-            return markers
-        raw, unit, up = from_recording(recording), None, None
-    elif holds_points_3d(path, images=settings.camera is not None):
-        person = None if settings.person == "all" else settings.person
-        raw, unit, up = read_points_3d(path, person=person), settings.unit, settings.up
-    else:
-        return None
-    return settled(raw, body, fps=settings.frame_rate, unit=unit, up=up, layout=settings.layout)
-
-
-def _recording(path: Path, settings: FitSettings) -> MarkerRecording | None:
-    """The labelled points of a .c3d or .trc file; None for other files."""
-    if path.suffix.lower() not in RECORDINGS or not path.is_file():
-        return None
-    return marker_recording(path, settings.unit, settings.up)
-
-
-def _on_skin(recording: MarkerRecording, settings: FitSettings) -> bool:
-    """Whether the points are markers on the skin, as those are that the caller maps."""
-    if settings.mapping is not None:
-        return True
-    return not are_keypoints(recording.marker_names) and markers_of_study(recording) is None
+    return found, settings, list(projects.values())
 
 
 def together(
@@ -255,27 +230,26 @@ def together(
     plane = None if isinstance(settings.ground, str) else settings.ground
     T = None if plane is None else camera_above(plane)
     found: dict[int, Sensor] = {}
-    for k, (name, file) in enumerate(files):
+    order = sorted(range(len(files)), key=lambda k: not isinstance(files[k][1], PointsFile))
+    for k in order:
+        name, file = files[k]
         if isinstance(file, PointsFile):
-            notes += [f"{name}: {decision}" for decision in file.decisions]
             loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
             found[k] = loaded.cloud
             seen = "" if loaded.ground.ground is None else "ground: "
-            notes.append(f"{name}: {seen}{loaded.ground.reason}")
-            notes += [f"{name}: {decision}" for decision in loaded.decisions]
-            if not posed[k]:
-                T = loaded.T_recording_file if T is None else T
-    for k, (name, file) in enumerate(files):
-        if isinstance(file, KeypointsFile):
-            view = keypoints_of(file, body, None if posed[k] else T)
-            found[k] = view
+            said = (*file.decisions, f"{seen}{loaded.ground.reason}", *loaded.decisions)
+            notes += [f"{name}: {decision}" for decision in said]
+            if not posed[k] and T is None:
+                T = loaded.T_recording_file
+        elif isinstance(file, KeypointsFile):
+            view = found[k] = keypoints_of(file, body, None if posed[k] else T)
             if not posed[k] and T is None:
                 T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
         elif isinstance(file, PositionsFile):
             found[k] = positions_of(
                 file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
             )
-        elif not isinstance(file, PointsFile):
+        else:
             found[k] = file
     observations = tuple(found[k] for k in range(len(files)))
     names = tuple(name for name, _ in files)

@@ -22,7 +22,9 @@ from recon.core.planes import (
     find_walls,
     spacing,
 )
-from recon.formats.observations import CameraArrays, PointsFile
+from recon.formats.cameras import CameraArrays
+from recon.formats.observations import PointsFile
+from recon.reading.images import pinhole
 from recon.reading.moving_sensor import eye_of, movement
 
 _LARGE = 0.4
@@ -38,16 +40,6 @@ _OFTEN = 0.1
 
 
 @dataclass(frozen=True)
-class Alone:
-    """The points of one thing in every frame."""
-
-    clouds: list[np.ndarray]
-    """Axes (points, 3), each frame its own number of points; metres."""
-    beside: int
-    """Frames in which something else of a person's size stands beside; 0 for a few."""
-
-
-@dataclass(frozen=True)
 class _Frame:
     """The things of one frame that may be the person, the largest first."""
 
@@ -59,7 +51,7 @@ class _Frame:
     """Share of the largest one's points that the second has."""
 
 
-def alone(clouds: list[np.ndarray], reach: float) -> Alone:
+def alone(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
     """The largest thing of the clearest frame, followed to both ends by the nearest middle.
 
     Taken for itself, the largest thing of every frame would change between two people.
@@ -67,35 +59,31 @@ def alone(clouds: list[np.ndarray], reach: float) -> Alone:
     Args:
         clouds: points of every frame, z up, metres, without the ground; frames may be empty.
         reach: metres of the steps that join points to one thing.
+
+    Returns:
+        The points of the thing in every frame, and the number of frames in which something else of
+        a person's size stands beside; 0 for a few.
     """
-    frames = [_frame(cloud, reach) for cloud in clouds]
-    shown = [k for k, one in enumerate(frames) if one is not None]
-    kept = [cloud[:0] for cloud in clouds]
-    if not shown:
-        return Alone(kept, 0)
-    clearest = min(range(len(shown)), key=lambda k: _of(frames, shown[k]).second)
-    beside = 0
-    for way in (shown[clearest:], shown[:clearest][::-1]):
-        last = _of(frames, shown[clearest]).middles[0]
+    frames = {k: _frame(cloud, reach) for k, cloud in enumerate(clouds) if len(cloud) > 0}
+    kept, beside = [cloud[:0] for cloud in clouds], 0
+    if not frames:
+        return kept, 0
+    clearest = min(frames, key=lambda k: frames[k].second)
+    shown = list(frames)
+    ways = [k for k in shown if k >= clearest], [k for k in shown[::-1] if k < clearest]
+    for way in ways:
+        last = frames[clearest].middles[0]
         for k in way:
-            one = _of(frames, k)
+            one = frames[k]
             chosen = int(np.linalg.norm(one.middles - last, axis=-1).argmin())
             last = one.middles[chosen]
             kept[k] = clouds[k][one.label == chosen]
             away = np.linalg.norm((one.middles - last)[:, :2], axis=-1)
             beside += bool(((away > _BESIDE) & (one.sizes > _TALL)).any())
-    return Alone(kept, beside if beside > _OFTEN * len(shown) else 0)
+    return kept, beside if beside > _OFTEN * len(frames) else 0
 
 
-def _of(frames: list[_Frame | None], number: int) -> _Frame:
-    one = frames[number]
-    assert one is not None
-    return one
-
-
-def _frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame | None:
-    if len(cloud) == 0:
-        return None
+def _frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
     label = clusters(cloud, reach)
     size = np.bincount(label)
     large = int((size >= _LARGE * size[0]).sum())
@@ -203,10 +191,12 @@ def cloud_of(
         clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
     for wall in walls:
         clouds = [cloud[before(cloud, *wall)] for cloud in clouds]
-    one = alone(clouds, _reach(clouds))
-    left_out = 1 - sum(map(len, one.clouds)) / max(sum(map(len, clouds)), 1)
-    if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or one.beside > 0:
-        clouds = one.clouds
+    shown = [cloud for cloud in clouds if len(cloud) > 1]
+    sparse = _SPACINGS * spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
+    person, beside = alone(clouds, max(_REACH, sparse))
+    left_out = 1 - sum(map(len, person)) / max(sum(map(len, clouds)), 1)
+    if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or beside > 0:
+        clouds = person
     if seen:
         clouds = _without_noise_of_ground(clouds)
     clouds = [
@@ -226,7 +216,10 @@ def cloud_of(
     present = np.zeros((1, frames, most), np.bool_)
     for k, cloud in enumerate(clouds):
         padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
-    camera = None if file.camera is None else _camera(file.camera, T, body)
+    camera = None
+    if file.camera is not None:
+        view = pinhole(file.camera, T, torch.float64).map(lambda t: t[None])
+        camera = view.to(device=body.template.device, dtype=body.template.dtype)
     observation = PointCloud(
         points=torch.from_numpy(padded).to(body.template),
         present=torch.from_numpy(present).to(body.template.device),
@@ -238,7 +231,14 @@ def cloud_of(
         ground_known=known,
         ground_seen=found.ground is not None,
     )
-    return LoadedCloud(observation, found, T, (*moves, *_said(one, frames)))
+    if beside > 0:
+        moves = (
+            *moves,
+            f"something else of a person's size stands beside the person in {beside} of {frames} "
+            "frames and is left out: one thing is followed from frame to frame; if it is the "
+            "wrong one, cut the other out of the scans (--masks for depth images)",
+        )
+    return LoadedCloud(observation, found, T, moves)
 
 
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
@@ -283,17 +283,6 @@ def _walls(
     return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]
 
 
-def _said(one: Alone, frames: int) -> tuple[str, ...]:
-    """Notes on what stands beside the person, for the reader of the report."""
-    if one.beside == 0:
-        return ()
-    return (
-        f"something else of a person's size stands beside the person in {one.beside} of {frames} "
-        "frames and is left out: one thing is followed from frame to frame; if it is the wrong "
-        "one, cut the other out of the scans (--masks for depth images)",
-    )
-
-
 def _noise(
     points: Float[np.ndarray, "1 moments points 3"],
     present: Bool[np.ndarray, "1 moments points"],
@@ -319,12 +308,6 @@ def _frames(file: PointsFile, points: int) -> int:
     return frames
 
 
-def _reach(clouds: list[np.ndarray]) -> float:
-    """Metres of the steps that join points to one thing; all frames tell how sparse they are."""
-    shown = [cloud for cloud in clouds if len(cloud) > 1]
-    return max(_REACH, _SPACINGS * spacing(shown[:: max(1, len(shown) // _LOOKED_AT)]))
-
-
 def _levelling(
     points: Float[np.ndarray, "points 3"], ground: Ground | None
 ) -> Float[np.ndarray, "4 4"]:
@@ -339,15 +322,3 @@ def _levelling(
     lowest = np.percentile(points @ up, 1) if ground is None else float(ground.offset)
     T[2, 3] = -lowest
     return T
-
-
-def _camera(camera: CameraArrays, T: Float[np.ndarray, "4 4"], body: BodyModel) -> Camera:
-    """Axes (1, 1 or moments); its pose maps the recording to the camera."""
-    pose = camera.T_camera_world
-    poses = np.linalg.inv(T)[None] if pose is None else pose
-    return Camera.create(
-        torch.from_numpy(np.asarray(camera.camera_matrix, np.float64))[None, None],
-        camera.image_size,
-        None,
-        torch.from_numpy(np.asarray(poses, np.float64))[None],
-    ).to(device=body.template.device, dtype=body.template.dtype)

@@ -1,7 +1,5 @@
 """2D keypoint files as an energy: lens distortion taken out, confidences kept."""
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -13,8 +11,8 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above
-from recon.formats.camera_path import CameraPath
-from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.formats.cameras import CameraArrays
+from recon.formats.observations import KeypointsFile
 
 
 def keypoints_of(
@@ -74,31 +72,27 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
 
 
 def pinhole(
-    arrays: CameraArrays, T_recording_camera: Float[np.ndarray, "4 4"] | None = None
+    arrays: CameraArrays,
+    T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> Camera:
     """The camera without its distortion; matrix (1 3 3), poses (1 or time, 4 4)."""
     poses = arrays.T_camera_world
     if poses is None:
         if T_recording_camera is None:
             T_recording_camera = camera_above(LEVEL_CAMERA)
-        if arrays.path is not None:
-            return _carried(arrays, arrays.path, T_recording_camera)
         poses = np.linalg.inv(T_recording_camera)[None]
+        if (path := arrays.path) is not None:
+            # its first pose as given; only its first place where up is known
+            first = path.T_world_camera[0]
+            T = T_recording_camera @ np.linalg.inv(first)
+            if path.level:
+                T = np.eye(4)
+                T[:3, 3] = T_recording_camera[:3, 3] - first[:3, 3]
+            poses = np.linalg.inv(T @ path.T_world_camera)
     return Camera.create(
-        torch.from_numpy(np.asarray(arrays.camera_matrix)).float()[None],
+        torch.from_numpy(np.asarray(arrays.camera_matrix)).to(dtype)[None],
         arrays.image_size,
         None,
-        torch.from_numpy(np.asarray(poses)).float(),
+        torch.from_numpy(np.asarray(poses)).to(dtype),
     )
-
-
-def _carried(
-    arrays: CameraArrays, path: CameraPath, T_recording_camera: Float[np.ndarray, "4 4"]
-) -> Camera:
-    """The camera on its path, its first pose as given; only its first place where up is known."""
-    first = path.T_world_camera[0]
-    T = T_recording_camera @ np.linalg.inv(first)
-    if path.level:
-        T = np.eye(4)
-        T[:3, 3] = T_recording_camera[:3, 3] - first[:3, 3]
-    return pinhole(replace(arrays, T_camera_world=np.linalg.inv(T @ path.T_world_camera)))

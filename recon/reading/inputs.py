@@ -21,6 +21,8 @@ _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
 _PATHS = ("body", "camera", "camera_track", "masks", "mapping", "weights")
 """Settings that name files: their contents count, not where they lie."""
+_LATER = ("camera_track", "mapping")
+"""Those of them that results without them do not mention, which keep their checksums so."""
 
 
 @dataclass(frozen=True)
@@ -59,34 +61,24 @@ def observation_input(path: Path) -> Input:
     if session := body_file(path):
         stamps = time_stamps(path)
         return Input(path, (session, *([] if stamps is None else [stamps])))
-    if (project := _project(path)) is not None:
-        return project
-    if clouds := _inside(path, _CLOUDS):
-        return Input(path, (*clouds, path / "times.csv"))
-    if images := _inside(path, _IMAGES):
-        return Input(path, images)
     try:
-        views, _ = expand([path])
+        if (project := project_at(path)) is None:
+            clouds, images = _inside(path, _CLOUDS), _inside(path, _IMAGES)
+            if clouds or images:
+                return Input(path, (*clouds, path / "times.csv") if clouds else images)
+            return Input(path, _of_views(path))
+        views = () if project.detections is None else _of_views(project.detections)
     except (ValueError, OSError):
-        # nothing of it can be read: the fit refuses it and says why
-        return Input(path, ())
-    files = [file for one in views for file in (_inside(one, _KEYPOINTS) or (one,))]
-    return Input(path, tuple(files))
-
-
-def _project(path: Path) -> Input | None:
-    """The settings, calibration, keypoints and detections of a project; None for no project."""
-    try:
-        found = project_at(path)
-        if found is None:
-            return None
-        views = [] if found.detections is None else expand([found.detections])[0]
-    except (ValueError, OSError):
-        return None  # the fit refuses it and says why
-    files = [file for one in views for file in (_inside(one, _KEYPOINTS) or (one,))]
-    points = [] if found.points is None else [found.points]
-    every = tuple(one.resolve() for one in (*found.read, *points, *files))
+        return Input(path, ())  # nothing of it can be read: the fit refuses it and says why
+    points = [] if project.points is None else [project.points]
+    every = tuple(one.resolve() for one in (*project.read, *points, *views))
     return Input(path, every, Path(commonpath([path.resolve(), *every])))
+
+
+def _of_views(path: Path) -> tuple[Path, ...]:
+    """The files of keypoints of all views in a folder."""
+    views, _ = expand([path])
+    return tuple(file for one in views for file in (_inside(one, _KEYPOINTS) or (one,)))
 
 
 def camera_input(path: Path) -> Input:
@@ -127,16 +119,16 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
     found: list[Input] = []
     for name, value in given.items():
         for one in value if isinstance(value, tuple | list) else (value,):
-            path = Path(one) if isinstance(one, str) else one
-            if not isinstance(path, Path) or (isinstance(one, str) and not path.is_file()):
-                continue
-            parts = recording_files(path) if name == "recording" else (path,)
-            found += [_READ.get(name, _file_input)(part) for part in parts]
+            path = Path(one) if isinstance(one, str) and Path(one).is_file() else one
+            if isinstance(path, Path):
+                parts = recording_files(path) if name == "recording" else (path,)
+                found += [_input_of(name, part) for part in parts]
     return {str(one.path): one.checksum() for one in found}
 
 
-def _file_input(path: Path) -> Input:
-    return Input(path, (path,))
+def _input_of(name: str, path: Path) -> Input:
+    """The files that are read of an argument of this name."""
+    return _READ[name](path) if name in _READ else Input(path, (path,))
 
 
 _READ: dict[str, Callable[[Path], Input]] = {
@@ -161,23 +153,20 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
     if settings.shape is None:
         del plain["shape"]  # results of before there was a shape keep their checksums
-    body = settings.body
-    contents = {
-        "camera": None if settings.camera is None else camera_input(settings.camera).checksum(),
-        "masks": None if settings.masks is None else masks_input(settings.masks).checksum(),
-        "body": None if body is None else Input(body, (body,)).checksum(),
+    contents: dict[str, Any] = {
         "weights": _weights(settings),
         "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
     }
-    places = {"prior": settings.prior, "reader": settings.reader}
-    if settings.camera_track is not None:
-        contents["camera track"] = track_input(settings.camera_track).checksum()
-    # only where there is such code, so that all other results keep their checksums
-    contents |= {
-        f"code of {what}": _code(place) for what, place in places.items() if place and ":" in place
-    }
-    if (mapping := settings.mapping) is not None:
-        contents["mapping"] = Input(mapping, (mapping,)).checksum()
+    for name in ("camera", "masks", "body", "camera_track", "mapping"):
+        path = getattr(settings, name)
+        if path is not None:
+            contents[name.replace("_", " ")] = _input_of(name, path).checksum()
+        elif name not in _LATER:
+            contents[name] = None
+    for name in ("prior", "reader"):
+        place = getattr(settings, name)
+        if place and ":" in place:
+            contents[f"code of {name}"] = _code(place)
     if settings.shape is not None and Path(settings.shape).is_file():
         contents["shape"] = file_checksum(settings.shape)
     return value_checksum({"version": version, "settings": plain, **contents})

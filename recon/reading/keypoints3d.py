@@ -3,16 +3,16 @@
 Everything that is guessed is said, and what cannot be right is refused with what would fit.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
+from recon.core.coordinates import decide_any_up, head_above_feet
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
-from recon.core.coordinates import decide_any_up
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.keypoints3d.labels import meant_keypoints
 from recon.formats.keypoints3d.reader import with_rate
@@ -36,19 +36,7 @@ _ABOVE = 0.1
 upper end of the neck; that of the average body is 0.19."""
 _ANKLE = 0.07
 """Metres that ankles stand above the sole."""
-_HIGH = ("head_top", f"head{JOINT}", "nose", "left_ear", "right_ear", "left_eye", "right_eye")
 _SHOULDERS = ("left_shoulder", "right_shoulder", "neck", f"neck{JOINT}")
-_LOW = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
-
-
-@dataclass(frozen=True)
-class _Known:
-    """Points whose names are known."""
-
-    names: tuple[str, ...]
-    positions: Float[np.ndarray, "time points 3"]
-    """NaN where not seen."""
-    decisions: tuple[str, ...]
 
 
 def settled(
@@ -75,52 +63,45 @@ def settled(
             found and which option decides.
     """
     check_override(unit)
-    raw = with_rate(raw, fps)
-    known = _neck(_named(raw, body, layout))
-    metres, unit_said = _unit(known, body, raw, unit)
-    up, up_said = _up(known, raw.name, up)
-    positions = known.positions @ (to_z_up(up).T * metres)
-    visible = np.all(np.isfinite(positions), axis=-1)
-    positions = np.where(visible[..., None], positions, 0.0)
-    placed = not _about_the_pelvis(known.names, positions, visible)
+    known = _neck(_named(with_rate(raw, fps), body, layout))
+    metres, unit_reason = _unit(known, body, unit)
+    visible = np.all(np.isfinite(known.positions), axis=-1)
+    positions = np.where(visible[..., None], known.positions, 0.0)
+    up, up_reason = _up(known.name, head_above_feet(known.names, positions, visible), up)
+    positions = positions @ (to_z_up(up).T * metres)
+    names = known.names
+    placed = not _about_the_pelvis(names, positions, visible)
     level = not up.endswith("down")
-    said = [*raw.decisions, *known.decisions, unit_said, up_said]
-    if not level and not placed and _upright(known.names, positions, visible):
+    said = [*known.decisions, unit_reason, up_reason]
+    if not level and not placed and _upright(names, positions, visible):
         level = True
         said.append("shoulders are straight above the ankles: the camera is taken to be level")
     elif not level:
         said.append("the frame is a camera's, which may be tilted: gravity is estimated")
+    ground_known = level
     if placed:
-        ground_known, ground_said = _ground(known.names, positions, visible, level=level)
-        said.append(ground_said)
+        ground_known, reason = _ground(names, positions, visible, level=level)
+        said.append(reason)
     else:
-        ground_known = level
         said.append(
             "relative to the pelvis: the data have no place in the world; path and height are "
             "inferred from the feet, which stand"
         )
     return PositionsFile(
-        kind="keypoints3d",
-        positions=positions,
-        visible=visible,
-        names=known.names,
-        fps=float(raw.fps or 0.0),
-        start_time=raw.start_time,
-        ground_known=ground_known,
-        level=level,
-        placed=placed,
-        decisions=tuple(said),
-    )
+        "keypoints3d", positions, visible, names, known.fps or 0.0, known.start_time, ground_known,
+        level=level, placed=placed, decisions=tuple(said),
+    )  # fmt: skip
 
 
-def _named(raw: Points3D, body: BodyModel, layout: str | None) -> _Known:
+def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
     """The points with names of our table; others are left out and named."""
-    if raw.names is None:
+    if not raw.names:
         chosen, reason = settle_body_layout(raw.positions, layout or raw.layout, body, raw.name)
         names = keypoint_names(chosen)
         if chosen == "smpl22":
             names = tuple(str(name) for name in meant_keypoints(names))
-        return _Known(names, raw.positions, () if reason in raw.decisions else (reason,))
+        said = dict.fromkeys((*raw.decisions, reason))
+        return replace(raw, names=names, decisions=tuple(said))
     meant = meant_keypoints(raw.names)
     kept = [k for k, name in enumerate(meant) if name is not None and name not in meant[:k]]
     unknown = [raw.names[k] for k in range(len(meant)) if k not in kept]
@@ -131,22 +112,23 @@ def _named(raw: Points3D, body: BodyModel, layout: str | None) -> _Known:
             f"({', '.join(names) or 'none'}), which is too few; found {_some(raw.names)}, "
             "expected names such as left_hip, LKnee, RAnkle, nose"
         )
-    said = [f"{len(names)} keypoints by name"]
+    said = [*raw.decisions, f"{len(names)} keypoints by name"]
     if unknown:
         said.append(f"points that are no keypoints of the body, left out: {_some(unknown)}")
-    return _Known(names, raw.positions[:, kept], tuple(said))
+    return replace(raw, names=names, positions=raw.positions[:, kept], decisions=tuple(said))
 
 
-def _neck(known: _Known) -> _Known:
+def _neck(known: Points3D) -> Points3D:
     """The points, with a neck that lies above the shoulders as what it is.
 
     Detectors call the middle of the shoulders a neck (OpenPose, HALPE), or its upper end
     (BODY_25B).
     """
     needed = ("neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
-    if not set(needed) <= set(known.names) or "upper_neck" in known.names:
+    names = known.names
+    if not set(needed) <= set(names) or "upper_neck" in names:
         return known
-    neck, *shoulders, left, right = (known.positions[:, known.names.index(n)] for n in needed)
+    neck, *shoulders, left, right = (known.positions[:, names.index(n)] for n in needed)
     middle = (shoulders[0] + shoulders[1]) / 2
     up = middle - (left + right) / 2
     width = np.linalg.norm(shoulders[0] - shoulders[1], axis=-1)
@@ -154,9 +136,9 @@ def _neck(known: _Known) -> _Known:
     height = height[np.isfinite(height)]
     if len(height) == 0 or float(np.median(height)) < _ABOVE:
         return known
-    names = tuple("upper_neck" if name == "neck" else name for name in known.names)
+    names = tuple("upper_neck" if name == "neck" else name for name in names)
     said = "the neck is its upper end, as it lies above the shoulders"
-    return _Known(names, known.positions, (*known.decisions, said))
+    return replace(known, names=names, decisions=(*known.decisions, said))
 
 
 def _some(names: tuple[str, ...] | list[str]) -> str:
@@ -164,82 +146,61 @@ def _some(names: tuple[str, ...] | list[str]) -> str:
     return ", ".join(names[:8]) + more
 
 
-def _unit(known: _Known, body: BodyModel, raw: Points3D, given: str | None) -> tuple[float, str]:
+def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
     """Metres per unit, and the reason."""
-    points = BodyPoints.of_names(known.names, body)
-    found = bone_lengths(known.positions, points, body)
+    name = known.name
+    found = bone_lengths(known.positions, BodyPoints.of_names(known.names, body), body)
+    unit, why = given or known.unit, "given" if given else "stated by the file"
     if found is None:
-        unit = given or raw.unit
         if unit is None:
             raise UnitsError(
-                f"{raw.name}: too few bones are seen to tell the unit; give it with --unit"
+                f"{name}: too few bones are seen to tell the unit; give it with --unit"
             )
-        return METRES[unit], f"unit {unit}: {'given' if given else 'stated by the file'}"
-    if raw.names is not None and found.misfit > 2 * GOOD:
+        return METRES[unit], f"unit {unit}: {why}"
+    if found.misfit > 2 * GOOD:
         raise FormatError(
-            f"{raw.name}: the points are no body by their names: bones change their lengths or "
-            "have lengths that no person's have; check the names of the points"
+            f"{name}: the points are no body by their names: bones change their lengths or have "
+            "lengths that no person's have; check the names of the points"
         )
     fitting = [one for one in ("m", "cm", "mm") if _SMALLEST < found.size * METRES[one] < _LARGEST]
-    unit, why = given or raw.unit, "given" if given else "stated by the file"
-    if unit is not None:
-        size = found.size * METRES[unit]
-        if _SMALLEST < size < _LARGEST:
-            return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
+    if unit is None and not fitting:
+        raise UnitsError(
+            f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
+            "average person in metres, which no person is in m, cm or mm; scale them to metres, "
+            "or give --unit"
+        )
+    size = found.size * METRES[unit or fitting[0]]
+    if unit is None:
+        return METRES[fitting[0]], f"unit {fitting[0]}: the body is {size:.2f} times average then"
+    if not _SMALLEST < size < _LARGEST:
         hint = f"; give --unit {fitting[0]}" if fitting else ""
         raise UnitsError(
-            f"{raw.name}: the unit is {unit} ({why}), but then the body is {size:.3g} times as "
-            f"large as an average person{hint}"
+            f"{name}: the unit is {unit} ({why}), but then the body is {size:.3g} times as large "
+            f"as an average person{hint}"
         )
-    if not fitting:
+    return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
+
+
+def _up(name: str, rise: Float[np.ndarray, "3"] | None, given: Up | None) -> tuple[Up, str]:
+    """The direction that is up, and the reason; the vector from feet to head tells it."""
+    if rise is None and given is None:
         raise UnitsError(
-            f"{raw.name}: the points are {found.size:.3g} times as far from each other as those "
-            "of an average person in metres, which no person is in m, cm or mm; scale them to "
-            "metres, or give --unit"
+            f"{name}: no frame shows head and feet, so nothing tells which axis points up; "
+            "give it with --up"
         )
-    size = found.size * METRES[fitting[0]]
-    return METRES[fitting[0]], f"unit {fitting[0]}: the body is {size:.2f} times average then"
-
-
-def _up(known: _Known, name: str, given: Up | None) -> tuple[Up, str]:
-    rise = _rise(known)
-    if given is None:
-        if rise is None:
-            raise UnitsError(
-                f"{name}: no frame shows head and feet, so nothing tells which axis points up; "
-                "give it with --up"
-            )
-        return decide_any_up(rise, name)
-    if rise is None:
-        return given, f"up axis {given}: given"
     try:
-        found, reason = decide_any_up(rise, name)
+        found, reason = (given, "") if rise is None else decide_any_up(rise, name)
     except UnitsError:
-        return given, f"up axis {given}: given"
-    if found != given:
-        return given, (
-            f"up axis {given}: given, so that the person lies; {reason.partition(': ')[2]} "
-            f"along {found}: if they stand, leave --up out or give --up {found}"
-        )
-    return given, f"up axis {given}: given"
-
-
-def _rise(known: _Known) -> Float[np.ndarray, "3"] | None:
-    """Mean vector from feet to head, or to the shoulders."""
-    for high in (_HIGH, _SHOULDERS):
-        top, bottom = _mean(known, high), _mean(known, _LOW)
-        both = np.isfinite(top).all(-1) & np.isfinite(bottom).all(-1)
-        if both.any():
-            return (top - bottom)[both].mean(0)
-    return None
-
-
-def _mean(known: _Known, names: tuple[str, ...]) -> Float[np.ndarray, "time 3"]:
-    rows = [k for k, name in enumerate(known.names) if name in names]
-    some = known.positions[:, rows]
-    count = np.isfinite(some).all(-1).sum(1)[:, None]
-    total = np.where(np.isfinite(some), some, 0.0).sum(1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        if given is None:
+            raise
+        found, reason = given, ""
+    if given is None or found is None:
+        return found or "z", reason
+    lies = (
+        f", so that the person lies; {reason.partition(': ')[2]} along {found}: if they stand, "
+        f"leave --up out or give --up {found}"
+    )
+    return given, f"up axis {given}: given" + lies * (found != given)
 
 
 def _about_the_pelvis(
@@ -267,12 +228,13 @@ def _upright(
     visible: Bool[np.ndarray, "time points"],
 ) -> bool:
     """Whether the shoulders are, on the average, straight above the ankles."""
-    known = _Known(names, np.where(visible[..., None], positions, np.nan), ())
-    rise = _mean(known, _SHOULDERS) - _mean(known, ("left_ankle", "right_ankle"))
-    rise = rise[np.isfinite(rise).all(-1)]
-    if len(rise) == 0:
+    heights = [k for k, name in enumerate(names) if name in _SHOULDERS]
+    ankles = [k for k, name in enumerate(names) if name in ("left_ankle", "right_ankle")]
+    both = visible[:, heights].any(1) & visible[:, ankles].any(1)
+    if not both.any():
         return False
-    mean = rise.mean(0)
+    shown = np.where(visible[both][..., None], positions[both], np.nan)
+    mean = (np.nanmean(shown[:, heights], 1) - np.nanmean(shown[:, ankles], 1)).mean(0)
     return bool(np.linalg.norm(mean[:2]) < _STRAIGHT * mean[2])
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from recon.core.errors import ObservationError
 from recon.core.planes import find_ground, find_walls
-from recon.formats.observations import CameraArrays
+from recon.formats.cameras import CameraArrays
 
 _PLACES, _SHARE = 5, 0.06
 """Stretches of the clip whose planes are compared, and the share of its frames that each has."""

@@ -150,7 +150,7 @@ def view_name(path: Path) -> str:
 
 
 def match_cameras(
-    views: Sequence[str], cameras: Sequence[str], given: Sequence[str] | None
+    views: Sequence[str], cameras: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
     """The camera of every view, and what was matched with what.
 
@@ -159,30 +159,21 @@ def match_cameras(
     camera belong together whatever their names.
 
     Raises:
-        ValueError: when a view has no camera or two, two views have one, or a given camera is
-            not in the calibration; the message lists both sides.
+        ValueError: when a view has no camera or two, or two views have one; the message lists
+            both sides.
     """
     both = f"views: {', '.join(views)}; cameras: {', '.join(cameras)}"
-    if given is not None:
-        if len(given) != len(views):
+    chosen = list(cameras) if len(views) == len(cameras) == 1 else []
+    for view in views if not chosen else ():
+        words = _words(view)
+        same = [name for name in cameras if _words(name) == words]
+        found = same or [name for name in cameras if _contains(words, _words(name))]
+        if len(found) != 1:
             raise ObservationError(
-                f"expected a camera name for each of {len(views)} views; {both}"
+                f"view {view} matches {' and '.join(found) or 'no camera'} by name; rename it, or "
+                f"the camera in the calibration. There are {both}"
             )
-        if unknown := [name for name in given if name not in cameras]:
-            raise ObservationError(f"no camera {', '.join(unknown)} in the calibration; {both}")
-        chosen = list(given)
-    elif len(views) == len(cameras) == 1:
-        chosen = list(cameras)
-    else:
-        found = [_matching(view, cameras) for view in views]
-        for view, candidates in zip(views, found, strict=True):
-            if len(candidates) != 1:
-                which = " and ".join(candidates) or "no camera"
-                raise ObservationError(
-                    f"view {view} matches {which} by name; rename it or give the camera's name. "
-                    f"There are {both}"
-                )
-        chosen = [candidates[0] for candidates in found]
+        chosen += found
     if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
         same = [view for view, name in zip(views, chosen, strict=True) if name in twice]
         raise ObservationError(
@@ -193,12 +184,6 @@ def match_cameras(
     if unused := [name for name in cameras if name not in chosen]:
         notes.append(f"cameras without a view: {', '.join(unused)}")
     return chosen, tuple(notes)
-
-
-def _matching(view: str, cameras: Sequence[str]) -> list[str]:
-    words = _words(view)
-    same = [name for name in cameras if _words(name) == words]
-    return same or [name for name in cameras if _contains(words, _words(name))]
 
 
 def _words(name: str) -> tuple[str, ...]:

@@ -16,10 +16,10 @@ from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
+from recon.core.coordinates import surely_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
-from recon.core.coordinates import surely_up
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 

@@ -1,14 +1,13 @@
 """One person in several calibrated views: the tracks whose rays meet."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from recon.core.errors import ObservationError
 from recon.core.coordinates import head_above_feet
+from recon.core.errors import ObservationError
 from recon.core.units import AXES, Axis
-from recon.reading.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
+from recon.reading.tracks import Track, TrackedView, Triangulated, triangulated
 
 _CONSISTENT = 0.03
 """Median reprojection error of one person's triangulated keypoints, in body sizes."""
@@ -74,7 +73,12 @@ def across_views(
             )
     pairs.check_others(best)
     error = pairs.check_body(best, up_given=up_given)
-    return _described(views, best, error)
+    notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
+    for v, view in enumerate(views):
+        found = " and ".join(str(view.tracks[k]) for k in best.get(v, ()))
+        none = "left out, the person of the other views is not found"
+        notes.append(f"{view.name}: {found or none}")
+    return _tracks_of(views, best), tuple(notes)
 
 
 def everybody_across_views(
@@ -109,12 +113,9 @@ def everybody_across_views(
             continue
         taken |= members
         pairs.check_body(group, up_given=up_given)
-        tracks = [
-            _joined([view.tracks[k] for k in group[w]]) if w in group else None
-            for w, view in enumerate(views)
-        ]
         first = min(group)
-        found.append((views[first].tracks[group[first][0]].number, tracks))
+        number = views[first].tracks[group[first][0]].number
+        found.append((number, _tracks_of(views, group)))
     if len(found) == 0:
         raise ObservationError(
             "no person found in one view is found in another; does each view have its own camera? "
@@ -123,19 +124,22 @@ def everybody_across_views(
     return found, notes
 
 
-def _described(
-    views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]], error: float
-) -> tuple[list[Track | None], tuple[str, ...]]:
+def _tracks_of(
+    views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]]
+) -> list[Track | None]:
+    """The tracks of a group, joined in every view; None where it has none."""
     out: list[Track | None] = []
-    notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
     for v, view in enumerate(views):
-        if v not in group:
+        tracks = [view.tracks[k] for k in group.get(v, ())]
+        if not tracks:
             out.append(None)
-            notes.append(f"{view.name}: left out, the person of the other views is not found")
             continue
-        out.append(_joined([view.tracks[k] for k in group[v]]))
-        notes.append(f"{view.name}: " + " and ".join(str(view.tracks[k]) for k in group[v]))
-    return out, tuple(notes)
+        frame = np.concatenate([track.frame for track in tracks])
+        order = np.argsort(frame)
+        pixels = np.concatenate([track.pixels for track in tracks])[order]
+        confidence = np.concatenate([track.confidence for track in tracks])[order]
+        out.append(Track(tracks[0].number, frame[order], pixels, confidence))
+    return out
 
 
 class _Pairs:
@@ -143,14 +147,14 @@ class _Pairs:
 
     def __init__(self, views: Sequence[TrackedView]) -> None:
         self.views = views
-        self._made: dict[tuple[int, int, int, int], TrackPair] = {}
+        self._made: dict[tuple[int, int, int, int], Triangulated] = {}
 
-    def get(self, v: int, a: int, w: int, b: int) -> TrackPair:
+    def get(self, v: int, a: int, w: int, b: int) -> Triangulated:
         """The pair of track a of view v and track b of view w."""
         if v > w:
             v, a, w, b = w, b, v, a
         if (v, a, w, b) not in self._made:
-            self._made[v, a, w, b] = triangulated(self.views[v], a, self.views[w], b)
+            self._made[v, a, w, b] = triangulated([(self.views[v], a), (self.views[w], b)])
         return self._made[v, a, w, b]
 
     def least(self) -> float:
@@ -209,10 +213,11 @@ class _Pairs:
         members = [(v, tracks[0]) for v, tracks in group.items()]
         made = [self.get(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
         pair = min(made, key=lambda pair: pair.error)
-        chosen = [self.views[v] for v, _ in members]
-        errors = joint_errors(chosen, [number for _, number in members])
-        if max(errors) > _JOINTLY:
-            worst = ", ".join(f"{v.name} {e:.1%}" for v, e in zip(chosen, errors, strict=True))
+        every = triangulated([(self.views[v], number) for v, number in members])
+        errors = [float(np.median(miss[every.seen])) for miss in every.misses if every.seen.any()]
+        if max(errors, default=0.0) > _JOINTLY:
+            names = [self.views[v].name for v, _ in members]
+            worst = ", ".join(f"{name} {e:.1%}" for name, e in zip(names, errors, strict=True))
             raise ObservationError(
                 "rays of the views meet by pairs, but not all in one place: points of all miss "
                 f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
@@ -284,23 +289,11 @@ def _completeness(views: Sequence[TrackedView], group: Mapping[int, tuple[int, .
     return sum(views[v].tracks[k].completeness for v, members in group.items() for k in members)
 
 
-def _joined(tracks: list[Track]) -> Track:
-    frame = np.concatenate([track.frame for track in tracks])
-    order = np.argsort(frame)
-    return replace(
-        tracks[0],
-        frame=frame[order],
-        pixels=np.concatenate([track.pixels for track in tracks])[order],
-        confidence=np.concatenate([track.confidence for track in tracks])[order],
-        ended_by=None,
-    )
-
-
 def _listed(views: Sequence[TrackedView]) -> str:
     return "; ".join(f"in {view.name}: " + ", ".join(map(str, view.tracks)) for view in views)
 
 
-def _trunk(pair: TrackPair) -> float | None:
+def _trunk(pair: Triangulated) -> float | None:
     lengths: list[np.ndarray] = []
     for side in ("left", "right"):
         if {f"{side}_shoulder", f"{side}_hip"} <= set(pair.names):

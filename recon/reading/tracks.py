@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from recon.core.errors import ObservationError
 from recon.core.skeleton import keypoint_names
+from recon.formats.cameras import CameraArrays
 from recon.formats.detections.records import Detections
-from recon.formats.observations import CameraArrays
 from recon.reading.linking import LOST_AFTER, farthest, linked
 from recon.reading.places import FEWEST_KEYPOINTS, body_size, distance
 
@@ -103,9 +103,9 @@ def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
         ValueError: when there is no such person, nobody, or two tracks are about equally complete
             and both move or both stand; the message lists who there is.
     """
-    listed = "; ".join(map(str, tracks))
     if len(tracks) == 0:
         raise ObservationError(f"{name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame")
+    listed = "; ".join(map(str, tracks))
     if person is not None:
         if not 0 <= person < len(tracks):
             raise ObservationError(f"{name}: there is no person {person}; there are {listed}")
@@ -160,56 +160,48 @@ class TrackedView:
 
 
 @dataclass(frozen=True)
-class TrackPair:
-    """Keypoints of two tracks, triangulated."""
+class Triangulated:
+    """Keypoints that tracks of several views have in common, triangulated."""
 
-    error: float
-    """Median reprojection error of the worse view in body sizes; infinite when fewer than
-    20 keypoints are seen in both, or they meet behind a camera."""
     points: Float[np.ndarray, "frames points 3"]
     """World frame, metres; zero where not seen."""
     seen: Bool[np.ndarray, "frames points"]
-    """Which points both views saw."""
+    """Which points all views saw; none where these are fewer than 20."""
     names: tuple[str, ...]
+    misses: Float[np.ndarray, "views frames points"]
+    """Distance of a point from its ray of each view, in body sizes; infinite behind a camera."""
+
+    @property
+    def error(self) -> float:
+        """Median of the larger misses; infinite where too little was seen."""
+        return float(np.median(self.misses.max(0)[self.seen])) if self.seen.any() else np.inf
 
 
-def triangulated(one: TrackedView, a: int, two: TrackedView, b: int) -> TrackPair:
-    """Keypoints of track a of a view and track b of another as points nearest to both rays.
+def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
+    """Keypoints of one track of every view as the points nearest to their rays.
 
     Each ray (u, v) of a camera P = [R | t] gives two equations, u P3 - P1 and v P3 - P2; the
     point is the right singular vector of least singular value (Hartley and Zisserman, 12.2).
     """
-    names = tuple(n for n in keypoint_names(one.layout) if n in keypoint_names(two.layout))
-    frames = np.intersect1d(one.tracks[a].frame, two.tracks[b].frame)
-    frames = frames[:: max(1, -(-len(frames) // _FRAMES))]
-    sights = [_sight(view, k, frames, names) for view, k in ((one, a), (two, b))]
-    both = sights[0].seen & sights[1].seen
-    if both.sum() < _FEWEST_POINTS:
-        nothing = np.zeros((*both.shape, 3))
-        return TrackPair(float("inf"), nothing, np.zeros_like(both), names)
-    points = _meeting([sight.rays for sight in sights], [sight.pose for sight in sights])
-    points = np.where(both[..., None], points, 0.0)
-    errors = np.maximum(*(_miss(points, sight) for sight in sights))
-    return TrackPair(float(np.median(errors[both])), points, both, names)
-
-
-def joint_errors(views: Sequence[TrackedView], numbers: Sequence[int]) -> list[float]:
-    """Median reprojection error, in body sizes, by view of points triangulated from all views.
-
-    Zeros when fewer than 20 keypoints are seen by all.
-    """
-    names = keypoint_names(views[0].layout)
-    frames = views[0].tracks[numbers[0]].frame
-    for view, number in zip(views, numbers, strict=True):
-        names = tuple(name for name in names if name in keypoint_names(view.layout))
+    layouts = [keypoint_names(view.layout) for view, _ in members]
+    names = tuple(name for name in layouts[0] if all(name in other for other in layouts))
+    frames = members[0][0].tracks[members[0][1]].frame
+    for view, number in members[1:]:
         frames = np.intersect1d(frames, view.tracks[number].frame)
     frames = frames[:: max(1, -(-len(frames) // _FRAMES))]
-    sights = [_sight(v, number, frames, names) for v, number in zip(views, numbers, strict=True)]
+    sights = [_sight(view, number, frames, names) for view, number in members]
     seen = np.all([sight.seen for sight in sights], axis=0)
     if seen.sum() < _FEWEST_POINTS:
-        return [0.0] * len(views)
-    points = _meeting([sight.rays for sight in sights], [sight.pose for sight in sights])
-    return [float(np.median(_miss(points, sight)[seen])) for sight in sights]
+        nothing = np.zeros((*seen.shape, 3))
+        return Triangulated(nothing, np.zeros_like(seen), names, nothing[None, ..., 0])
+    equations = [
+        one.rays[..., None] * one.pose[:, None, None, 2] - one.pose[:, None, :2] for one in sights
+    ]
+    solution = np.linalg.svd(np.concatenate(equations, -2))[2][..., -1, :]
+    scale = solution[..., 3:]
+    points = solution[..., :3] / np.where(np.abs(scale) > 1e-9, scale, 1e-9)
+    points = np.where(seen[..., None], points, 0.0)
+    return Triangulated(points, seen, names, np.stack([_miss(points, one) for one in sights]))
 
 
 @dataclass(frozen=True)
@@ -222,33 +214,32 @@ class _Sight:
     scale: np.ndarray
     """(frames,) body sizes per unit of the rays."""
     pose: np.ndarray
-    """(frames, 4, 4) world to camera."""
+    """(frames, 4, 4) world to camera; a fixed camera has one pose for all."""
 
 
 def _sight(view: TrackedView, number: int, frames: np.ndarray, names: tuple[str, ...]) -> _Sight:
-    track = view.tracks[number]
+    import cv2
+
+    track, camera = view.tracks[number], view.camera
     at = np.searchsorted(track.frame, frames)
     pixels, confidence = track.pixels[at], track.confidence[at]
     known = keypoint_names(view.layout)
     columns = [known.index(name) for name in names]
     size = np.array([body_size(*pair) for pair in zip(pixels, confidence, strict=True)])
-    focal = np.sqrt(np.linalg.det(view.camera.camera_matrix))
+    pose = camera.T_camera_world
+    if pose is None:
+        raise ObservationError(f"{view.name}: expected a camera with a pose")
+    rays = pixels[:, columns].astype(np.float64)
+    if rays.size > 0:
+        flat = rays.reshape(-1, 1, 2)
+        straight = cv2.undistortPoints(flat, camera.camera_matrix, camera.distortion)
+        rays = np.asarray(straight).reshape(rays.shape)
     return _Sight(
-        rays=_rays(view.camera, pixels[:, columns]),
+        rays=rays,
         seen=(confidence[:, columns] >= _CONFIDENT),
-        scale=focal / size,
-        pose=_poses(view, frames),
+        scale=np.sqrt(np.linalg.det(camera.camera_matrix)) / size,
+        pose=pose[np.minimum(frames - view.first_frame, len(pose) - 1)],
     )
-
-
-def _meeting(rays: list[np.ndarray], poses: list[np.ndarray]) -> np.ndarray:
-    equations = [
-        ray[..., None] * T[:, None, None, 2] - T[:, None, :2]
-        for ray, T in zip(rays, poses, strict=True)
-    ]
-    point = np.linalg.svd(np.concatenate(equations, -2))[2][..., -1, :]
-    scale = point[..., 3:]
-    return point[..., :3] / np.where(np.abs(scale) > 1e-9, scale, 1e-9)
 
 
 def _miss(points: np.ndarray, sight: _Sight) -> np.ndarray:
@@ -258,22 +249,3 @@ def _miss(points: np.ndarray, sight: _Sight) -> np.ndarray:
     again = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
     miss = np.linalg.norm(again - sight.rays, axis=-1) * sight.scale[:, None]
     return np.where(front, miss, np.inf)
-
-
-def _rays(camera: CameraArrays, pixels: np.ndarray) -> np.ndarray:
-    """x/z and y/z of undistorted pixels, by OpenCV."""
-    import cv2
-
-    flat = pixels.reshape(-1, 1, 2).astype(np.float64)
-    if len(flat) == 0:
-        return pixels
-    out = cv2.undistortPoints(flat, camera.camera_matrix, camera.distortion)
-    return np.asarray(out).reshape(pixels.shape)
-
-
-def _poses(view: TrackedView, frames: np.ndarray) -> np.ndarray:
-    """World to camera by frame number."""
-    pose = view.camera.T_camera_world
-    if pose is None:
-        raise ObservationError(f"{view.name}: expected a camera with a pose")
-    return pose[frames - view.first_frame] if len(pose) > 1 else pose.repeat(len(frames), 0)

@@ -8,19 +8,18 @@ import numpy as np
 
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
-from recon.core.units import Axis
-from recon.formats.calibration import (
-    Calibration,
-    CameraUnit,
+from recon.fitting.settings import ReadOptions
+from recon.formats.calibration import Calibration, load_cameras
+from recon.formats.cameras import (
+    CameraArrays,
+    CameraPath,
     guessed_camera,
     guessed_size,
-    load_cameras,
+    settle_camera,
 )
-from recon.formats.camera_path import CameraPath
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
-from recon.formats.observations import CameraArrays, KeypointsFile
-from recon.formats.opencv_yaml import CameraFields, settle_camera
+from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import crowded
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
@@ -47,134 +46,103 @@ class Views:
     """What was decided about files, cameras and persons, and why."""
 
 
-def read_views(
-    paths: Sequence[str | Path],
-    calibration: str | Path | Calibration | None,
-    *,
-    fps: float | None,
-    layout: str | None = None,
-    names: Sequence[str] | None = None,
-    camera_unit: CameraUnit | None = None,
-    camera_up: Axis | None = None,
-    image_size: tuple[int, int] | None = None,
-    track: Path | None = None,
-) -> "SeenViews":
+def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     """Everybody's 2D keypoints in one or more calibrated views.
 
     Args:
         paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
-        calibration: file or folder of `recon.formats.calibration`, or what was read from
-            it. None guesses the camera of one view, a phone's, from the size of its images.
-        fps: frames per second; no format of keypoints states it.
-        layout: which keypoints; None to tell it from the files.
-        names: camera of every view; None to match them by name.
-        camera_unit: unit of the calibration, None to tell it.
-        camera_up: axis of the calibration's world that points up; None for z, checked.
-        image_size: width and height, pixels, for calibrations that do not state it.
-        track: how the one camera was carried, as a tracker wrote it; see
-            `recon.formats.tracks`.
+        how: the options of reading. Without a calibration, the camera of one view is guessed, a
+            phone's, from the size of its images.
 
     Raises:
         FileNotFoundError: when a file or folder is not there.
         ValueError: when something is missing, damaged, ambiguous or does not fit together; the
             message says what was expected and which option decides.
     """
-    folders, notes = expand([Path(path) for path in paths])
-    if calibration is None and len(folders) > 1:
+    folders, notes = expand(paths)
+    if how.camera is None and len(folders) > 1:
         raise ObservationError(
             f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
             "file with --camera, or one view alone, whose camera is then guessed"
         )
+    fps = how.frame_rate
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
             "frames per second with --frame-rate"
         )
-    path = None if track is None else read_track(track)
-    if path is not None and len(folders) > 1:
+    track = None if how.camera_track is None else read_track(how.camera_track)
+    if track is not None and len(folders) > 1:
         raise ObservationError(
-            f"{track}: the track of one camera was given with {len(folders)} views; give one view"
+            f"{how.camera_track}: the track of one camera was given with {len(folders)} views; "
+            "give one view"
         )
-    if calibration is None and path is not None and path.camera is not None:
-        calibration = _tracked(folders[0], path.camera, layout, image_size, Path(str(track)))
-    elif calibration is None:
-        calibration = _guessed(folders[0], layout, image_size, held=path is not None)
-    elif not isinstance(calibration, Calibration):
+    if how.camera is None:
+        calibration = _camera_of_one_view(folders[0], track, how)
+    else:
         calibration = load_cameras(
-            calibration, unit=camera_unit, up=camera_up, image_size=image_size
+            how.camera, unit=how.camera_unit, up=how.camera_up, image_size=how.image_size
         )
-    matched, matching = match_cameras(
-        [view_name(path) for path in folders], tuple(calibration.cameras), names
+    names, matching = match_cameras(
+        [view_name(path) for path in folders], tuple(calibration.cameras)
     )
-    cameras = [calibration.cameras[name] for name in matched]
+    cameras = [calibration.cameras[name] for name in names]
     found = [
-        read_keypoints(path, layout=layout, image_size=camera.image_size)
+        read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
     first, frames = _frame_range(found)
-    cameras = [
-        _timed(camera, first, frames, name) for camera, name in zip(cameras, matched, strict=True)
-    ]
+    cameras = [_timed(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
-    if path is not None:
-        poses, how = path.at(first, frames, fps)
-        carried = (_said(path, how),)
-        cameras = [
-            replace(camera, T_camera_world=None, path=CameraPath(poses, path.metric, path.level))
-            for camera in cameras
-        ]
+    if track is not None:
+        poses, reason = track.at(first, frames, fps)
+        carried = (_said(track, reason),)
+        path = CameraPath(poses, track.metric, track.level)
+        cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
     layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
     return SeenViews(
         found=tuple(found),
-        names=tuple(matched),
+        names=tuple(names),
         cameras=tuple(cameras),
         first_frame=first,
         frames=frames,
         fps=float(fps),
-        up_given=camera_up is not None,
+        up_given=how.camera_up is not None,
         decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts),
     )
 
 
-def _guessed(
-    path: Path, layout: str | None, image_size: tuple[int, int] | None, *, held: bool
-) -> Calibration:
-    """A phone's camera for one view, its images as large as given or as the keypoints say."""
-    how = "given"
-    if image_size is None:
-        seen = read_keypoints(path, layout=layout)
-        image_size = guessed_size(seen.pixels, seen.confidence)
-        how = "guessed as the smallest usual one that holds the keypoints (--image-size gives it)"
-    camera = guessed_camera(image_size)
-    width, height = image_size
-    return Calibration(
-        {view_name(path): camera},
-        "m",
-        (
-            f"image size {width} x {height}: {how}",
+def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions) -> Calibration:
+    """The camera that a tracker states, else a phone's, for one view without calibration.
+
+    Its images are as large as the tracker or the caller says, else as the keypoints need.
+    """
+    stated = None if track is None else track.camera
+    size, reason = how.image_size, "given"
+    if size is None and (stated is None or stated.size is None):
+        seen = read_keypoints(path, layout=how.layout)
+        size = guessed_size(seen.pixels, seen.confidence)
+        reason = (
+            "guessed as the smallest usual one that holds the keypoints (--image-size gives it)"
+        )
+    if stated is not None:
+        camera = replace(
+            settle_camera(stated, size, how.camera_track or path), T_camera_world=None
+        )
+        said = (f"{how.camera_track}: its intrinsics were taken",)
+    else:
+        assert size is not None
+        camera = guessed_camera(size)
+        said = (
+            f"image size {size[0]} x {size[1]}: {reason}",
             f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
             "that of a phone's main camera (28 mm for 35 mm film), which the fit "
-            + ("keeps, as the camera moves" if held else "corrects"),
-        ),
-    )
-
-
-def _tracked(
-    path: Path,
-    camera: CameraFields,
-    layout: str | None,
-    image_size: tuple[int, int] | None,
-    track: Path,
-) -> Calibration:
-    """The camera that a tracker states, its images as large as it, the caller or keypoints say."""
-    if image_size is None and camera.size is None:
-        seen = read_keypoints(path, layout=layout)
-        image_size = guessed_size(seen.pixels, seen.confidence)
-    settled = replace(settle_camera(camera, image_size, track), T_camera_world=None)
-    return Calibration({view_name(path): settled}, "m", (f"{track}: its intrinsics were taken",))
+            + ("corrects" if track is None else "keeps, as the camera moves"),
+        )
+    return Calibration({view_name(path): camera}, "m", said)
 
 
 def _said(track: CameraTrack, how: str) -> str:
@@ -207,14 +175,11 @@ class SeenViews:
         Raises:
             ValueError: when a view shows nobody.
         """
-        every = zip(self.names, self.found, self.cameras, strict=True)
-        views = [
-            TrackedView(name, one.layout, camera, follow(one), self.first_frame)
-            for name, one, camera in every
-        ]
-        for view, one in zip(views, self.found, strict=True):
-            if len(view.tracks) == 0:
-                choose((), None, one.name)
+        views: list[TrackedView] = []
+        for name, one, camera in zip(self.names, self.found, self.cameras, strict=True):
+            if not (tracks := follow(one)):
+                choose(tracks, None, one.name)  # refuses it
+            views.append(TrackedView(name, one.layout, camera, tracks, self.first_frame))
         posed = [one.name for one in views if one.camera.T_camera_world is None]
         if len(views) > 1 and posed:
             raise ObservationError(
@@ -266,7 +231,7 @@ class SeenViews:
         return KeypointsFile(pixels, confidence, layout, self.fps, camera)
 
 
-def _timed(camera: CameraArrays, first: int, frames: int, name: str) -> CameraArrays:
+def _timed(camera: CameraArrays, name: str, first: int, frames: int) -> CameraArrays:
     """A moving camera with the poses of these frames alone.
 
     Raises:

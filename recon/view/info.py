@@ -14,7 +14,7 @@ from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.formats.keypoints3d.records import Points3D
 from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.mocap.recording import MarkerRecording, head_to_foot
 from recon.formats.motions import MotionFile, load_motion
 from recon.formats.observations import (
     CameraArrays,
@@ -216,7 +216,9 @@ def _recording(path: Path) -> dict[str, Any]:
     if isinstance(recording, MarkerRecording):
         facts["missing"] = float(1 - np.mean(recording.visible))
     else:
-        facts["stature"] = recording.stature
+        facts["stature"] = head_to_foot(
+            recording.joint_names, recording.parents, recording.rest_offsets
+        )
     return facts
 
 

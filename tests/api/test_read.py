@@ -48,7 +48,8 @@ def test_a_fit_of_joints_loads_no_reader_and_no_code_of_other_sensors(tmp_path):
     )  # fmt: skip
     loaded = ran.stdout.split()
     rooms = ("recon.reading", "recon.ingest", "recon.people", "recon.view", "recon.simulation")
-    others = ("recon.diagnosis.views.", "priors.labels", "priors.anchor", "recon.fitting.cycles")
+    images = [f"recon.diagnosis.{name}" for name in ("images", "cameras", "keypoints", "sides")]
+    others = (*images, "priors.labels", "priors.anchor", "recon.fitting.cycles")
     sensors = ("observations.depth", "observations.keypoints2d", "observations.markers3d")
     assert "recon.fitting.clip" in loaded
     assert [name for name in loaded if name.startswith((*rooms, *others, *sensors))] == []

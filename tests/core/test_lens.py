@@ -13,7 +13,7 @@ from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
-from recon.formats.calibration import guessed_camera, guessed_size
+from recon.formats.cameras import guessed_camera, guessed_size
 from recon.reading.clip import load_clip
 from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d

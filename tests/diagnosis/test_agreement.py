@@ -4,8 +4,11 @@ import torch
 
 from observations.keypoints2d import Keypoints2D
 from recon.core.motion import Motion
-from recon.diagnosis.plausibility import body_warnings, child_findings
-from recon.diagnosis.views.fitted import distance_warnings, mirror_warnings, views_error
+from recon.diagnosis.cameras import distance_warnings
+from recon.diagnosis.checks import body_findings
+from recon.diagnosis.findings import Finding
+from recon.diagnosis.images import Images
+from recon.diagnosis.odds import mirror_warnings
 from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Reconstruction
@@ -76,15 +79,15 @@ def test_people_are_not_filmed_from_a_hundred_metres():
 
 
 def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
-    assert body_warnings(as_fit(walk())) == []
+    assert body_findings(as_fit(walk())).warnings == ()
     up = walk().translation.new_tensor([0.0, 0.0, 0.4])
     floating = walk().replace(translation=walk().translation + up)
-    (warning,) = body_warnings(as_fit(floating))
+    (warning,) = body_findings(as_fit(floating)).warnings
     assert "soles stand at 0.40 m" in warning.message
-    assert body_warnings(as_fit(floating, ground_known=False)) == []
+    assert body_findings(as_fit(floating, ground_known=False)).warnings == ()
     shape = torch.zeros_like(walk().shape)
     shape[5] = 6.5
-    odd = body_warnings(as_fit(walk().replace(shape=shape), ground_known=False))
+    odd = body_findings(as_fit(walk().replace(shape=shape), ground_known=False)).warnings
     assert "6.5 standard deviations" in odd[0].message
 
 
@@ -95,35 +98,31 @@ def test_a_child_in_metres_is_no_fault():
     child = as_fit(walk().replace(shape=small), ground_known=False)
     tall = float(bundled().height(small))
     assert 0.95 < tall < 1.42
-    assert body_warnings(child) == []
-    (said,) = child_findings(child)
+    assert body_findings(child).warnings == ()
+    (said,) = body_findings(child).diagnosis
     assert f"{tall:.2f} m tall" in said.message
-    assert child_findings(as_fit(walk())) == []
+    assert body_findings(as_fit(walk())).diagnosis == ()
+
+
+def mirror_findings(seen: list[Keypoints2D]) -> tuple[Finding, ...]:
+    return mirror_warnings(Images.of(seen, [str(k) for k in range(len(seen))], bundled()))
 
 
 def test_mirrored_images_are_told_by_two_views_and_more():
     for count in (2, 3, 4):
         good = views(count)
-        assert mirror_warnings(good) == []
-        (warning,) = mirror_warnings([mirrored(seen) for seen in good])
+        assert mirror_findings(good) == ()
+        (warning,) = mirror_findings([mirrored(seen) for seen in good])
         assert "mirror the videos back" in warning.message
-    assert mirror_warnings([mirrored(views(1)[0])]) == []  # cannot be told
-    assert mirror_warnings(views(3, noise=0.0)) == []
+    assert mirror_findings([mirrored(views(1)[0])]) == ()  # cannot be told
+    assert mirror_findings(views(3, noise=0.0)) == ()
 
 
 def test_noise_alone_does_not_look_mirrored():
     for noise in (10.0, 30.0):
-        assert mirror_warnings(views(3, noise)) == []
-
-
-def test_the_error_of_views_is_their_noise():
-    """Of two free coordinates per view, three per point are used up by the point itself."""
-    assert views_error(views(4, 0.0)) < 0.05
-    error = views_error(views(4))
-    assert abs(error / (1.177 * NOISE * (1 - 3 / 8) ** 0.5) - 1) < 0.15
+        assert mirror_findings(views(3, noise)) == ()
 
 
 def test_nobody_seen_is_no_error():
     blind = [seen.replace(confidence=seen.confidence * 0) for seen in views(3)]
-    assert views_error(blind) == 0.0
-    assert mirror_warnings(blind) == []
+    assert mirror_findings(blind) == ()

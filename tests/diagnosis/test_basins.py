@@ -7,8 +7,8 @@ from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.diagnosis.agreement import summarise
 from recon.diagnosis.basins import basin_findings, label_distance
+from recon.diagnosis.examination import summarise
 from tests import laws
 from tests.filmed import bundled, turned, walk
 

@@ -10,8 +10,8 @@ from recon.api.pipeline import fitted
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.motions.belt import belt_velocity
-from recon.diagnosis.motions.carried import carried_finding
+from recon.diagnosis.carried import carried_finding
+from recon.diagnosis.movement import belt_velocity
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d, orbiting

@@ -7,9 +7,9 @@ import torch
 
 from observations.keypoints2d import Keypoints2D
 from recon.core.skeleton import JOINTS, LEGS
+from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 from recon.diagnosis.certainty import certainty
 from recon.diagnosis.doubts import Alternative, guessed_findings, undecided_findings
-from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations

@@ -10,8 +10,8 @@ import torch
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.motions.belt import belt_velocity, treadmill_finding
-from recon.diagnosis.motions.gravity import RateRange, rate_finding, rate_range
+from recon.diagnosis.frame_rate import RateRange, rate_finding, rate_range
+from recon.diagnosis.movement import belt_velocity, treadmill_finding
 from recon.formats.motions import load_motion
 
 

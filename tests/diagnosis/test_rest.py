@@ -10,8 +10,8 @@ from observations.keypoints2d import Keypoints2D
 from recon.api.pipeline import fitted
 from recon.core import rotations as so3
 from recon.core.camera import Camera
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rest import moving_finding, rest_of
+from recon.diagnosis.cameras import moving_finding, rest_of
+from recon.diagnosis.images import Images
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d

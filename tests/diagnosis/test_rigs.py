@@ -11,9 +11,9 @@ from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.registration import registered
-from recon.diagnosis.views.rigs import corrections
+from recon.diagnosis.images import Images
+from recon.diagnosis.registration import registered
+from recon.diagnosis.rigs import corrections
 from tests.diagnosis.test_views import checked_clip, screened
 from tests.filmed import bundled, cameras, view, walk
 

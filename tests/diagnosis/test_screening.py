@@ -7,16 +7,17 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
+from observations.points import TrackedPoints as Points
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
+from recon.diagnosis import quick_fit as quick
 from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.findings import Findings
-from recon.diagnosis.motions.belt import in_room, with_belt
-from recon.diagnosis.points import quick
-from recon.diagnosis.points.exchanged import exchanged_pairs
-from recon.diagnosis.points.named_points import NamedPoints, Points, Predicted
-from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.misplaced import exchanged_pairs
+from recon.diagnosis.movement import in_room, with_belt
+from recon.diagnosis.named_points import NamedPoints, Predicted
+from recon.diagnosis.points import screen_points
 from recon.method.protocols import Estimate
 from recon.simulation.points import Corruption, joints3d, markers3d
 from tests.diagnosis.test_views import checked_clip

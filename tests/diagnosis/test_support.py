@@ -7,7 +7,7 @@ import torch
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
-from recon.diagnosis.motions.support import support_findings
+from recon.diagnosis.movement import support_findings
 from tests.filmed import bundled
 from tests.standing_body import standing
 

@@ -16,7 +16,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import keypoint_names
 from recon.diagnosis.examination import CheckedClip
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.views.screening import screen_views
+from recon.diagnosis.keypoints import screen_views
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d

@@ -192,8 +192,8 @@ POSITIONS = PositionsFile(
     30.0,
     2.5,
     False,
-    np.ones((3, 22), dtype=bool),
     0.01 * VISIBLE,
+    truth_visible=np.ones((3, 22), dtype=bool),
 )
 KEYPOINTS = KeypointsFile(
     RNG.standard_normal((3, 2, 2)) * VISIBLE[..., None], 0.5 * VISIBLE, "coco17", 25.0, CAMERA
@@ -239,7 +239,7 @@ def test_observations_with_y_up_are_turned(tmp_path: Path) -> None:
         ({"visible": np.ones((3, 2))}, "true or false"),
         ({"positions": np.zeros((3, 4, 3))}, r"\(3, 2, 3\)"),
         ({"positions": np.full((3, 2, 3), np.nan)}, "zeros"),
-        ({"names": np.array(["a"])}, "2 texts"),
+        ({"names": np.array(["a"])}, r"texts of shape \(2\) in names"),
         ({"fps": 0.0}, "frame rate of 0.001"),
         ({"up_axis": "x"}, "y or z"),
         ({"start_time": np.nan}, "start_time"),

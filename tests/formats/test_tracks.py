@@ -12,7 +12,7 @@ from observations.camera_paths import path_unit
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import Camera
 from recon.fitting.settings import FitSettings
-from recon.formats.camera_path import CameraPath
+from recon.formats.cameras import CameraPath
 from recon.formats.tracks import read_track
 from recon.reading.clip import load_clip
 from recon.reading.images import keypoints_of

@@ -13,7 +13,7 @@ from observations.noise import estimate_noise
 from recon.core.errors import ReconError
 from recon.core.robust import geman_mcclure
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.points.named_points import NamedPoints
+from recon.diagnosis.named_points import NamedPoints
 from recon.formats.observations import PositionsFile
 from recon.reading.points import positions_of
 from tests import laws

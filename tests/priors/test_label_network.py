@@ -14,11 +14,10 @@ from recon.body.model import BodyModel
 from recon.formats.motions import save_motion
 from tests.walking import a_walk
 from training.labels.clouds import (
-    NOT_BODY,
     POINTS,
     CloudCorpus,
     CloudVariation,
-    Shard,
+    LabelledClouds,
     half_hidden,
     mirrored_where,
     thinned,
@@ -41,17 +40,18 @@ def a_cloud(moments=4, points=90):
     return places.where(present[..., None], 0.0), present
 
 
-def a_shard(windows=6, random=None):
+def a_corpus(windows=6, random=None):
     """Windows of random points, of which some are off the body."""
     random = np.random.default_rng(0) if random is None else random
-    shard = Shard.empty(windows, 3, 0.3)
-    shard.points[:] = random.normal(size=shard.points.shape) * [0.1, 0.2, 0.5]
-    shard.places[:] = shard.points
-    shard.regions[:] = random.integers(0, 12, shard.regions.shape)
-    shard.regions[:, :, ::10] = NOT_BODY
-    shard.counts[:] = random.integers(100, POINTS, shard.counts.shape)
-    shard.eyes[:] = [3.0, 0.0, 0.5]
-    return shard
+    points = random.normal(size=(windows, 3, POINTS, 3)) * [0.1, 0.2, 0.5]
+    points = torch.from_numpy(points.astype(np.float16))
+    regions = torch.from_numpy(random.integers(0, 12, points.shape[:-1], np.int8))
+    regions[:, :, ::10] = -1
+    counts = torch.from_numpy(random.integers(100, POINTS, points.shape[:2]))
+    present = torch.arange(POINTS) < counts[..., None]
+    eyes = torch.tensor([3.0, 0.0, 0.5]).expand(windows, 3)
+    known = torch.ones(windows, dtype=torch.bool)
+    return CloudCorpus(LabelledClouds(points, present, points, regions, eyes, known, known))
 
 
 @pytest.mark.parametrize("has_eye", [True, False])
@@ -151,7 +151,7 @@ def test_moments_look_at_those_around_them_in_time():
 
 
 def test_mirrored_clouds_have_the_labels_of_the_other_side():
-    clouds = CloudCorpus([a_shard()]).take(torch.arange(6), 200, None)
+    clouds = a_corpus().take(torch.arange(6), 200, None)
     which = torch.tensor([True, False] * 3)
     other = mirrored_where(which, clouds)
     assert torch.equal(other.points[1], clouds.points[1])
@@ -165,7 +165,7 @@ def test_mirrored_clouds_have_the_labels_of_the_other_side():
 
 
 def test_half_hidden_clouds_have_half_of_the_points():
-    clouds = CloudCorpus([a_shard()]).take(torch.arange(6), 400, None)
+    clouds = a_corpus().take(torch.arange(6), 400, None)
     hidden = half_hidden(clouds, torch.Generator().manual_seed(0))
     share = (hidden.regions >= 0).flatten(1).sum(-1) / (clouds.regions >= 0).flatten(1).sum(-1)
     assert (share - 0.5).abs().max() < 0.01
@@ -173,7 +173,7 @@ def test_half_hidden_clouds_have_half_of_the_points():
 
 
 def test_variations_keep_what_is_true_of_points():
-    clouds = CloudCorpus([a_shard()]).take(torch.arange(6), 300, None)
+    clouds = a_corpus().take(torch.arange(6), 300, None)
     variation = CloudVariation(tilted=1.0, hidden=1.0, lost_limb=1.0)
     other = thinned(varied(clouds, variation, torch.Generator().manual_seed(1)), 250)
     assert other.points.shape[2] == 250
@@ -185,15 +185,16 @@ def test_variations_keep_what_is_true_of_points():
     assert (other.present.sum(-1) > 20).all()
 
 
-def test_shards_are_read_back(tmp_path):
-    shard = a_shard()
-    shard.save(tmp_path / "clouds_0000.npz")
-    again = Shard.load(tmp_path / "clouds_0000.npz")
-    for field in dataclasses.fields(Shard):
-        assert np.array_equal(getattr(shard, field.name), getattr(again, field.name))
+def test_clouds_are_read_back(tmp_path):
+    corpus = a_corpus()
+    for number in range(2):
+        corpus.clouds.save(tmp_path / f"clouds_000{number}.npz")
+    again = CloudCorpus.load(tmp_path)
+    for name, tensor in corpus.clouds.tensors().items():
+        assert torch.equal(again.clouds.tensors()[name], torch.cat([tensor, tensor]))
     np.savez(tmp_path / "other.npz", points=np.zeros(3))
     with pytest.raises(ValueError, match="places, regions"):
-        Shard.load(tmp_path / "other.npz")
+        LabelledClouds.load(tmp_path / "other.npz")
     with pytest.raises(FileNotFoundError, match="make them first"):
         CloudCorpus.load(tmp_path / "nothing")
 
@@ -202,7 +203,7 @@ def test_shards_are_read_back(tmp_path):
 def test_training_learns_goes_on_and_is_exported(tmp_path):
     """An interrupted run ends with the weights of one that was not."""
     save_motion(tmp_path / "walk.npz", a_walk(BodyModel.load()))
-    clouds = CloudCorpus([a_shard(random=np.random.default_rng(1))])
+    clouds = a_corpus(random=np.random.default_rng(1))
     settings = LabelTraining(
         tmp_path, tmp_path / "run", steps=4, windows=2, validate_every=2,
         variation=CloudVariation(fewest=40, most=60),

@@ -9,7 +9,7 @@ from torch import Tensor
 from observations.joints3d import Joints3D
 from priors.checkpoints import load_checkpoint
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.benchmark.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
@@ -19,6 +19,8 @@ from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.__main__ import train
 from training.pose import fit_density, score
+from training.recordings import mirrored_rotations, poses
+from training.settings import CorpusSettings
 from training.weights import save_checkpoint
 
 pytestmark = pytest.mark.numerics
@@ -186,11 +188,13 @@ def test_mirroring_shows_the_mirrored_body(body: BodyModel) -> None:
 
     motion = swinging(5, 9)[None]
     flip = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
+    rotations = mirrored_rotations(motion.rotations)
+    mirror = motion.replace(translation=motion.translation * flip, rotations=rotations)
     expected = (body.pose(motion).joints * flip)[..., list(MIRROR), :]
     torch.testing.assert_close(
-        body.pose(mirrored(motion)).joints, expected, rtol=0, atol=1e-3
+        body.pose(mirror).joints, expected, rtol=0, atol=1e-3
     )  # metres: the body is symmetric to single precision and quantised weights
-    twice = mirrored_rotations(mirrored_rotations(motion.rotations))
+    twice = mirrored_rotations(rotations)
     assert torch.equal(twice, motion.rotations)
 
 
@@ -245,8 +249,9 @@ def test_training_learns_from_training_clips_only(splits: Splits, tmp_path: Path
     corpus.mkdir()
     for seed, name in enumerate(("08_01", "09_01", "06_01", "07_01", "dataset-1_bow_active_001")):
         save_motion(corpus / f"{name}.npz", swinging(120, seed, fps=60.0))
-    assert [c.name for c in load_clips(corpus, splits, "train")] == ["08_01", "09_01"]
-    assert load_clips(corpus, splits, "train")[0].motion.frames == 60
+    settings = CorpusSettings(corpus, tmp_path, splits=tmp_path / "splits.toml")
+    assert [c.name for c in settings.load_clips("train")] == ["08_01", "09_01"]
+    assert settings.load_clips("train")[0].motion.frames == 60
 
     out = tmp_path / "pose.safetensors"
     train("pose", corpus, out)
@@ -261,9 +266,9 @@ def test_training_learns_from_training_clips_only(splits: Splits, tmp_path: Path
     # it named the temporary file that the weights were written to first
     assert log.strip().endswith(f"wrote {out}")
 
-    learned = poses(load_clips(corpus, splits, "train"), 10.0, 500)[:, 1:]
+    learned = poses(settings.load_clips("train"), 10.0, 500)[:, 1:]
     turned = learned @ so3.exp(torch.full((21, 3), 0.3))
-    assert len(poses(load_clips(corpus, splits, "train"), 10.0, most=7)) == 2 * 2 * 7
+    assert len(poses(settings.load_clips("train"), 10.0, most=7)) == 2 * 2 * 7
     density = PosePrior.load(out).density
     assert score(density, learned) > score(density, turned)
 
@@ -271,4 +276,4 @@ def test_training_learns_from_training_clips_only(splits: Splits, tmp_path: Path
 def test_a_corpus_without_motions_is_refused(splits: Splits, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileNotFoundError, match="recon convert"):
-        load_clips(tmp_path / "empty", splits, "train")
+        CorpusSettings(tmp_path / "empty", tmp_path).load_clips("train")

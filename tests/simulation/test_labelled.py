@@ -9,10 +9,9 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.filmed import walk
-from training.labels.clouds import NOT_BODY
 from training.labels.people import Postures, drawn_shape, made_up, turned_over, wardrobe, with_hair
 from training.labels.rooms import all_around, drawn_room, glimpse
-from training.labels.shards import Source, draw_shard
+from training.labels.shards import Source, draw_clouds
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +50,16 @@ def test_points_lie_where_their_labels_say(people):
 
 
 def test_windows_have_points_regions_and_eyes(people):
-    shard = draw_shard(a_source(people), 3, np.random.default_rng(5))
-    assert (shard.counts.sum(1) > 180).all()
+    clouds = draw_clouds(a_source(people), 3, np.random.default_rng(5))
+    assert (clouds.present.flatten(1).sum(-1) > 180).all()
     for window in range(3):
-        count = shard.counts[window, 0]
-        regions = shard.regions[window, 0, :count]
-        assert len(np.unique(regions[regions != NOT_BODY])) >= 3
-        assert (shard.regions[window, 0, count:] == NOT_BODY).all()
-    again = draw_shard(a_source(people), 3, np.random.default_rng(5))
-    assert np.array_equal(shard.points, again.points)
+        present, regions = clouds.present[window, 0], clouds.regions[window, 0]
+        count = int(present.sum())
+        assert bool(present[:count].all())
+        assert len(regions[:count][regions[:count] >= 0].unique()) >= 3
+        assert (regions[count:] == -1).all()
+    again = draw_clouds(a_source(people), 3, np.random.default_rng(5))
+    assert torch.equal(clouds.points, again.points)
 
 
 def test_made_up_limbs_bend_as_joints_do():

@@ -9,7 +9,7 @@ import torch
 
 from priors.humos.frames import BodyFrames, existing_windows
 from priors.humos.prior import Humos
-from recon.benchmark.dataset import Licence, Part
+from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.formats.motions import MotionFile, save_motion
@@ -18,6 +18,7 @@ from tests.walking import a_walk
 from training.humos.corpus import AS_RECORDED, BodyCorpus, BodyVariation
 from training.humos.losses import physics_losses, reconstruction
 from training.humos.train import HumosRun, HumosTraining, export_weights, train
+from training.settings import Licence
 
 BODY = BodyModel.load()
 

@@ -1,7 +1,7 @@
 """The page in headless Chromium, desktop and phone size: looked at, its layers switched.
 
-Needs a Chromium on the path; `make clients` runs these where there is one. `RECON_PICTURES=1`
-writes the pictures of tests/golden/page anew, to be looked at before they are committed.
+Needs a Chromium on the path. `RECON_PICTURES=1` writes the pictures of tests/golden/page anew, to
+be looked at before they are committed.
 """
 
 import functools
@@ -28,7 +28,7 @@ from recon.view.html import write_html
 from recon.view.scene import GREY, Points
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-CLIENT = ROOT / "scripts" / "clients" / "in_chromium.py"
+CLIENT = ROOT / "scripts" / "in_chromium.py"
 GOLDEN = ROOT / "tests" / "golden" / "page"
 FEET = 590
 """Row of the feet in the desktop's picture, below which the shadow lies."""

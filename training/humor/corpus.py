@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
-from recon.benchmark.dataset import Part, Splits, mirrored_rotations, notes
+from recon.benchmark.dataset import Part, Splits, notes
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
@@ -26,6 +26,7 @@ from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
 from training.humor.variation import chosen_rows, edited, joined
+from training.recordings import mirrored_rotations
 from training.run import LOG
 from training.settings import TrainingSettings
 

@@ -19,7 +19,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.steps import SPAN, Steps, explain
 from priors.pose.prior import PoseVariables
-from recon.benchmark.dataset import SPLITS, Splits, load_clips
+from recon.benchmark.dataset import SPLITS
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import stack
@@ -27,6 +27,7 @@ from recon.formats.replacing import file_checksum
 from recon.formats.weight_files import weights_path
 from recon.method.quadratic import FRAME
 from training.run import LOG
+from training.settings import CorpusSettings
 from training.weights import save_checkpoint
 
 _STEP = 1e-5
@@ -49,7 +50,7 @@ def main(
         seed: of the draws.
         out: file to write.
     """
-    known = load_clips(corpus, Splits.load(splits), "train")
+    known = CorpusSettings(corpus, out, splits=splits).load_clips("train")
     clips = [clip.motion for clip in known if clip.motion.frames >= SPAN]
     drawn = draw(clips, steps, seed)
     roots = {name: root(matrix) for name, matrix in curvature(Humor.load(), drawn).items()}

@@ -8,12 +8,13 @@ from torch import Tensor
 
 from priors.humos.frames import BodyFrames, existing_windows
 from priors.humos.prior import FPS
-from recon.benchmark.dataset import Part, mirrored_rotations
+from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
+from training.recordings import mirrored_rotations
 from training.run import LOG
 from training.settings import TrainingSettings
 

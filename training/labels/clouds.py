@@ -4,76 +4,27 @@ import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, Integer
+from jaxtyping import Bool, Float, Int
 from torch import Generator, Tensor
 
 from priors.labels.regions import MIRRORED_REGIONS, REGIONS
-from recon.core.struct import TensorStruct
+from recon.core.struct import TensorStruct, concatenate
 from recon.formats.opening import load_arrays, save_arrays
 
 POINTS = 768
 """Most points of a moment in a file."""
-NOT_BODY = 255
-"""Region of a point that is on no body."""
-SEEN_FROM_ALL_SIDES = 1000.0
-"""Stands for the sensor's place where there is none."""
-
-
-@dataclass(frozen=True)
-class Shard:
-    """Some windows as a file holds them; metres, z up, about the middle of each window."""
-
-    points: Float[np.ndarray, "windows moments points 3"]
-    places: Float[np.ndarray, "windows moments points 3"]
-    """Places on the unposed body of average shape; zero off the body."""
-    regions: Integer[np.ndarray, "windows moments points"]
-    """Number of the region, or `NOT_BODY`."""
-    counts: Integer[np.ndarray, "windows moments"]
-    """Number of the points of each moment; the others are zero."""
-    eyes: Float[np.ndarray, "windows 3"]
-    """Place of the sensor, or `SEEN_FROM_ALL_SIDES` three times."""
-    spacing: float
-    """Seconds between moments."""
-
-    @classmethod
-    def empty(cls, windows: int, moments: int, spacing: float) -> "Shard":
-        """Windows without points."""
-        return cls(
-            np.zeros((windows, moments, POINTS, 3), np.float16),
-            np.zeros((windows, moments, POINTS, 3), np.float16),
-            np.full((windows, moments, POINTS), NOT_BODY, np.uint8),
-            np.zeros((windows, moments), np.int16),
-            np.zeros((windows, 3), np.float32),
-            spacing,
-        )
-
-    def save(self, path: Path) -> None:
-        """Write the file in one step."""
-        save_arrays(path, {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)})
-
-    @classmethod
-    def load(cls, path: Path) -> "Shard":
-        """Read a file.
-
-        Raises:
-            ValueError: when it is damaged or none of these.
-        """
-        arrays = load_arrays(path)
-        if missing := [f.name for f in fields(cls) if f.name not in arrays]:
-            raise ValueError(f"{path}: expected labelled clouds, {', '.join(missing)} are missing")
-        spacing = float(arrays["spacing"])
-        return cls(**{f.name: arrays[f.name] for f in fields(cls)[:-1]}, spacing=spacing)
 
 
 @dataclass(frozen=True)
 class LabelledClouds(TensorStruct):
-    """Windows of clouds with the truth about their points; metres."""
+    """Windows of clouds with the truth about their points; metres, z up."""
 
     points: Float[Tensor, "windows moments points 3"]
+    """About the middle of each window."""
     present: Bool[Tensor, "windows moments points"]
     places: Float[Tensor, "windows moments points 3"]
+    """Places on the unposed body of average shape; zero off the body."""
     regions: Int[Tensor, "windows moments points"]
     """Number of the region; -1 off the body."""
     eyes: Float[Tensor, "windows 3"]
@@ -81,6 +32,22 @@ class LabelledClouds(TensorStruct):
     has_eye: Bool[Tensor, " windows"]
     level: Bool[Tensor, " windows"]
     """Whether z is known to point up."""
+
+    def save(self, path: Path) -> None:
+        """Write a file in one step."""
+        save_arrays(path, {name: tensor.numpy() for name, tensor in self.tensors().items()})
+
+    @classmethod
+    def load(cls, path: Path) -> "LabelledClouds":
+        """Read a file.
+
+        Raises:
+            ValueError: when it is damaged or none of these.
+        """
+        arrays, names = load_arrays(path), [field.name for field in fields(cls)]
+        if missing := [name for name in names if name not in arrays]:
+            raise ValueError(f"{path}: expected labelled clouds, {', '.join(missing)} are missing")
+        return cls(**{name: torch.from_numpy(arrays[name]) for name in names})
 
 
 @dataclass(frozen=True)
@@ -102,18 +69,11 @@ class CloudVariation:
     """Share of the steps that learn from single moments, of as many more windows."""
 
 
+@dataclass(frozen=True)
 class CloudCorpus:
-    """Windows of all files of a folder in memory."""
+    """Windows of all files of a folder in memory; points of a moment stand before absent ones."""
 
-    def __init__(self, shards: list[Shard]) -> None:
-        """Join the windows of some files."""
-        self.shard = Shard(
-            *(
-                np.concatenate([getattr(shard, f.name) for shard in shards])
-                for f in fields(Shard)[:-1]
-            ),
-            spacing=shards[0].spacing,
-        )
+    clouds: LabelledClouds
 
     @classmethod
     def load(cls, folder: Path) -> "CloudCorpus":
@@ -125,17 +85,17 @@ class CloudCorpus:
         paths = sorted(folder.glob("clouds_*.npz"))
         if len(paths) == 0:
             raise FileNotFoundError(f"{folder}: no clouds_*.npz there; make them first")
-        return cls([Shard.load(path) for path in paths])
+        return cls(concatenate([LabelledClouds.load(path) for path in paths]))
 
     def __len__(self) -> int:
-        return len(self.shard.points)
+        return len(self.clouds.points)
 
     def draw(self, windows: int, variation: CloudVariation, random: Generator) -> LabelledClouds:
         """Some windows in random variations, all with the same number of rows of points.
 
         At times their moments are windows of their own, of as many more windows.
         """
-        moments = self.shard.points.shape[1]
+        moments = self.clouds.points.shape[1]
         lone = torch.rand((), generator=random).item() < variation.lone
         count = windows * moments if lone else windows
         chosen = torch.randint(len(self), (count,), generator=random)
@@ -154,29 +114,22 @@ class CloudCorpus:
         moment: Int[Tensor, "windows 1"] | None = None,
     ) -> LabelledClouds:
         """Some windows as they are, of each moment at most `rows` points; None: all moments."""
-        index = windows.numpy()
-        moments = np.arange(self.shard.points.shape[1])[None] if moment is None else moment.numpy()
+        every = self.clouds
+        moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
         # points come in random order, so that those from anywhere on are drawn at random
-        count = torch.from_numpy(self.shard.counts[index[:, None], moments].astype(np.int64))
+        count = every.present[windows[:, None], moments].sum(-1)
         first = torch.zeros_like(count)
         if random is not None:
             first = torch.rand(count.shape, generator=random) * (count - rows + 1).clamp(min=0)
             first = first.long()
         row = first[..., None] + torch.arange(rows)
         present = row < count[..., None]
-        row = row.clamp(max=POINTS - 1).numpy()
-        pick = (index[:, None, None], moments[..., None], row)
-        regions = torch.from_numpy(self.shard.regions[pick].astype(np.int64))
-        eyes = torch.from_numpy(self.shard.eyes[index])
-        has_eye = eyes[:, 0] < SEEN_FROM_ALL_SIDES
-        return LabelledClouds(
-            points=torch.from_numpy(self.shard.points[pick].astype(np.float32)),
+        pick = (windows[:, None, None], moments[..., None], row.clamp(max=POINTS - 1))
+        return every[windows].replace(
+            points=every.points[pick].float(),
             present=present,
-            places=torch.from_numpy(self.shard.places[pick].astype(np.float32)),
-            regions=regions.where(regions != NOT_BODY, -1).where(present, -1),
-            eyes=eyes.where(has_eye[:, None], 0.0),
-            has_eye=has_eye,
-            level=torch.ones_like(has_eye),
+            places=every.places[pick].float(),
+            regions=every.regions[pick].long().where(present, -1),
         )
 
 

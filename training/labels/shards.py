@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from priors.labels.regions import Regions
-from recon.benchmark.dataset import Part, Splits, load_clips
+from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from training.labels.clouds import NOT_BODY, POINTS, SEEN_FROM_ALL_SIDES, Shard
+from training.labels.clouds import POINTS, LabelledClouds
 from training.labels.people import SPACING, Postures, drawn_shape, turned_over, wardrobe
 from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
 from training.run import LOG
@@ -45,8 +45,7 @@ class Source:
             FileNotFoundError: when the corpus holds no motion files.
             ValueError: when no clip of it may be learned from.
         """
-        body, splits = BodyModel.load(), Splits.load(settings.splits)
-        clips = load_clips(settings.corpus, splits, part, settings.data)
+        body, clips = BodyModel.load(), settings.load_clips(part)
         if len(clips) == 0:
             raise ValueError(f"{settings.corpus}: no {part} clip there ({settings.data})")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
@@ -73,16 +72,18 @@ def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
         source = Source.of(settings, part, seed)
         for number, path in enumerate(paths):
             if not path.is_file():
-                draw_shard(source, WINDOWS, np.random.default_rng([seed, number])).save(path)
+                draw_clouds(source, WINDOWS, np.random.default_rng([seed, number])).save(path)
                 LOG.info("wrote %s", path)
     return folder / "train", folder / "validation"
 
 
-def draw_shard(source: Source, windows: int, random: np.random.Generator) -> Shard:
+def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> LabelledClouds:
     """Windows of drawn people in drawn rooms."""
-    shard = Shard.empty(windows, WINDOW, SPACING)
-    regions = Regions.of(source.body)
-    of_vertex = regions.of_vertex.numpy()
+    shape = (windows, WINDOW, POINTS)
+    points, places = (np.zeros((*shape, 3), np.float16) for _ in range(2))
+    regions, present = np.full(shape, -1, np.int8), np.zeros(shape, bool)
+    eyes, has_eye = np.zeros((windows, 3), np.float32), np.zeros(windows, bool)
+    of_vertex = Regions.of(source.body).of_vertex.numpy()
     tree = KDTree(source.body.template.numpy())
     for window in range(windows):
         glimpses, eye = draw_window(source, random)
@@ -92,14 +93,15 @@ def draw_shard(source: Source, windows: int, random: np.random.Generator) -> Sha
         for moment, each in enumerate(glimpses):
             pick = random.permutation(len(each.points))[:POINTS]
             region = of_vertex[tree.query(each.places[pick])[1]] if len(pick) else pick
-            region = np.where(each.on_body[pick] > 0, region, NOT_BODY)
             row = (window, moment, slice(0, len(pick)))
-            shard.points[row] = (each.points[pick] - middle).clip(-30, 30)
-            shard.places[row] = each.places[pick]
-            shard.regions[row] = region
-            shard.counts[window, moment] = len(pick)
-        shard.eyes[window] = SEEN_FROM_ALL_SIDES if eye is None else eye - middle
-    return shard
+            points[row] = (each.points[pick] - middle).clip(-30, 30)
+            places[row] = each.places[pick]
+            regions[row] = np.where(each.on_body[pick] > 0, region, -1)
+            present[row] = True
+        if eye is not None:
+            eyes[window], has_eye[window] = eye - middle, True
+    arrays = (points, present, places, regions, eyes, has_eye, np.ones(windows, bool))
+    return LabelledClouds(*map(torch.from_numpy, arrays))
 
 
 def draw_window(

@@ -1,6 +1,5 @@
-"""DeepLabCut-style CSV: three or four header rows, then x, y, likelihood of every body part."""
+"""2D keypoints in tables and arrays: DeepLabCut's and SLEAP's CSV, and .npz files."""
 
-import csv
 import re
 from pathlib import Path
 
@@ -11,7 +10,8 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.formats.detections.records import Detections, Row, gather
-from recon.formats.opening import decode, load_arrays, read_bytes
+from recon.formats.detections.text_tables import first_rows, numbers, read_rows
+from recon.formats.opening import load_arrays
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -25,52 +25,50 @@ _WORDS = {
 }  # fmt: skip
 
 
-def read_deeplabcut(path: Path, *, layout: str | None = None) -> Detections:
-    """Read a table of body parts; parts that the layout does not have are left out and named.
+def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
+    """Read three or four header rows, then x, y, likelihood of every body part.
 
-    Without `layout`, it is the one that has most of the parts by name, of equals the shortest.
-    The confidence is the likelihood.
+    Parts that the layout does not have are left out and named. Without `layout`, it is the one
+    that has most of the parts by name, of equals the shortest. The confidence is the likelihood.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or too few body parts are known by name.
     """
     name = path.name
-    try:
-        table = list(csv.reader(decode(read_bytes(path, JSON)).splitlines()))
-    except csv.Error as error:
-        raise FormatError(f"{name}: expected a table of commas, but {error}") from error
-    header = {row[0].strip().lower(): row[1:] for row in table[: len(_HEADERS)] if row}
-    head = [key for key in _HEADERS if key in header]
+    table = read_rows(path, JSON)
+    header = {row[0].lower(): row[1:] for row in table[: len(_HEADERS)]}
+    header = {key: header[key] for key in _HEADERS if key in header}
     if not {"bodyparts", "coords"} <= header.keys():
         raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
-    PEOPLE.check(len(set(header.get("individuals", []))), name, "individuals")
-    KEYPOINTS.check(len(set(header["bodyparts"])), name, "bodyparts")
-    SAMPLES.check(max(len(table) * len(header["coords"]), 1), name)
-    values, numbers = _values(table[len(head) :], len(header["coords"]), name)
-    parts = [part.strip() for part in header["bodyparts"]]
-    individuals = [one.strip() for one in header.get("individuals", ["one"] * len(parts))]
-    columns = {
-        key: column
-        for column, key in enumerate(
-            zip(individuals, parts, (c.strip().lower() for c in header["coords"]), strict=False)
-        )
-    }
+    parts, width = header["bodyparts"], len(header["coords"])
+    individuals = header.get("individuals", ["one"] * len(parts))
+    people = list(dict.fromkeys(individuals))
+    PEOPLE.check(len(people), name, "individuals")
+    KEYPOINTS.check(len(set(parts)), name, "bodyparts")
+    SAMPLES.check(max(len(table) * width, 1), name)
+    rows = table[len(header) :]
+    values = numbers(rows, range(1, width + 1), name, most=width + 1)
+    found = [re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:]) for row in rows]
+    frames = [int(number[1]) if number else line for line, number in enumerate(found)]
+    if sorted(set(frames)) != frames:
+        raise FormatError(f"{name}: expected increasing frame numbers in the first column")
     chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
     places = {normalised(part): part for part in parts}
-    rows: list[Row] = []
-    people = list(dict.fromkeys(individuals))
-    for number, value in zip(numbers, values, strict=True):
-        for identity, one in enumerate(people):
-            points = np.zeros((len(keypoint_names(chosen)), 3))
-            for k, keypoint in enumerate(keypoint_names(chosen)):
-                for axis, coord in enumerate(("x", "y", "likelihood")):
-                    column = columns.get((one, places.get(keypoint, ""), coord))
-                    points[k, axis] = np.nan if column is None else value[column]
-            if np.isfinite(points).all(-1).any():
-                rows.append((number, points, identity))
+    triples = zip(individuals, parts, (c.lower() for c in header["coords"]), strict=False)
+    columns = {triple: column for column, triple in enumerate(triples)}
+    index = [
+        [
+            [columns.get((one, places.get(keypoint, ""), c), -1) for c in ("x", "y", "likelihood")]
+            for keypoint in keypoint_names(chosen)
+        ]
+        for one in people
+    ]
+    points = np.pad(values, ((0, 0), (0, 1)), constant_values=np.nan)[:, index]
+    seen = np.argwhere(np.isfinite(points).all(-1).any(-1)).tolist()
+    found_rows: list[Row] = [(frames[t], points[t, person], person) for t, person in seen]
     named = (f"body parts not in {chosen}: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, numbers, rows, layout=chosen, decisions=named)
+    return gather(name, frames, found_rows, layout=chosen, decisions=named)
 
 
 def normalised(part: str) -> str:
@@ -98,89 +96,46 @@ def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, 
     return best, [part for word, part in words.items() if word not in known]
 
 
-def _values(rows: list[list[str]], width: int, name: str) -> tuple[np.ndarray, list[int]]:
-    rows = [row for row in rows if any(cell.strip() for cell in row)]
-    values = np.full((len(rows), width), np.nan)
-    numbers: list[int] = []
-    for line, row in enumerate(rows):
-        if len(row) > width + 1:
-            raise FormatError(f"{name}: row {line} has {len(row)} cells, the header {width + 1}")
-        try:
-            cells = [float(cell) if cell.strip() else np.nan for cell in row[1:]]
-        except ValueError as error:
-            raise FormatError(f"{name}: expected numbers in row {line}, got {row[:4]}") from error
-        values[line, : len(cells)] = cells
-        last = re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:])
-        numbers.append(int(last[1]) if last else line)
-    if len(set(numbers)) < len(numbers) or numbers != sorted(numbers):
-        raise FormatError(f"{name}: expected increasing frame numbers in the first column")
-    return values, numbers
-
-
-_FRAME = "frame_idx"
-_COORDINATES = ("x", "y", "score")
-_HEAD = 1 << 16
-
-
 def is_sleap(path: Path) -> bool:
     """Whether a table begins as SLEAP's do."""
-    with path.open("rb") as file:
-        first = decode(file.read(_HEAD)).split("\n", 1)[0]
-    names = [name.strip() for name in first.split(",")]
-    return _FRAME in names and any(name.endswith(".x") for name in names)
+    head = next(iter(first_rows(path, 1)), [])
+    return "frame_idx" in head and any(name.endswith(".x") for name in head)
 
 
-def read_sleap(path: Path, *, layout: str | None = None) -> Detections:
-    """Read the table; nodes that the layout does not have are left out and named.
+def read_sleap(path: Path, layout: str | None = None) -> Detections:
+    """Read a row per person and frame; nodes that the layout does not have are left out and named.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or too few nodes are known by name.
     """
     name = path.name
-    try:
-        table = list(csv.reader(decode(read_bytes(path, JSON)).splitlines()))
-    except csv.Error as error:
-        raise FormatError(f"{name}: expected a table of commas, but {error}") from error
-    head = [cell.strip() for cell in table[0]]
+    head, *rows = read_rows(path, JSON)
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
-    SAMPLES.check(max(len(table) * len(nodes), 1), name)
+    SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)
     chosen, unknown = settle_parts(nodes, layout, name)
     places = {keypoint: k for k, keypoint in enumerate(keypoint_names(chosen))}
-    known = {node: places[normalised(node)] for node in nodes if normalised(node) in places}
-    rows: list[Row] = []
-    for line, cells in enumerate(table[1:], 2):
-        if not cells:
-            continue
-        if len(cells) != len(head):
-            raise FormatError(f"{name}, line {line}: expected {len(head)} cells, got {len(cells)}")
-        place_said = f"{name}, line {line}"
-        person = np.zeros((len(keypoint_names(chosen)), 3))
-        for node, place in known.items():
-            person[place] = [
-                _number(cells[columns[f"{node}.{one}"]], place_said)
-                if f"{node}.{one}" in columns
-                else 1.0
-                for one in _COORDINATES
-            ]
-        track = re.search(r"(\d{1,9})$", cells[columns["track"]]) if "track" in columns else None
-        number = _number(cells[columns[_FRAME]], place_said)
-        if not number.is_integer() or number < 0:
-            raise FormatError(f"{place_said}: expected the number of a frame, got {number}")
-        number = int(number)
-        rows.append((number, person, -1 if track is None else int(track.group(1))))
-    numbers = sorted({row[0] for row in rows})
+    points = np.zeros((len(rows), len(places), 3))
+    for node in nodes:
+        k = places.get(normalised(node))
+        for axis, coordinate in enumerate(("x", "y", "score") if k is not None else ()):
+            column = columns.get(f"{node}.{coordinate}")
+            points[:, k, axis] = 1.0
+            if column is not None:
+                cells = numbers(rows, [column], name, least=len(head), most=len(head))
+                points[:, k, axis] = cells[:, 0]
+    frames = numbers(rows, [columns["frame_idx"]], name, most=len(head))[:, 0]
+    if not (frames >= 0).all() or (frames % 1).any():
+        raise FormatError(f"{name}: expected the number of a frame in every row of frame_idx")
+    tracks = [row[columns["track"]] if "track" in columns else "" for row in rows]
+    identity = [re.search(r"(\d{1,9})$", track) for track in tracks]
+    found: list[Row] = [
+        (int(frame), person, -1 if who is None else int(who[1]))
+        for frame, person, who in zip(frames, points, identity, strict=True)
+    ]
     said = (f"nodes left out: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, numbers, rows, layout=chosen, decisions=said)
-
-
-def _number(cell: str, place: str) -> float:
-    """A number; NaN of an empty cell, which a node has that was not found."""
-    try:
-        return float(cell) if cell.strip() else float("nan")
-    except ValueError as error:
-        raise FormatError(f"{place}: expected a number, got {cell[:20]!r}") from error
+    return gather(name, sorted({row[0] for row in found}), found, layout=chosen, decisions=said)
 
 
 _KEYPOINTS = ("keypoints", "kpts", "keypoints_2d", "keypoints2d", "pred_keypoints")
@@ -196,7 +151,7 @@ def holds_detections(path: Path) -> bool:
     return _found(load_arrays(path)) is not None
 
 
-def read_detection_arrays(path: Path, *, layout: str | None = None) -> Detections:
+def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     """Read (frames, points, 2 or 3) or (frames, people, points, 2 or 3) with scores beside.
 
     Raises:

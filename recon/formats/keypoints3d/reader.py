@@ -1,22 +1,20 @@
 """3D keypoints of one person, whoever wrote them: the reader is chosen by what the file holds."""
 
-import csv
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import FRAMES
+from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.formats.detections.tables import holds_detections
+from recon.formats.detections.text_tables import first_rows, numbers, read_rows
 from recon.formats.json_files import read_json
 from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
 from recon.formats.keypoints3d.labels import STUDY, are_keypoints
-from recon.formats.keypoints3d.records import Points3D, checked, rate_of
+from recon.formats.keypoints3d.records import Points3D
 from recon.formats.keypoints3d.tables import (
-    head_of,
     holds_points,
     is_table_3d,
     read_array,
@@ -26,34 +24,23 @@ from recon.formats.keypoints3d.tables import (
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.observations import PositionsFile
-from recon.formats.opening import decode, load_arrays
+from recon.formats.opening import load_arrays
 
-_BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz")
-_ENDINGS = (".npy", ".csv")
-_ROWS = 2_000_000
-"""Rows of a table of time stamps that are looked at."""
+_BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
 
 def body_file(folder: Path) -> Path | None:
     """The file of a session that holds the body's keypoints, or None where it is no session."""
-    for place in (folder / "output_data", folder):
-        if not place.is_dir():
-            continue
-        for stem in _BODY:
-            for ending in _ENDINGS:
-                if (path := place / f"{stem}{ending}").is_file():
-                    return path
-        others = sorted(place.glob("*_body_3d_xyz.npy")) + sorted(place.glob("*_body_3d_xyz.csv"))
-        if others:
-            return others[0]
-    return None
+    places = (folder / "output_data", folder)
+    endings = [(stem, ending) for stem in _BODY for ending in (".npy", ".csv")]
+    found = (sorted(place.glob(stem + ending)) for place in places for stem, ending in endings)
+    return next((files[0] for files in found if files), None)
 
 
 def time_stamps(folder: Path) -> Path | None:
     """The table of a session that has the time stamps of its frames."""
     places = (folder, folder / "output_data", folder.parent)
-    found = [one for place in places for one in sorted(place.glob("*_by_frame.csv"))]
-    return found[0] if found else None
+    return next((one for place in places for one in sorted(place.glob("*_by_frame.csv"))), None)
 
 
 def read_session(folder: Path) -> Points3D:
@@ -69,37 +56,23 @@ def read_session(folder: Path) -> Points3D:
             f"{folder}: expected FreeMoCap's output_data with mediapipe_body_3d_xyz.npy or "
             "body_3d_xyz.csv"
         )
-    read = read_array if path.suffix == ".npy" else read_table
-    points = replace(read(path), unit="mm")
-    said = (*points.decisions, f"FreeMoCap session: {path.relative_to(folder)}, millimetres")
-    points = replace(points, decisions=said)
+    points = (read_array if path.suffix == ".npy" else read_table)(path)
+    said = f"FreeMoCap session: {path.relative_to(folder)}, millimetres"
+    points = replace(points, unit="mm", decisions=(*points.decisions, said))
     stamps = time_stamps(folder)
     if points.fps is not None or stamps is None:
         return points
-    timing = rate_of(_times(stamps), stamps.name)
-    if timing is None:
+    header, *rows = read_rows(stamps, TEXT)
+    header = [cell.lower() for cell in header]
+    if not {"frame", "timestamp"} <= set(header):
         return points
-    return replace(
-        points, fps=timing[0], start_time=timing[1], decisions=(*points.decisions, timing[2])
-    )
-
-
-def _times(path: Path) -> list[float]:
-    """One time per frame, seconds, in the order of the frames; empty where there is none."""
-    with path.open("rb") as file:
-        rows = csv.reader(decode(line).replace("\0", "") for line in islice(file, _ROWS))
-        header = [cell.strip().lower() for cell in next(rows, [])]
-        if not {"frame", "timestamp"} <= set(header):
-            return []
-        frame, time = header.index("frame"), header.index("timestamp")
-        times: dict[int, float] = {}
-        for row in rows:
-            try:
-                times.setdefault(int(row[frame]), float(row[time]))
-            except (ValueError, IndexError):
-                return []
-    FRAMES.check(len(times), path)
-    return [times[number] for number in sorted(times)]
+    columns = [header.index("frame"), header.index("timestamp")]
+    try:
+        frames, times = numbers(rows, columns, stamps.name, most=len(header)).T
+    except FormatError:
+        return points  # the rate is then asked for
+    first = np.unique(frames, return_index=True)[1]
+    return points.timed(times[first], stamps.name)
 
 
 RECORDINGS = (".trc", ".c3d")
@@ -134,7 +107,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
     if ending == ".csv":
-        return is_table_3d(head_of(path))
+        return is_table_3d(first_rows(path))
     if ending == ".json":
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -160,18 +133,18 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if path.is_dir():
-        return checked(read_session(path))
-    ending = path.suffix.lower()
-    if ending == ".npy":
-        return checked(read_array(path))
-    if ending == ".npz":
-        return checked(read_arrays(path))
-    if ending == ".csv":
-        return checked(read_table(path))
-    if ending == ".json":
-        return checked(read_json_points(path, person=person))
-    if ending in RECORDINGS:
-        return from_recording(marker_recording(path, unit, up))
+        return read_session(path).checked()
+    match path.suffix.lower():
+        case ".npy":
+            return read_array(path).checked()
+        case ".npz":
+            return read_arrays(path).checked()
+        case ".csv":
+            return read_table(path).checked()
+        case ".json":
+            return read_json_points(path, person).checked()
+        case ending if ending in RECORDINGS:
+            return from_recording(marker_recording(path, unit, up))
     raise FormatError(
         f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a session folder"
     )
@@ -208,11 +181,10 @@ def from_recording(recording: MarkerRecording) -> Points3D:
         said = (*said, f"{left} markers that OpenCap computed from these keypoints were left out")
     recording = recording.select(kept)
     shown = np.where(recording.visible[..., None], recording.positions, np.nan)
-    points = Points3D(
+    return Points3D(
         recording.name, shown, recording.marker_names, fps=recording.fps,
         start_time=recording.start_time, unit="m", decisions=said,
-    )  # fmt: skip
-    return checked(points)
+    ).checked()  # fmt: skip
 
 
 def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:

@@ -1,7 +1,7 @@
 """3D keypoints as a file holds them: its own unit and axes, and its own names, if it has any."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -21,63 +21,72 @@ class Points3D:
     name: str
     positions: Float[np.ndarray, "time points 3"]
     """Coordinates in the file's own unit and axes; NaN where a point was not seen."""
-    names: tuple[str, ...] | None = None
-    """Labels of the file; None where an array has none."""
+    names: tuple[str, ...] = ()
+    """Labels of the file; none where an array has none."""
     layout: str | None = None
     """Layout of the keypoints, where the format states it."""
     fps: float | None = None
-    """Moments per second; None where the file does not state it."""
+    """Frames per second; None where the file does not state it."""
     start_time: float = 0.0
-    """Time of the first moment, seconds."""
+    """Time of the first frame, seconds."""
     unit: str | None = None
     """Unit that the file or its format states, one of `recon.core.units.METRES`."""
     decisions: tuple[str, ...] = ()
     """What was read or guessed, one sentence each."""
 
+    def stated(self, fps: float | None) -> "Points3D":
+        """The points at the rate that the file states, if it does."""
+        if fps is None:
+            return self
+        said = f"{fps:g} frames per second: stated by the file"
+        return replace(self, fps=fps, decisions=(*self.decisions, said))
 
-def checked(points: Points3D) -> Points3D:
-    """The points, once there are any, and as NaN what stands for a missing one.
+    def timed(self, times: np.ndarray | None, source: str | None = None) -> "Points3D":
+        """The points at the rate that a column of seconds tells, if it does.
 
-    Exact zeros in all three coordinates and infinity are missing points too, unless they are the
-    same point in all moments: the origin of what is relative to it.
+        It tells none where it is a single time, or times that do not rise evenly.
 
-    Raises:
-        ValueError: when there are too many, or none at all is seen.
-    """
-    moments, count = points.positions.shape[:2]
-    JOINTS.check(count, points.name)
-    if moments == 0 or count == 0:
-        raise FormatError(f"{points.name}: expected at least one frame with keypoints, got none")
-    FRAMES.check(moments, points.name)
-    seen = np.isfinite(points.positions).all(-1)
-    zero = (points.positions == 0).all(-1)
-    seen &= ~zero | zero.all(0)
-    if not seen.any() or zero.all():
-        raise FormatError(f"{points.name}: expected keypoints, but none is seen in any frame")
-    largest = float(np.abs(points.positions[seen]).max())
-    if largest > _LARGEST:
-        raise FormatError(
-            f"{points.name}: expected coordinates of a person, of at most {_LARGEST:g} in any "
-            f"unit, got {largest:.3g}"
-        )
-    positions = np.where(seen[..., None], points.positions, np.nan)
-    return Points3D(**{**vars(points), "positions": positions})
+        Args:
+            times: one for every frame, seconds; None where there are none.
+            source: the file that has them, for the decision; None for that of the points.
+        """
+        steps = np.diff([] if times is None else times)
+        if times is None or len(steps) == 0 or not (steps > 0).all():
+            return self
+        middle = float(np.median(steps))
+        fps = snapped_rate((len(times) - 1) / float(times[-1] - times[0]))
+        if not FRAME_RATE.holds(fps) or not np.abs(steps - middle).max() <= middle / 2:
+            return self
+        said = f"{fps:g} frames per second: by the times in {source or self.name}"
+        start = float(times[0])
+        return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
 
+    def checked(self) -> "Points3D":
+        """The points, once there are any, and as NaN what stands for a missing one.
 
-def rate_of(times: Sequence[float] | np.ndarray, name: str) -> tuple[float, float, str] | None:
-    """Frames per second and the first time of a column of seconds, and what is said about it.
+        Exact zeros in all three coordinates and infinity are missing points too, unless they are
+        the same point in all frames: the origin of what is relative to it.
 
-    None where the column tells no rate: a single time, or times that do not rise.
-    """
-    values = np.asarray(times, dtype=np.float64)
-    steps = np.diff(values)
-    if len(steps) == 0 or not np.isfinite(values).all() or (steps <= 0).any():
-        return None
-    middle = float(np.median(steps))
-    fps = snapped_rate((len(values) - 1) / float(values[-1] - values[0]))
-    if not FRAME_RATE.holds(fps) or np.abs(steps - middle).max() > middle / 2:
-        return None
-    return fps, float(values[0]), f"{fps:g} frames per second: by the times in {name}"
+        Raises:
+            ValueError: when there are too many, or none at all is seen.
+        """
+        frames, count = self.positions.shape[:2]
+        JOINTS.check(count, self.name)
+        if frames == 0 or count == 0:
+            raise FormatError(f"{self.name}: expected at least one frame with keypoints, got none")
+        FRAMES.check(frames, self.name)
+        seen = np.isfinite(self.positions).all(-1)
+        zero = (self.positions == 0).all(-1)
+        seen &= ~zero | zero.all(0)
+        if not seen.any() or zero.all():
+            raise FormatError(f"{self.name}: expected keypoints, but none is seen in any frame")
+        largest = float(np.abs(self.positions[seen]).max())
+        if largest > _LARGEST:
+            raise FormatError(
+                f"{self.name}: expected coordinates of a person, of at most {_LARGEST:g} in any "
+                f"unit, got {largest:.3g}"
+            )
+        return replace(self, positions=np.where(seen[..., None], self.positions, np.nan))
 
 
 Person = Float[np.ndarray, "points numbers"]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core import limits, units
 from recon.core import coordinates as told
+from recon.core import limits, units
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 

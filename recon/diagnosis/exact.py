@@ -1,0 +1,185 @@
+"""Facts about points in space that need no model: zeros, repeated values, the ground, the size.
+
+Sensors have noise, so nothing that is measured repeats exactly; software that fills what it has
+lost writes zeros, the last value, or the last frame again.
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from recon.body.model import BodyModel
+from recon.body.soles import Soles, Stance
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET
+from recon.diagnosis.findings import NOTHING, Finding, Findings, chosen, listed, spans, stretches
+from recon.diagnosis.named_points import NamedPoints, size
+from recon.diagnosis.tracks import temporal_noise
+
+_REPEATS = 3
+"""Moments in a row at which a point must not move before it counts as held; two equal values
+may be rounding in a file with few digits."""
+_MOVES = 1e-4
+"""Metres per moment that other points must move meanwhile: a recording of a statue repeats."""
+_TRAVELLED = 2e-3
+"""Metres that the other points' paths must be long meanwhile: somebody who stands still sways by
+less than the last digit of some files, and a value that is held then is no harm."""
+_NOISELESS = 3e-4
+"""Metres of noise below which positions are computed rather than measured; animated feet then
+stand exactly still, and that is no fault."""
+_MAX_ORIGIN_DISTANCE_M = 1.0
+"""Metres: in a root-relative recording the body lies about the origin, and a point that is always
+exactly there is the root."""
+
+
+def unchanged(
+    places: Float[np.ndarray, "*views moments points dims"],
+    seen: Bool[np.ndarray, "*views moments points"],
+) -> Bool[np.ndarray, "*views moments points"]:
+    """Points that are seen at this moment and the one before, at exactly the same place."""
+    same = np.zeros_like(seen)
+    same[..., 1:, :] = seen[..., 1:, :] & seen[..., :-1, :]
+    same[..., 1:, :] &= (places[..., 1:, :, :] == places[..., :-1, :, :]).all(-1)
+    return same
+
+
+def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Points at the origin are made unseen, but for a root that is always there."""
+    zero = points.visible & (points.positions == 0).all(-1)
+    root = zero.any(0) & (zero | ~points.visible).all(0)
+    others = np.linalg.norm(points.without(zero).centre, axis=-1)
+    if root.sum() == 1 and (others[np.isfinite(others)] < _MAX_ORIGIN_DISTANCE_M).all():
+        zero[:, root] = False
+    if not zero.any():
+        return points, NOTHING
+    joints = chosen(points.names, np.any(zero, axis=0))
+    share = float(zero.sum() / points.visible.sum())
+    said = Finding(
+        "zeros",
+        f"{100 * share:.3g} % of the visible positions are exactly (0, 0, 0), which is how "
+        f"missing points are often written ({listed(joints)}); they were taken as not visible. "
+        "Mark missing points in `visible`",
+        joints,
+        stretches(np.any(zero, axis=1)),
+        share,
+    )
+    return points.without(zero), Findings((said,))
+
+
+def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Frames in which every point stands bit for bit where it stood before are made unseen."""
+    same = unchanged(points.positions, points.visible)
+    whole = (same | ~points.visible).all(1) & (same.sum(1) >= 2)
+    if not whole.any() or whole[1:].all():
+        return points, NOTHING
+    said = Finding(
+        "repeated frames",
+        f"{int(whole.sum())} frames repeat the frame before them exactly "
+        f"({spans(stretches(whole))}), which no moving person does; they were taken as not seen. "
+        "If frames were repeated to reach a higher rate, give the true one",
+        (),
+        stretches(whole),
+        float(whole.mean()),
+    )
+    return points.without(whole[:, None]), Findings((said,))
+
+
+def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Points that keep one value for several moments while others move are made unseen there."""
+    visible = points.visible
+    same, step = unchanged(points.positions, visible), np.zeros(visible.shape)
+    step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1)
+    step[1:] *= visible[1:] & visible[:-1]
+    moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
+    computed = temporal_noise(points) < _NOISELESS
+    for point, bone in enumerate(points.bones):
+        # the root of what is relative to it stays: other zeros are out by now
+        if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
+            continue
+        for first, last in stretches(same[:, point], _REPEATS - 1):
+            held = slice(first, last + 1)
+            travelled = np.median(step[held].sum(0)[visible[held].any(0)])
+            hidden[held, point] = moved[held].mean() > 0.5 and travelled > _TRAVELLED
+    if not hidden.any():
+        return points, NOTHING
+    joints, frames = (
+        chosen(points.names, np.any(hidden, axis=0)),
+        stretches(np.any(hidden, axis=1)),
+    )
+    said = Finding(
+        "constant point",
+        f"{listed(joints)} {'keeps' if len(joints) == 1 else 'keep'} exactly one position while "
+        f"the body moves ({spans(frames)}); the repeated values were taken as not visible",
+        joints,
+        frames,
+        float(hidden.sum() / visible.sum()),
+    )
+    return points.without(hidden), Findings((said,))
+
+
+_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
+"""Metres by which standing soles may lie below and above the ground of a recording that knows it.
+The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
+lift markers once more."""
+_FLOOR_NOISE = 1.0
+"""Multiple of a coordinate's standard deviation that soles may lie off the ground in addition."""
+_MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.72, 1.25
+"""Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
+_LOWEST_QUANTILE, _SOLE_TO_POINT = 0.05, 0.2
+"""Quantile of the heights of a foot's points that stands for the lowest, and metres within which
+the soles of a fit must be of it: ankles are a tenth of a metre up."""
+_STANDING = 0.2
+"""Seconds during which a foot that is seen must stand."""
+_FEWEST_FEET = 0.3
+"""Share of moments at which a foot must be seen for its height to count."""
+
+
+def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
+    """Height of the ground below a quick fit, metres; zero where it is at z = 0 or unknown.
+
+    It is unknown where feet hid, and where none that is seen ever stands: the hidden feet of a
+    handstand say nothing about the floor. Nor does a quick fit whose soles are far from the points
+    of the feet themselves.
+    """
+    feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
+    shown = points.visible[:, feet]
+    if not feet or shown.any(1).mean() < _FEWEST_FEET:
+        return 0.0
+    moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
+    seen = torch.from_numpy(np.any(shown, axis=1)[moments.clip(max=len(shown) - 1)])
+    clip = motion[0].detach().to(device="cpu")
+    stance = Stance.of(clip, body, Soles.of(body), frames=seen)
+    if stance.frames < _STANDING * motion.fps:
+        return 0.0
+    height = stance.height()
+    lowest = np.quantile(points.positions[:, feet, 2][shown], _LOWEST_QUANTILE)
+    low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
+    noise *= _FLOOR_NOISE
+    usual = min(low, -noise) <= height <= max(high, noise)
+    return 0.0 if usual or abs(height - lowest) > _SOLE_TO_POINT else height
+
+
+def floor_finding(height: float) -> Finding:
+    """What is said where the ground was moved."""
+    return Finding(
+        "floor",
+        f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
+        "recording's ground at z = 0; the height of the ground was estimated instead. If the "
+        "person stands on something, give --no-repair",
+        value=height,
+    )
+
+
+def scale_findings(points: NamedPoints) -> tuple[Finding, ...]:
+    """Whether everything is larger or smaller than people are by one factor."""
+    ratio = size(points)
+    if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
+        return ()
+    return (
+        Finding(
+            "scale",
+            f"the body is {ratio:.2f} times as large as an average person ({1.7 * ratio:.2f} m "
+            "tall); check the unit and the scale of the recording (--unit)",
+            value=ratio,
+        ),
+    )

@@ -1,0 +1,214 @@
+"""What may be wrong with one camera of several: each explanation undone, to see what remains."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays, in_camera, projected
+
+Cause = Literal["turned", "placed", "mirrored", "sized", "moving"]
+
+_SAME_SIZE = 1.1
+"""Factor below which an image has the size of its calibration; what else looks so is a turn."""
+_SMOOTHING = 0.15
+"""Seconds to either side over which the pose of a camera that moves is averaged."""
+_LEAST_DEPTH = 0.05
+"""Share of a ray's length along the axis of the camera from which on it is in the image."""
+_ROUNDS = 8
+_MIN_POINTS, _MIN_SAMPLES = 4, 12
+"""Least number of points to find how a camera is turned in one frame, and where it is at all."""
+_INLIER = 0.02
+"""Distance on the plane at depth 1 within which a keypoint agrees with a camera's place."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One view after an explanation was undone."""
+
+    cause: Cause
+    images: Images
+    """All views; the one at odds as it should have been."""
+    value: float
+    """Degrees or factor, by cause; metres for a placed camera."""
+    remains: float
+    """Median distance of the view's rays from the points of the other views, metres."""
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A view compared with what the others see."""
+
+    images: Images
+    view: int
+    points: Float[np.ndarray, "moments points 3"]
+    """Triangulated from the other views."""
+    exists: Bool[np.ndarray, "moments points"]
+
+    @classmethod
+    def of(cls, images: Images, view: int) -> "Odd":
+        """The points that the other views see."""
+        rest = [v for v in range(len(images.names)) if v != view]
+        return cls(images, view, *Rays.of(images.view(rest)).meet())
+
+    def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
+        """Distances of the view's rays from the points of the others, metres; NaN: unknown."""
+        one = Rays.of((self.images if images is None else images).view([self.view]))
+        there = self.exists & (one.weight[0] > 0)
+        return np.where(there, one.miss(self.points)[0], np.nan)
+
+    def miss(self, images: Images | None = None) -> float:
+        """Median distance of the view's rays from the points of the others, metres."""
+        away = self.misses(images)
+        return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
+
+    def explained(self, causes: tuple[Cause, ...]) -> list[Explained]:
+        """What remains after each of some explanations, the simplest first."""
+        undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
+            "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
+            "turned": self._turned,
+            "sized": self._sized,
+            "placed": self._placed,
+            "moving": self._moving,
+        }
+        out: list[Explained] = []
+        for cause in causes:
+            images, value = undone[cause]()
+            out.append(Explained(cause, images, value, self.miss(images)))
+        return out
+
+    def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays in the camera's frame, ways to the points, and where both exist."""
+        one = Rays.of(self.images.view([self.view]))
+        turn = self.images.pose[self.view, :, :3, :3]
+        ways = self.points - one.origin[0]
+        ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-9)
+        local = np.swapaxes(turn, -1, -2)
+        return one.direction[0] @ local, ways @ local, self.exists & (one.weight[0] > 0)
+
+    def _turned(self) -> tuple[Images, float]:
+        """The camera turned about itself, so that most rays meet the points (Wahba, robust)."""
+        rays, ways, there = self._directions()
+        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])
+        degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
+        return self._with_turn(turn), float(degrees)
+
+    def _moving(self) -> tuple[Images, float]:
+        """The camera turned about itself by an angle that changes, averaged over a while."""
+        rays, ways, there = self._directions()
+        moments = len(rays)
+        known = there.sum(-1) >= _MIN_POINTS
+        if not known.any():
+            return self.images, 0.0
+        vectors = Rotation.from_matrix(robust_turns(ways, rays, there)[known]).as_rotvec()
+        times = np.arange(moments)
+        vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
+        smooth = averaged(vectors, round(_SMOOTHING * self.images.fps))
+        spread = np.linalg.norm(smooth - smooth.mean(0), axis=-1).max()
+        return self._with_turn(Rotation.from_rotvec(smooth).as_matrix()), float(np.degrees(spread))
+
+    def _with_turn(self, turns: Float[np.ndarray, "moments 3 3"]) -> Images:
+        pose = self.images.pose.copy()
+        pose[self.view, :, :3] = turns @ pose[self.view, :, :3]
+        fixed = np.ptp(pose[self.view], axis=0).max() < 1e-9
+        kept = tuple(bool(fixed) if v == self.view else f for v, f in enumerate(self.images.fixed))
+        return replace(self.images, pose=pose, fixed=kept)
+
+    def _sized(self) -> tuple[Images, float]:
+        """The image enlarged about its corner: detections of another resolution."""
+        images, v = self.images, self.view
+        local, front = in_camera(images.pose[v], self.points)
+        pixels = projected(images.view([v]), local[None], front[None])[0]
+        there = self.exists & front & images.seen[v]
+        own = images.pixels[v][there]
+        if len(own) == 0:
+            return images, 1.0
+        factor = float(np.median((pixels[there] * own).sum(-1) / np.square(own).sum(-1)))
+        if 1 / _SAME_SIZE < factor < _SAME_SIZE:
+            return images, 1.0
+        scaled = images.pixels.copy()
+        scaled[v] *= factor
+        return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
+
+    def _placed(self) -> tuple[Images, float]:
+        """The camera at another place and turned (PnP, most points agree)."""
+        images, pose = self.images, self.images.pose.copy()
+        local, front = in_camera(pose[self.view], self.points)
+        rays, _, there = self._directions()
+        good = there & front & (rays[..., 2] > _LEAST_DEPTH)
+        if good.sum() < _MIN_SAMPLES:
+            return images, 0.0
+        plane = rays[good][:, :2] / rays[good][:, 2:]
+        found, turn, shift, _ = cv2.solvePnPRansac(
+            local[good], plane, np.eye(3), None, reprojectionError=_INLIER
+        )
+        if found:
+            turn = Rotation.from_rotvec(turn[:, 0]).as_matrix()
+            pose[self.view, :, :3] = turn @ pose[self.view, :, :3]
+            pose[self.view, :, :3, 3] += shift[:, 0]
+        moved = centre(pose[self.view, 0]) - centre(images.pose[self.view, 0])
+        return replace(images, pose=pose), float(np.linalg.norm(moved))
+
+
+def mirrored(images: Images, views: list[int]) -> Images:
+    """Left and right of some images exchanged."""
+    pixels = images.pixels.copy()
+    for v in views:
+        pixels[v, ..., 0] = np.where(images.seen[v], images.size[v][0] - pixels[v, ..., 0], 0.0)
+    return replace(images, pixels=pixels)
+
+
+def shifted(images: Images, view: int, frames: float) -> Images:
+    """One view as it would be if every moment showed what came so many frames later."""
+    moments = images.pixels.shape[1]
+    times = np.arange(moments) + frames
+    low = np.floor(times + 1e-9).astype(int)
+    part = (times - low)[:, None]
+    part = np.where(np.abs(part) < 1e-6, 0.0, part)
+    inside = (low >= 0) & (low + (part[:, 0] > 0) < moments)
+    a, b = np.clip(low, 0, moments - 1), np.clip(low + 1, 0, moments - 1)
+    pixels, confidence = images.pixels.copy(), images.confidence.copy()
+    own, sure = images.pixels[view], images.confidence[view]
+    both = np.where(part > 0, np.minimum(sure[a], sure[b]), sure[a])
+    confidence[view] = np.where(inside[:, None], both, 0.0)
+    there = confidence[view][..., None] > 0
+    pixels[view] = np.where(there, (1 - part[..., None]) * own[a] + part[..., None] * own[b], 0.0)
+    return replace(images, pixels=pixels, confidence=confidence)
+
+
+def robust_turns(
+    ways: Float[np.ndarray, "moments samples 3"],
+    rays: Float[np.ndarray, "moments samples 3"],
+    there: Bool[np.ndarray, "moments samples"],
+) -> Float[np.ndarray, "moments 3 3"]:
+    """The rotations that bring unit vectors onto others; those far off count less."""
+    weight = there.astype(np.float64)
+    turns = np.broadcast_to(np.eye(3), (len(ways), 3, 3))
+    for _ in range(_ROUNDS):
+        u, _, vh = np.linalg.svd(np.einsum("tn,tni,tnj->tij", weight, rays, ways))
+        proper = np.ones((len(ways), 1, 3))
+        proper[..., 0, 2] = np.linalg.det(u @ vh)
+        turns = (u * proper) @ vh
+        away = np.linalg.norm(rays - ways @ np.swapaxes(turns, -1, -2), axis=-1)
+        usual = [np.median(a[s]) if s.any() else 1.0 for a, s in zip(away, there, strict=True)]
+        weight = there / (1 + np.square(away / np.maximum(usual, 1e-6)[:, None]))
+    return turns
+
+
+def averaged(
+    values: Float[np.ndarray, "moments dims"], reach: int
+) -> Float[np.ndarray, "moments dims"]:
+    """Means over as many moments to either side, fewer at the ends: straight lines stay."""
+    last = len(values) - 1
+    reaches = [min(reach, t, last - t) for t in range(len(values))]
+    return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
+
+
+def centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    """Where a camera stands in the recording, metres, from T_camera_world."""
+    return -pose[:3, :3].T @ pose[:3, 3]

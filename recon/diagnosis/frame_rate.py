@@ -1,0 +1,291 @@
+"""Gravity: nothing falls faster, nothing in the air falls slower, and who stands is balanced.
+
+Accelerations grow with the square of the frame rate, so that a rate wrong by a factor shows as a
+fall at another acceleration than g, or as a body that the ground under its feet could not hold.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+from recon.diagnosis.findings import Finding, stretches
+from recon.diagnosis.movement import Movement, outside
+from recon.physics.mass import GRAVITY
+
+_FALL_SECONDS = 0.2
+_PARABOLA = 0.01
+"""Metres, root mean square, by which the centre of mass of a fall may leave its parabola."""
+_FASTEST_FALL = 2.0
+"""Largest plausible acceleration of a fall, in g; the centre of mass of our body falls at up to
+1.8 g in jumps of CMU, whose people have other masses."""
+_FALLS = 1.3
+"""Acceleration, in g, that a fall may have once the rate is put right."""
+_FALL_EVERY = 10.0
+"""Seconds of a recording for which one fall too fast is needed; more is no glitch."""
+_OFF_GROUND = 0.08
+"""Metres above the ground of both soles in the air."""
+_FLIGHT_FRAMES = 5
+_FREE_FALL = 0.75
+"""Least acceleration, in g, of a free fall as seen on our body, whose mass is not that of the
+person."""
+_WITH = 0.5
+"""Share of the rise of the centre of mass by which the lower foot rises too, at least; who stands
+on something higher leaves it where it is."""
+_WRISTS = tuple(joint_index(f"{side}_wrist") for side in ("left", "right"))
+_NECK, _PELVIS = joint_index("neck"), joint_index("pelvis")
+
+
+Bounds = tuple[float, float]
+"""Lower and upper bound of the true frame rate over the declared one; (0, inf) says nothing."""
+
+
+def rates_by_falls(movement: Movement) -> Bounds:
+    """Bounds from the downward acceleration of the centre of mass in falls and flights.
+
+    Parabolas are laid through a fifth of a second each; those that the centre does not follow are
+    left out. Of a longer recording the largest acceleration is left out once every ten seconds, as
+    a glitch.
+    """
+    count, height = max(5, round(_FALL_SECONDS * movement.fps)), movement.centre[:, 2]
+    if len(height) < count:
+        return 0.0, math.inf
+    pieces = np.lib.stride_tricks.sliding_window_view(height, count)
+    falls = _parabolas(pieces, movement.fps)
+    for _ in range(max(1, math.ceil(movement.frames / movement.fps / _FALL_EVERY)) - 1):
+        worst = int(np.argmax(falls))
+        falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
+    fall, flight = float(falls.max()), float(np.median(_flights(movement) or _FREE_FALL))
+    low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
+    return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
+
+
+def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.ndarray:
+    """Downward acceleration over g of every piece, zero where it is no parabola."""
+    time = (np.arange(pieces.shape[1]) - (pieces.shape[1] - 1) / 2) / fps
+    basis = np.stack((np.ones_like(time), time, time**2), -1)
+    solution = pieces @ np.linalg.pinv(basis).T
+    deviation = np.sqrt(np.square(pieces - solution @ basis.T).mean(-1))
+    return np.where(deviation < _PARABOLA, -2 * solution[:, 2] / GRAVITY, 0.0)
+
+
+def _flights(movement: Movement) -> list[float]:
+    """Accelerations, times g, of the centre of mass of an upright body in the air.
+
+    The lower foot rises with the centre of mass, and both are highest between the ends.
+    """
+    joints, centre, soles = movement.joints, movement.centre[:, 2], movement.sole_heights
+    trunk = joints[:, _NECK] - joints[:, _PELVIS]
+    upright = trunk[:, 2] > 0.7 * np.linalg.norm(trunk, axis=-1)
+    hands = joints[:, list(_WRISTS), 2].max(1) < joints[:, _NECK, 2]
+    air = (soles > movement.ground + _OFF_GROUND).all(1) & upright & hands
+    found: list[float] = []
+    for first, last in stretches(air):
+        inner, lower = centre[first : last + 1], soles[first : last + 1].min(1)
+        rise, lift = (h.max() - max(h[0], h[-1]) for h in (inner, lower))
+        whole = first > 0 and last < len(air) - 1 and rise > 0 and len(inner) >= _FLIGHT_FRAMES
+        fall = float(_parabolas(inner[None], movement.fps)[0]) if whole else 0.0
+        if fall > 0 and lift > _WITH * rise:
+            found.append(fall)
+    return found
+
+
+_SPAN = 0.1
+"""Seconds between the samples of a second difference."""
+_CARRIES = 0.05
+"""Metres above the ground of a sole that may carry weight."""
+_LOADED = 0.4
+"""Share of the weight that the ground must carry; below, the point of its force is ill-defined."""
+_LEAST_FRAMES = 10
+_UNBALANCED = 0.18
+"""Metres, on average, by which the ground's force may lie away from the feet. CMU's walks 0.06 and
+dances 0.17 (98th percentiles)."""
+_EXPLAINED = 0.45
+"""A slower rate must bring that distance below this share."""
+_SLOWER = (0.84, 0.71, 0.5, 0.35, 0.25)
+
+
+def rates_by_balance(movement: Movement) -> Bounds:
+    """Bounds from the body's balance: at a slower rate the ground could hold it."""
+    asked = _imbalance(movement, 1.0)
+    if asked >= _UNBALANCED:
+        for factor in _SLOWER:
+            if _imbalance(movement, factor) < min(_UNBALANCED, _EXPLAINED * asked):
+                return 0.0, factor
+    return 0.0, math.inf
+
+
+def _imbalance(movement: Movement, factor: float) -> float:
+    """Mean distance of the zero moment point from the hull of the feet on the ground, metres.
+
+    p = c_xy - h a_xy / (g + a_z) for a point mass at height h; NaN where too few frames show a
+    loaded foot on the ground.
+
+    Args:
+        movement: what moves.
+        factor: by which the declared rate is multiplied.
+    """
+    fps = movement.fps * factor
+    step = max(1, round(_SPAN * fps))
+    centre, ground = movement.centre, movement.ground
+    if len(centre) < 2 * step + _LEAST_FRAMES:
+        return math.nan
+    before, here, after = centre[: -2 * step], centre[step:-step], centre[2 * step :]
+    acceleration = (after - 2 * here + before) * (fps / step) ** 2
+    smoothed = (before + 2 * here + after) / 4
+    load = GRAVITY + acceleration[:, 2]
+    standing = (movement.sole_heights < ground + _CARRIES)[step:-step]
+    asked = standing.any(1) & (load > _LOADED * GRAVITY)
+    if asked.sum() < _LEAST_FRAMES:
+        return math.nan
+    arm = (smoothed[asked, 2] - ground) / load[asked]
+    point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
+    soles = movement.soles[step:-step][asked][..., :2]
+    # a foot in the air lends its corners to the other one, which then stand for it twice
+    soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
+    return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
+
+
+_TURN = 0.35
+"""Leg lengths by which the separation of the feet must fall back for an extreme to count."""
+_LEAST_STEPS = 2
+_IRREGULAR = 0.35
+"""Relative standard deviation of durations and of widths above which this is no gait."""
+_MAX_SLOW_STEP_LEGS = 0.6
+"""Leg lengths: steps less wide may be as slow as one likes."""
+_WALK, _RUN = -0.35, 0.5
+"""Correlation of the pelvis' height with the separation of the feet: who walks vaults over the
+standing leg and is highest where the feet pass each other, who runs is lowest there."""
+_WALK_RATIO = (0.9, 2.6)
+"""Product of width and duration of a walk's steps. CMU: 1.0 to 2.3, median 1.4."""
+_WALK_SLOWNESS = (1.35, 4.1)
+"""Duration over width of a walk's steps: the inverse of their speed. Above a speed of
+sqrt(g leg length) no foot stays on the ground; people change to a run at 0.7 of it."""
+_RUN_RATIO = (0.7, 1.6)
+"""Product of width and duration of a run's steps. CMU: 0.9 to 1.25."""
+
+
+def rates_by_strides(movement: Movement) -> Bounds:
+    """Bounds from the length of steps for their duration, where legs alternate regularly.
+
+    Widths are in lengths of a leg, durations in sqrt(leg length / g).
+    """
+    between = (movement.ankles[:, 0] - movement.ankles[:, 1])[:, :2]
+    apart = (between * movement.forward).sum(-1) / movement.leg
+    turns = itertools.pairwise(_extremes(apart))
+    steps = np.array([(a, b) for a, b in turns if apart[a] * apart[b] < 0])
+    if len(steps) < _LEAST_STEPS:
+        return 0.0, math.inf
+    durations = (steps[:, 1] - steps[:, 0]) / movement.fps * math.sqrt(GRAVITY / movement.leg)
+    widths = np.abs(apart[steps[:, 0]] - apart[steps[:, 1]]) / 2
+    duration, width = float(np.median(durations)), float(np.median(widths))
+    irregular = max(durations.std() / durations.mean(), widths.std() / widths.mean())
+    if irregular > _IRREGULAR or width < _MAX_SLOW_STEP_LEGS:
+        return 0.0, math.inf
+    inside = slice(steps[0, 0], steps[-1, 1] + 1)
+    height, time = movement.joints[inside, 0, 2], np.arange(steps[-1, 1] + 1 - steps[0, 0])
+    detrended = height - np.polyval(np.polyfit(time, height, 1), time)
+    phase = np.corrcoef(detrended, np.abs(apart[inside]))[0, 1]
+    ratio, slowness = width * duration, duration / width
+    if phase < _WALK:
+        low = max(ratio / _WALK_RATIO[1], slowness / _WALK_SLOWNESS[1])
+        return low, min(ratio / _WALK_RATIO[0], slowness / _WALK_SLOWNESS[0])
+    if phase > _RUN and len(steps) > _LEAST_STEPS:
+        return ratio / _RUN_RATIO[1], ratio / _RUN_RATIO[0]
+    return 0.0, math.inf
+
+
+def _extremes(values: Float[np.ndarray, " time"]) -> list[int]:
+    """Frames of maxima and minima between which the values turn back by `_TURN`."""
+    found: list[int] = []
+    high = low = direction = 0
+    for index, value in enumerate(values):
+        high = index if value > values[high] else high
+        low = index if value < values[low] else low
+        if direction >= 0 and values[high] - value > _TURN:
+            found.append(high)
+            direction, high, low = -1, index, index
+        elif direction <= 0 and value - values[low] > _TURN:
+            found.append(low)
+            direction, high, low = 1, index, index
+    return found
+
+
+_LEAST_SECONDS = 0.4
+_USUAL = (0.25, 0.5, 2.0, 4.0)
+"""Factors by which rates are wrong in practice: every second or fourth frame was left out."""
+
+
+@dataclass(frozen=True)
+class RateRange:
+    """The range of the true frame rate, as multiples of the declared one."""
+
+    low: float
+    high: float
+    evidence: tuple[str, ...]
+    """What the bounds follow from, in words."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the declared rate is among those that are possible."""
+        return self.low <= 1 <= self.high
+
+    @property
+    def likeliest(self) -> float:
+        """The factor in the range that is usual in practice and nearest to one, or its middle."""
+        near = 1.0 if self.holds else self.high if self.high < 1 else self.low
+        inside = [f for f in _USUAL if self.low <= f <= self.high and not self.holds]
+        return min(inside, key=lambda factor: abs(math.log(factor)), default=near)
+
+
+def rate_range(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> RateRange | None:
+    """What a motion's gait, falls and balance say of its frame rate; None where they say nothing.
+
+    Args:
+        motion: one clip on the ground z = 0 or any other level one, without a batch axis.
+        body: whose motion it is.
+        observed: joints that the data shows; what is inferred obeys the rate that was declared.
+    """
+    movement = Movement.of(motion, body, observed)
+    if movement.frames < _LEAST_SECONDS * movement.fps:
+        return None
+    bounds = {
+        "the length of its steps for their duration": rates_by_strides(movement),
+        "the acceleration of its falls against gravity": rates_by_falls(movement),
+        "the balance of its centre of mass over its feet": rates_by_balance(movement),
+    }
+    limits = {why: bound for why, bound in bounds.items() if bound != (0.0, math.inf)}
+    low = max((bound[0] for bound in limits.values()), default=math.inf)
+    high = min((bound[1] for bound in limits.values()), default=0.0)
+    if low > high:
+        # no law says anything, or they contradict each other: then not the rate alone is wrong
+        return None
+    against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
+    return RateRange(low, high, against or tuple(limits))
+
+
+def rate_finding(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> Finding | None:
+    """A warning that the frame rate is wrong by a factor, or None where it can be true."""
+    found = rate_range(motion, body, observed)
+    if found is None or found.holds:
+        return None
+    factor = found.likeliest
+    way = "fast" if found.high < 1 else "slow"
+    bounds = f"at most {found.high:.2g}" if found.high < 1 else f"at least {found.low:.2g}"
+    return Finding(
+        "rate",
+        f"at {motion.fps:g} frames per second the person moves too {way}: "
+        f"{' and '.join(found.evidence)} asks for {bounds} times that rate. Check the frame rate; "
+        f"it is likely about {motion.fps * factor:.3g}",
+        value=factor,
+    )

@@ -1,0 +1,178 @@
+"""What cameras saw of one clip, as arrays that checks can work on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from observations.keypoints2d import Keypoints2D
+from observations.noise import estimate_noise
+from observations.start.images import bone_scale
+from recon.body.model import BodyModel
+
+_SCALE_MEDIAN_S = 0.5
+"""Seconds to either side over which the median of the scale of an image is taken."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """The keypoints and cameras of views that share a clock and a layout, without a batch axis."""
+
+    pixels: Float[np.ndarray, "views moments points 2"]
+    """Free of lens distortion."""
+    confidence: Float[np.ndarray, "views moments points"]
+    """0 is not seen."""
+    matrix: Float[np.ndarray, "views 3 3"]
+    """Camera matrices, pixels."""
+    pose: Float[np.ndarray, "views moments 4 4"]
+    """T_camera_world of every view at every moment, metres."""
+    scale: Float[np.ndarray, "views moments"]
+    """Pixels per metre at the body, from the least foreshortened bones."""
+    size: tuple[tuple[int, int], ...]
+    """Width and height of every image, pixels."""
+    names: tuple[str, ...]
+    """Names of the views."""
+    points: tuple[str, ...]
+    """Names of the keypoints."""
+    fps: float
+    fixed: tuple[bool, ...]
+    """Whether each camera stands still."""
+    rest: Float[np.ndarray, "points 3"]
+    """Positions of the keypoints on the average body in its rest pose, metres."""
+
+    @classmethod
+    def of(cls, views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel) -> "Images":
+        """The arrays of views of one clip, whose batch axis has length one."""
+        moments, points = views[0].pixels.shape[-3], views[0].points.names
+        average = body.joint_template.new_zeros(body.shape_size)
+        rest = views[0].points.at_rest(body, average).double().cpu().numpy()
+        pixels = np.stack([view.pixels[0].double().cpu().numpy() for view in views])
+        confidence = np.stack([view.confidence[0].double().cpu().numpy() for view in views])
+        poses = [view.camera.T_camera_world[0].double().cpu().numpy() for view in views]
+        each = zip(pixels, confidence, strict=True)
+        return cls(
+            pixels=pixels,
+            confidence=confidence,
+            matrix=np.stack(
+                [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
+            ),
+            pose=np.stack([np.broadcast_to(one, (moments, 4, 4)) for one in poses]),
+            scale=np.stack([_scale(*own, points, rest, views[0].fps) for own in each]),
+            size=tuple(view.camera.image_size for view in views),
+            names=tuple(names),
+            points=points,
+            fps=views[0].fps,
+            fixed=tuple(view.camera.T_camera_world.shape[-3] == 1 for view in views),
+            rest=rest,
+        )
+
+    def into(self, views: Sequence[Keypoints2D], given: "Images") -> list[Keypoints2D]:
+        """The views with these keypoints and poses in place of the given ones.
+
+        Views of which nothing changed are the very same objects.
+        """
+        return [self._into(view, v, given) for v, view in enumerate(views)]
+
+    def _into(self, view: Keypoints2D, v: int, given: "Images") -> Keypoints2D:
+        changed = (self.pixels[v] != given.pixels[v]).any(-1)
+        changed |= self.confidence[v] != given.confidence[v]
+        if changed.any():
+            here = torch.from_numpy(changed).to(view.pixels.device)[None]
+            pixels = torch.from_numpy(self.pixels[v]).to(view.pixels)[None]
+            confidence = torch.from_numpy(self.confidence[v]).to(view.confidence)[None]
+            view = view.replace(
+                pixels=torch.where(here[..., None], pixels, view.pixels),
+                confidence=torch.where(here, confidence, view.confidence),
+            )
+        if not np.array_equal(self.pose[v], given.pose[v]):
+            pose = self.pose[v, :1] if self.fixed[v] else self.pose[v]
+            poses = torch.from_numpy(pose).to(view.camera.T_camera_world)[None]
+            view = view.replace(camera=view.camera.replace(T_camera_world=poses))
+        return view
+
+    @property
+    def seen(self) -> Bool[np.ndarray, "views moments points"]:
+        """Keypoints that were found."""
+        return self.confidence > 0
+
+    @property
+    def shown(self) -> Float[np.ndarray, "views moments points 2"]:
+        """Pixels; NaN where a keypoint was not found."""
+        return np.where(self.seen[..., None], self.pixels, np.nan)
+
+    @property
+    def noise(self) -> Float[np.ndarray, " views"]:
+        """Standard deviation of a pixel coordinate in every view; infinite where nobody knows."""
+        pixels, seen = torch.from_numpy(self.pixels), torch.from_numpy(self.seen)
+        each = zip(pixels, seen, strict=True)
+        return np.array([estimate_noise(*view, (0.0, np.inf)) for view in each])
+
+    @cached_property
+    def counterparts(self) -> Int[np.ndarray, " points"]:
+        """Index of every keypoint's counterpart on the other side; its own in the middle."""
+        sides = {"left": "right", "right": "left"}
+        parts = [name.partition("_") for name in self.points]
+        others = ["".join((sides.get(side, side), *rest)) for side, *rest in parts]
+        return np.array([self.points.index(name) for name in others])
+
+    @cached_property
+    def sided(self) -> Bool[np.ndarray, " points"]:
+        """Keypoints that have a counterpart on the other side."""
+        return self.counterparts != np.arange(len(self.points))
+
+    @property
+    def focal(self) -> Float[np.ndarray, " views"]:
+        """Mean focal length, pixels."""
+        return self.matrix[:, [0, 1], [0, 1]].mean(-1)
+
+    def view(self, rows: Sequence[int]) -> "Images":
+        """Some of the views."""
+        index = list(rows)
+        return replace(
+            self,
+            pixels=self.pixels[index],
+            confidence=self.confidence[index],
+            matrix=self.matrix[index],
+            pose=self.pose[index],
+            scale=self.scale[index],
+            size=tuple(self.size[v] for v in index),
+            names=tuple(self.names[v] for v in index),
+            fixed=tuple(self.fixed[v] for v in index),
+        )
+
+    def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":
+        """Left and right exchanged in some views at some moments."""
+        here = flags[..., None]
+        order = self.counterparts
+        return replace(
+            self,
+            pixels=np.where(here[..., None], self.pixels[:, :, order], self.pixels),
+            confidence=np.where(here, self.confidence[:, :, order], self.confidence),
+        )
+
+    def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
+        """Some keypoints made unseen; the scale is estimated again from the others."""
+        pixels = np.where(hidden[..., None], 0.0, self.pixels)
+        confidence = np.where(hidden, 0.0, self.confidence)
+        scale = self.scale.copy()
+        for v in np.flatnonzero(hidden.any((1, 2)) & (confidence > 0).any((1, 2))):
+            scale[v] = _scale(pixels[v], confidence[v], self.points, self.rest, self.fps)
+        return replace(self, pixels=pixels, confidence=confidence, scale=scale)
+
+
+def _scale(
+    pixels: Float[np.ndarray, "moments points 2"],
+    confidence: Float[np.ndarray, "moments points"],
+    points: Sequence[str],
+    rest: Float[np.ndarray, "points 3"],
+    fps: float,
+) -> Float[np.ndarray, " moments"]:
+    """Pixels per metre at the body, the median over a second around every moment."""
+    place, found, at_rest = (torch.from_numpy(a) for a in (pixels, confidence, rest))
+    scale = bone_scale(points, at_rest, place[None], found[None])[0].numpy()
+    reach = min(round(_SCALE_MEDIAN_S * fps), len(scale) - 1)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(scale, reach, "edge"), 2 * reach + 1)
+    return np.median(windows, -1)

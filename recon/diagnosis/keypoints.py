@@ -1,0 +1,324 @@
+"""2D keypoints before a fit: zeros, copies, held places, outliers, jumps and lost order.
+
+Detectors are noisy, so no keypoint has the same coordinates twice in a row; software that fills
+what it has lost writes zeros, the last place, or the whole last frame again.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from observations.keypoints2d import Keypoints2D
+from recon.body.model import BodyModel
+from recon.diagnosis.exact import unchanged
+from recon.diagnosis.findings import (
+    NOTHING,
+    Finding,
+    Findings,
+    chosen,
+    in_turn,
+    listed,
+    spans,
+    stretches,
+)
+from recon.diagnosis.images import Images
+from recon.diagnosis.odds import all_mirrored, another_image, checked_together
+from recon.diagnosis.rays import scale_findings
+from recon.diagnosis.sides import repaired_pairs, repaired_sides
+from recon.diagnosis.tracks import velocity_changes
+
+_MIN_HELD_MOMENTS = 4
+"""Moments in a row at one place from which on a keypoint counts as held; two or three may be
+chance where a detector writes whole pixels."""
+_LONGER = 3
+"""Multiple of the usual number of moments at one place from which on a keypoint counts as held."""
+_MIN_REPEATED_SHARE, _MIN_KEYPOINTS = 0.9, 5
+"""Share of a frame's keypoints that must repeat for the frame to be a copy, and their number."""
+_MIN_PHOTOGRAPH_SHARE = 0.8
+"""Share of copied frames from which on a view is a photograph rather than a film with copies."""
+
+Seen = Bool[np.ndarray, "moments points"]
+
+
+def repaired_zeros(images: Images) -> tuple[Images, Findings]:
+    """Keypoints at (0, 0) are made unseen: that is how missing ones are often written."""
+
+    def said(v: int, here: Seen) -> Finding:
+        share, points = (
+            here.sum() / images.seen[v].sum(),
+            chosen(images.points, np.any(here, axis=0)),
+        )
+        return Finding(
+            "zeros",
+            f"{share:.2g} of the keypoints with a confidence lie at exactly (0, 0), which is how "
+            f"missing ones are often written ({listed(points)}); they were taken as not seen. "
+            "Write a confidence of 0 for them",
+            points,
+            stretches(np.any(here, axis=-1)),
+            float(share),
+        )
+
+    return hidden(images, images.seen & (images.pixels == 0).all(-1), said)
+
+
+def repaired_copies(images: Images) -> tuple[Images, Findings]:
+    """Frames that are exact copies of the one before are made unseen."""
+    both = (images.seen[:, 1:] & images.seen[:, :-1]).sum(-1)
+    same = unchanged(images.pixels, images.seen)[:, 1:].sum(-1)
+    copied = (both >= _MIN_KEYPOINTS) & (same >= _MIN_REPEATED_SHARE * both)
+    photographs = copied.sum(-1) > _MIN_PHOTOGRAPH_SHARE * copied.shape[1]
+    copied = np.pad(copied & ~photographs[:, None], ((0, 0), (1, 0)))
+
+    def said(_: int, here: Seen) -> Finding:
+        frames = np.any(here, axis=-1)
+        return Finding(
+            "repeated frames",
+            f"{frames.sum()} frames are exact copies of the frame before them; they were taken as "
+            "not seen. A film that was brought to a higher rate by repeating frames should be "
+            "given at its own rate",
+            (),
+            stretches(frames),
+            float(frames.mean()),
+        )
+
+    return hidden(images, np.repeat(copied[..., None], len(images.points), -1), said)
+
+
+def repaired_held(images: Images) -> tuple[Images, Findings]:
+    """Keypoints that stay at exactly one place while others move are made unseen there."""
+    length = np.zeros(images.seen.shape, dtype=int)
+    for v, same in enumerate(unchanged(images.pixels, images.seen)):
+        for point, own in enumerate(same.T):
+            for first, last in stretches(own):
+                length[v, first : last + 1, point] = last - first + 1
+    usual = np.median(length.max(1), -1)
+    held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _LONGER * (usual[:, None, None] + 1))
+
+    def said(_: int, here: Seen) -> Finding:
+        frames, points = (
+            stretches(np.any(here, axis=-1)),
+            chosen(images.points, np.any(here, axis=0)),
+        )
+        return Finding(
+            "constant point",
+            f"{listed(points)} stayed at exactly the same pixel in {spans(frames)} "
+            "while other keypoints moved, as software writes that repeats the last place of what "
+            "it has lost; they were taken as not seen there",
+            points,
+            frames,
+            float(here.sum(0).max() / images.fps),
+        )
+
+    return hidden(images, held, said)
+
+
+def hidden(
+    images: Images,
+    keypoints: Bool[np.ndarray, "views moments points"],
+    said: Callable[[int, Seen], Finding],
+) -> tuple[Images, Findings]:
+    """The images with some keypoints made unseen, and what is said of each view that has such."""
+    rows = [v for v, here in enumerate(keypoints) if here.any()]
+    repairs = tuple(said(v, keypoints[v]).of(images.names[v]) for v in rows)
+    return images.without(keypoints), Findings(repairs)
+
+
+_OUTLIER = 0.25
+"""Metres at the body by which an outlier is away from the median of five frames; a hand that
+turns about as fast as hands do is 0.1 m away at 30 Hz."""
+_TYPICAL = 8.0
+"""Factor by which an outlier is farther away than keypoints of its view usually are."""
+_MEDIAN_FRAMES = 2
+"""Frames to either side in that median."""
+_WIDER = (4, 0.35)
+"""Frames to either side, and metres, for a second pass: three outliers in five frames hide each
+other."""
+_MAX_ROUNDS = 5
+"""Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
+_MANY = 0.01
+"""Share of outliers that is worth a word; fewer do no harm to a robust fit."""
+_JUMP = 0.05
+"""Metres by which half of all keypoints leave their paths within one frame when another person
+is followed from there on; good windows of validation people stay below 0.075 m at 3 and 6 pixels
+of noise, and then do so in all frames."""
+_SUDDEN = 3.0
+"""Factor by which the jump exceeds the median of the frames; good windows stay below 2. Of 64
+validation clips that go over to somebody 0.3 m away, at 3 and at 6 pixels of noise, 61 are above
+3."""
+_DISORDER = 0.12
+"""Metres that a body typically goes from frame to frame when frames are out of order."""
+_GROWTH = 1.25
+"""Factor by which a body must be farther from where it was six frames ago than from where it was
+one frame ago; one that moves reaches two and more."""
+
+
+def repaired_outliers(images: Images) -> tuple[Images, Findings]:
+    """Keypoints far from where they are in the frames before and after are made unseen."""
+    count = np.maximum(images.seen.sum((1, 2)), 1)
+    wild = _wild(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
+    many = wild.sum((1, 2)) / count > _MANY
+    wild[many] = _wild(images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER)
+    share = wild.sum((1, 2)) / count
+
+    def said(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
+        return Finding(
+            "outliers",
+            f"{100 * share[v]:.2g} % of the keypoints are far from where they were just before "
+            "and are just after; they were taken as not seen. Another detector, or a higher least "
+            "confidence, may help",
+            (),
+            stretches(np.any(here, axis=-1)),
+            float(share[v]),
+        )
+
+    return hidden(images, wild & many[:, None, None], said)
+
+
+def _wild(
+    images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
+) -> Bool[np.ndarray, "views moments points"]:
+    """The outliers known and those that show when the known ones are left out."""
+    for _ in range(_MAX_ROUNDS):
+        found = _away(images.without(wild), reach, least)
+        if not found.any():
+            break
+        wild = wild | found
+    return wild
+
+
+def _away(images: Images, reach: int, least: float) -> Bool[np.ndarray, "views moments points"]:
+    """Keypoints farther than some metres from the median of the frames around them."""
+    seen, place = images.seen, images.shown
+    if seen.shape[1] <= 2 * reach:
+        return np.zeros_like(seen)
+    edges = ((0, 0), (reach, reach), (0, 0), (0, 0))
+    padded = np.pad(place, edges, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, 1)
+    enough = seen & (np.isfinite(windows[..., 0, :]).sum(-1) >= 3)
+    away = np.linalg.norm(place - _median(windows), axis=-1) / images.scale[..., None]
+    typical = [np.median(own[there]) if there.any() else 0.0
+               for own, there in zip(away, enough, strict=True)]  # fmt: skip
+    limit = np.maximum(least, _TYPICAL * np.array(typical))
+    return enough & (away > limit[:, None, None])
+
+
+def _median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarray, "*shape"]:
+    """Median of the finite values; NaN where there are none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmedian(values, -1)
+
+
+def identity_findings(images: Images) -> tuple[Finding, ...]:
+    """Whether another person is seen from some moment on, by one view or by all.
+
+    Half of the keypoints of a view then leave their paths within one step.
+    """
+    if images.scale.shape[1] < 4:
+        return ()
+    size = velocity_changes(images.shown) / images.scale[..., None]
+    size = np.nan_to_num(_median(size))
+    usual = np.array([np.median(one[one > 0]) if (one > 0).any() else 0.0 for one in size])
+    changed = size > np.maximum(_JUMP, _SUDDEN * usual[:, None])
+    if not changed.any():
+        return ()
+    most = size.max(0)
+    frames = [a + int(most[a : b + 1].argmax()) for a, b in stretches(np.any(changed, axis=0))]
+    common = changed.sum(0) >= max(2, len(changed) / 2)
+    names = ", ".join(chosen(images.names, np.any(changed, axis=1)))
+    return (
+        Finding(
+            "identity change",
+            f"the whole body jumps within one frame ({spans([(t, t) for t in frames])}), as when "
+            "detections go over to another person, the film is cut or the camera is pushed; fit "
+            f"the parts separately with --between, or choose one person (--person). The motion "
+            f"about frame {frames[0]} is not to be trusted",
+            (),
+            tuple((t, t) for t in frames),
+            float(most[frames].max()),
+        ).of("all views" if len(changed) > 1 and common.any() else names),
+    )
+
+
+def order_findings(images: Images) -> tuple[Finding, ...]:
+    """Whether the frames of a view are out of order: no frame is near the one before it."""
+    found: list[Finding] = []
+    for v, name in enumerate(images.names):
+        one, six = (_typical_way(images, v, lag) for lag in (1, 6))
+        if one > _DISORDER and six < _GROWTH * one:
+            said = Finding(
+                "frame order",
+                f"the body typically moves by {one:.2f} m from one frame to the next, and no "
+                "further in six frames: the frames seem to be out of order. Check how files are "
+                "numbered (frame_2 must not follow frame_10)",
+                value=one,
+            )
+            found.append(said.of(name))
+    return tuple(found)
+
+
+def _typical_way(images: Images, view: int, lag: int) -> float:
+    """Median distance at the body that it goes in some frames, all keypoints together, metres."""
+    place = images.shown[view]
+    way = (place[lag:] - place[:-lag]) / images.scale[view, lag:, None, None]
+    way = np.linalg.norm(_median(way.swapaxes(-1, -2)), axis=-1)
+    return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
+
+
+def screen_views(
+    views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
+) -> tuple[list[Keypoints2D], Findings]:
+    """Check one clip's views, and repair what can be repaired surely.
+
+    First what repeats bit for bit, outliers, mirrored images, and names that change within the
+    clip; then, for views of one clock and layout, whether they see the same body at the same
+    time; then jumps of the whole body, the order of the frames, and the size of the body.
+
+    Args:
+        views: of one clip, with a batch axis of length one.
+        names: of the views, for messages.
+        body: whose keypoints they are.
+
+    Returns:
+        The views to fit, and what was found. Views that are good are the very same objects.
+    """
+    out, found = list(views), NOTHING
+    for rows, given in together(views, names, body):
+        images, more = screened(given)
+        for k, view in zip(rows, images.into([views[k] for k in rows], given), strict=True):
+            out[k] = view
+        found += more
+    return out, found
+
+
+def screened(images: Images) -> tuple[Images, Findings]:
+    """The views of one clock and layout after all repairs, and what was found."""
+    images, found = in_turn(images, (repaired_zeros, repaired_copies, repaired_held))
+    if not (disorder := order_findings(images)):  # frames out of order look like outliers
+        images, more = repaired_outliers(images)
+        found += more
+    names = (all_mirrored, another_image, repaired_sides, repaired_pairs)
+    images, more = in_turn(images, names)
+    images, together = checked_together(images)
+    found += more + together
+    if together.repairs:  # wrong poses may have hidden wrong names
+        images, more = repaired_sides(images)
+        found += more
+    jumps = () if disorder else identity_findings(images)
+    return images, found + Findings(warnings=(*jumps, *disorder, *scale_findings(images)))
+
+
+def together(
+    views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
+) -> list[tuple[list[int], Images]]:
+    """The views that share clock, length and layout, in groups: their numbers and images."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, view in enumerate(views):
+        clock = (view.fps, view.start_time, *view.pixels.shape, view.points.names)
+        groups.setdefault(clock, []).append(k)
+    return [
+        (rows, Images.of([views[k] for k in rows], [names[k] for k in rows], body))
+        for rows in groups.values()
+    ]

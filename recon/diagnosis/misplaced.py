@@ -1,0 +1,273 @@
+"""Points away from their place on the body: with another point's name, displaced, or outliers."""
+
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.core.skeleton import ARMS
+from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
+from recon.diagnosis.named_points import (
+    NamedPoints,
+    Predicted,
+    distances,
+    joint_pairs,
+    out_of_reach,
+    rest_length,
+    size,
+)
+from recon.diagnosis.quick_fit import plausible
+
+_MAX_REMAINING_SHARE = 0.5
+"""Share of the distance that may remain when two points exchange their names."""
+_SAVED = 0.08
+"""Metres by which bones must become more like a person's by it."""
+_NEARER = 0.15
+"""Metres by which both points together must come nearer to their places in a frame."""
+_NOISES = 6.0
+"""Standard deviations of a coordinate by which a point must be out of its place: beyond them a
+position is an outlier, and both points together must come nearer when they exchange names."""
+_GAP, _SHORTEST = 2, 2
+"""Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
+
+
+Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
+"""Pairs of points that carry each other's name, and when."""
+
+
+def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
+    """The two joints whose exchange makes bones most like a person's, if it clearly does.
+
+    A body may cross its legs to reach exchanged ankles, but it cannot change its bones.
+    """
+    if not points.are_joints:
+        return None
+    bones, ratio = joint_pairs(points), size(points) or 1.0
+
+    @cache  # bones are compared again for every two joints that one of them touches
+    def misfit(got: tuple[int, int], want: tuple[int, int]) -> float:
+        """Median difference of a distance from the length of a bone, metres."""
+        away = np.abs(distances(points, *got) - ratio * rest_length(points, *want))
+        return float(np.median(away)) if len(away) else 0.0
+
+    best, pair = 0.0, None
+    for a, b in combinations(range(len(points.bones)), 2):
+        touched = [one for one in bones if a in one or b in one]
+        if (a, b) in bones or (b, a) in bones:
+            continue
+        swap = {a: b, b: a}
+        own = sum(misfit(bone, bone) for bone in touched)
+        new = sum(misfit((swap.get(k, k), swap.get(j, j)), (k, j)) for k, j in touched)
+        if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
+            best, pair = own - new, (a, b)
+    return pair
+
+
+def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
+    """Pairs of points that lie in each other's place on the body, and when."""
+    points = predicted.points
+    away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
+    nearer = max(_NEARER, _NOISES * noise)
+    found: list[tuple[float, tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    for a, b in combinations(range(len(points.names)), 2):
+        own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
+        both = points.visible[:, a] & points.visible[:, b]
+        surely = both & (own - other > nearer) & (other < _MAX_REMAINING_SHARE * own)
+        moments = _whole_stretches(surely, both & (own - other > noise))
+        if moments.any():
+            found.append((float((own - other)[moments].sum()), (a, b), moments & both))
+    kept: Exchanges = []
+    for _, pair, moments in sorted(found, key=lambda one: -one[0]):
+        if not any(set(pair) & set(other) for other, _ in kept):
+            kept.append((pair, moments))
+    return kept
+
+
+def _whole_stretches(
+    surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
+) -> Bool[np.ndarray, " moments"]:
+    """The stretches of likely moments that hold a sure one, with short gaps closed.
+
+    Limbs that pass each other are too close to be distinguished for a few frames.
+    """
+    if not surely.any():
+        return surely
+    grown = surely.copy()
+    for first, last in stretches(likely):
+        grown[first : last + 1] |= surely[first : last + 1].any()
+    gaps = ~grown & ~lasting(~grown, _GAP + 1)
+    gaps[: int(grown.argmax())] = gaps[len(grown) - int(grown[::-1].argmax()) :] = False
+    return lasting(grown | gaps, _SHORTEST)
+
+
+_FASTEST = 0.1
+"""Seconds between two moments beyond which limbs may have changed places."""
+_LESS = 0.6
+"""Share of the way that points must go to their own last places, below which going to the other
+side's last places means that names were exchanged."""
+_MIN_SAVED_M = 0.1
+"""Metres per point that must be saved by it; below, both sides were in the same place."""
+
+
+def find_exchanges(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
+    """The moments at which left and right are exchanged against the first moment."""
+    return _parity(_flips(points, _counterpart_pairs(points)))
+
+
+def exchanged_pairs(points: NamedPoints) -> Exchanges:
+    """Single pairs of counterparts that jump to each other's place and back again, and when."""
+    found: Exchanges = []
+    for pair in _counterpart_pairs(points):
+        flips = _flips(points, [pair])
+        if flips.any() and flips.sum() % 2 == 0:  # else nobody knows on which side they began
+            found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
+    return [(pair, moments) for pair, moments in found if moments.any()]
+
+
+def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    return [(k, other) for k, other in enumerate(points.counterparts) if k < other]
+
+
+def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray, " moments"]:
+    """Moments at which these pairs, taken together, jump to each other's place.
+
+    They then move less if their sides are exchanged.
+    """
+    flips = np.zeros(len(points.visible), dtype=bool)
+    if not pairs:
+        return flips
+    rows = np.array(pairs)
+    seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
+    last = np.full(len(pairs), -1)
+    for t in range(len(flips)):
+        known = seen[t] & (last >= 0) & ((t - last) / points.fps <= _FASTEST)
+        if known.any():
+            before, after = x[last[known], np.flatnonzero(known)], x[t, known]
+            same = np.linalg.norm(after - before, axis=-1).sum(-1)
+            other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
+            saved = np.clip(same - other, -1.0, 1.0).mean() / 2
+            flips[t] = saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean()
+        last = np.where(seen[t], t, last)
+    return flips
+
+
+def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
+    """True after an odd number of exchanges; nothing where they do not come in a sane number."""
+    odd = np.cumsum(flips) % 2 == 1
+    return odd if flips.sum() <= max(2, len(flips) // 8) else np.zeros_like(odd)
+
+
+_OUTLIER_M = 0.25
+"""Metres from the body beyond which a single position is an outlier, whatever the noise."""
+_LEAP = 0.1
+"""Metres between a position and the middle of its neighbours in time, by which points leap to
+outliers and back; hands that punch turn around within 8 cm at 30 frames per second."""
+_MANY = 0.02
+"""Share of outliers that is worth a word."""
+_AWAY = 0.08
+"""Metres of median distance from which on a point may be away from its place throughout."""
+_OTHERS = 3.0
+"""Multiple of the other points' median distance from which on a point may be away throughout."""
+_OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
+"""Metres of a constant offset from which on a point is misplaced. Joints of other models are
+within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
+from the landmark that they are named after."""
+_ONE_SIDED = 0.065
+"""Metres by which a marker of the trunk or a leg may differ from the mirror image of its
+counterpart: people put both in the same manner, so that a protocol of other places moves both.
+Elbows and wrists, whose few markers leave the bone's twist open, differ by more."""
+_MAX_LENGTH_SHARE, _MAX_LENGTH_STDS = 0.5, 2.0
+"""Share of its length, and standard deviations of a coordinate, within which (the larger of both)
+an offset stays the same in the frame of the bone."""
+_MOSTLY = 0.8
+"""Quantile of its distances that must be as large; limbs return to a point that stands still."""
+_MAX_STILL_RADIUS_M = 0.08
+"""Metres from its middle within which a point that stands still in the room remains."""
+_ALWAYS = 0.9
+"""Share of the moments at which it does."""
+_MOVED = 0.2
+"""Metres that the body moves a point meanwhile (largest from the middle)."""
+
+
+def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, list[Finding]]:
+    """The points without those that are away from their place throughout, and why they are."""
+    points, typical = predicted.points, predicted.typical
+    found: list[Finding] = []
+    known, away = typical[typical > 0], predicted.away
+    least = max(_AWAY, _OTHERS * float(np.median(known))) if len(known) else np.inf
+    offset, spread = predicted.offset, predicted.spread
+    constant = np.linalg.norm(offset, axis=-1)
+    displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
+    if not points.are_joints:
+        displaced |= _one_sided(points, offset)
+    unreached = out_of_reach(plausible(points), _OFFSET_JOINTS)
+    steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
+    hidden = np.zeros_like(points.visible)
+    for point in np.flatnonzero(points.visible.any(0)):
+        seen, name = points.visible[:, point], points.names[point]
+        x, body = points.positions[seen, point], predicted.positions[seen, point]
+        still = np.linalg.norm(x - np.median(x, axis=0), axis=-1)
+        moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MOVED
+        stays = moved and np.quantile(still, _ALWAYS) < _MAX_STILL_RADIUS_M
+        value = float(typical[point])
+        code: Code = "offset point"
+        if stays and np.quantile(away[seen, point], _MOSTLY) > least:
+            code, why = (
+                "constant point",
+                (f"{name} stays in one place in the room while the body moves away from it"),
+            )
+        elif unreached[point]:
+            why = f"all bones that end at {name} have lengths that no person's have"
+        elif steady[point] and displaced[point]:
+            why = f"{name} is {100 * value:.0f} cm away from its place on the body throughout"
+        else:
+            continue
+        hidden[:, point] = True
+        said = f"{why}; it was left out. Look at its label and its tracking"
+        found.append(Finding(code, said, (name,), (), value))
+    return points.without(hidden), found
+
+
+def _one_sided(
+    points: NamedPoints, offset: Float[np.ndarray, "points 3"]
+) -> Bool[np.ndarray, " points"]:
+    """Markers of trunk and legs that are out of place while their counterparts are not."""
+    mirrored = offset[list(points.counterparts)] * (-1.0, 1.0, 1.0)
+    apart = np.linalg.norm(offset - mirrored, axis=-1)
+    away, other = np.linalg.norm(offset, axis=-1), np.linalg.norm(mirrored, axis=-1)
+    fixed = np.array([bone not in ARMS for bone in points.bones])
+    return fixed & (apart > _ONE_SIDED) & (away > _ONE_SIDED) & (other < away / 2)
+
+
+def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding | None]:
+    """The points without single positions that are far from the body, and their share."""
+    points = predicted.points
+    limit = max(_OUTLIER_M, _NOISES * noise)
+    far = points.visible & (np.nan_to_num(predicted.away) > limit)
+    # a limb may be faster than the quick fit follows; it then leaves the body smoothly, while
+    # outliers leap out of the path and back
+    bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
+    bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
+    unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
+    bend[unknown] = np.inf
+    leap = max(_LEAP, _NOISES * noise)
+    for point in range(far.shape[1]):
+        for first, last in stretches(far[:, point]):
+            far[first : last + 1, point] = min(bend[first, point], bend[last, point]) >= leap
+    share = float(far.sum() / max(points.visible.sum(), 1))
+    if share == 0:
+        return points, None
+    kept = points.without(far)
+    if share < _MANY:
+        return kept, None
+    joints = chosen(points.names, np.any(far, axis=0))
+    return kept, Finding(
+        "outliers",
+        f"{100 * share:.3g} % of the visible positions are more than {limit:.2f} m from the body "
+        f"that the others agree on ({listed(joints)}); they were left out, and the others count "
+        "robustly",
+        joints,
+        stretches(np.any(far, axis=1)),
+        share,
+    )

@@ -1,1 +1,0 @@
-"""What laws of movement say: gravity, gait, treadmills, what carries the feet."""

@@ -1,0 +1,311 @@
+"""The centre of mass and feet of a body over time, and what carries it: feet, a seat, a belt."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.points import TrackedPoints
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+from recon.diagnosis.findings import Finding, spans, stretches
+from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
+
+_HIPS = (joint_index("left_hip"), joint_index("right_hip"))
+_KNEES = (joint_index("left_knee"), joint_index("right_knee"))
+_ANKLES = (joint_index("left_ankle"), joint_index("right_ankle"))
+_TOES = (joint_index("left_foot"), joint_index("right_foot"))
+_ASKED = (joint_index("pelvis"), *_HIPS, *_KNEES, *_ANKLES)
+_SELDOM = 0.1
+"""Share of the frames in which the lower sole may be below the ground."""
+_HEEL, _TIP = 0.4, 0.5
+"""How far the sole reaches behind the ankle and beyond the toe joint, in lengths of the line
+between the two."""
+
+
+@dataclass(frozen=True)
+class Movement:
+    """One stretch of a motion in which the pelvis and both legs were seen; metres, z up."""
+
+    joints: Float[np.ndarray, "time 22 3"]
+    centre: Float[np.ndarray, "time 3"]
+    """Centre of mass."""
+    leg: float
+    """Length of a leg from the hip joint over the knee to the ankle."""
+    ankles: Float[np.ndarray, "time 2 3"]
+    """Left and right ankle; the toe joints likewise."""
+    toes: Float[np.ndarray, "time 2 3"]
+    sole_drop: Float[np.ndarray, " 2"]
+    """Height of the ankle and of the toe joint above the sole of a standing foot."""
+    sole_heights: Float[np.ndarray, "time 2"]
+    """Height of the lowest part of the left and the right foot."""
+    soles: Float[np.ndarray, "time 2 2 3"]
+    """Heel and tip of the left and the right foot, at the height of the joints."""
+    ground: float
+    """Height of the ground: the soles are seldom lower."""
+    forward: Float[np.ndarray, "time 2"]
+    """Horizontal direction in which the pelvis faces."""
+    fps: float
+    frames: int
+
+    @classmethod
+    def of(
+        cls, motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+    ) -> "Movement":
+        """The longest stretch of one clip in which the pelvis and both legs were observed.
+
+        Args:
+            motion: one clip, z up, without a batch axis.
+            body: whose motion it is.
+            observed: joints that the data shows; None means all.
+        """
+        seen = motion.valid.cpu()
+        if observed is not None:
+            seen = seen & observed[:, list(_ASKED)].cpu().all(-1)
+        runs = stretches(seen.numpy())
+        first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
+        posed = body.pose(motion.window(first, last + 1).detach())
+        centre = centre_of_mass(posed, vertex_masses_of_segments(body))
+        rest, joints = (x.double().cpu().numpy() for x in (posed.rest, posed.joints))
+        sole = float(body.rest_vertices(motion.shape)[..., 1].amin())
+        thigh = np.linalg.norm(rest[list(_HIPS)] - rest[list(_KNEES)], axis=-1).mean()
+        shank = np.linalg.norm(rest[list(_KNEES)] - rest[list(_ANKLES)], axis=-1).mean()
+        ankles, toes = joints[:, list(_ANKLES)], joints[:, list(_TOES)]
+        drop = np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)])
+        heights = (np.stack((ankles[..., 2], toes[..., 2]), -1) - drop).min(-1)
+        across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
+        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
+        along = toes - ankles
+        return cls(
+            joints=joints,
+            centre=centre.double().cpu().numpy(),
+            leg=float(thigh + shank),
+            ankles=ankles,
+            toes=toes,
+            sole_drop=drop,
+            sole_heights=heights,
+            soles=np.stack((ankles - _HEEL * along, toes + _TIP * along), -2),
+            ground=float(np.quantile(heights.min(1), _SELDOM)) if len(heights) else 0.0,
+            forward=np.stack((across[:, 1], -across[:, 0]), -1),
+            fps=motion.fps,
+            frames=len(joints),
+        )
+
+
+def outside(
+    points: Float[np.ndarray, "frames 2"], corners: Float[np.ndarray, "frames corners 2"]
+) -> Float[np.ndarray, " frames"]:
+    """Distance of a point from the convex hull of its corners, zero inside."""
+    count = corners.shape[1]
+    distance = np.full(len(points), np.inf)
+    for a in range(count):
+        for b in range(a + 1, count):
+            side = corners[:, b] - corners[:, a]
+            arm = points - corners[:, a]
+            along = (arm * side).sum(-1) / np.square(side).sum(-1).clip(min=1e-9)
+            nearest = corners[:, a] + along.clip(0, 1)[:, None] * side
+            distance = np.minimum(distance, np.linalg.norm(points - nearest, axis=-1))
+    arms = corners - points[:, None]
+    angles = np.sort(np.arctan2(arms[..., 1], arms[..., 0]), axis=1)
+    around = np.diff(np.concatenate((angles, angles[:, :1] + 2 * np.pi), 1), axis=1)
+    return np.where(around.max(1) < np.pi, 0.0, distance)
+
+
+_MAX_STANDING_SPEED_M_S = 0.2
+"""Metres per second below which a foot or the centre of mass stands."""
+_LEVELS = 0.08
+"""Metres between two levels; soles of one floor differ less."""
+_MIN_LEVEL_S = 0.3
+"""Seconds for which a foot must stand on another level."""
+_MIN_LEVEL_SHARE = 0.1
+"""Share of the time of all standing feet for which feet must stand on another level."""
+_MAX_BESIDE_M = 0.12
+"""Metres by which the centre of mass may lie outside the feet while a body stands still."""
+_LEAST_REST = 0.8
+"""Seconds of rest outside the feet that make it sitting, lying or leaning."""
+_BELOW = 0.3
+"""Lengths of a leg by which a standing sole is below the pelvis."""
+_SEATED, _INVERTED = 0.75, -0.2
+"""Heights of the pelvis over the lower sole, in lengths of a leg, between which a body is not on
+its feet alone: 1.2 for who stands, 0.7 for who sits on crossed legs, negative on the hands."""
+_LEAST_FRAMES = 10
+
+
+def support_findings(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> list[Finding]:
+    """Feet that stand at several heights, and rests that feet alone cannot carry or hardly do.
+
+    Args:
+        motion: one clip, z up, without a batch axis.
+        body: whose motion it is.
+        observed: joints that the data shows; None means all.
+    """
+    movement = Movement.of(motion, body, observed)
+    if movement.frames < _LEAST_FRAMES:
+        return []
+    speed = np.linalg.norm(np.gradient(movement.centre, axis=0), axis=-1) * movement.fps
+    corners = movement.soles[..., :2].reshape(movement.frames, 4, 2)
+    beside = outside(movement.centre[:, :2], corners) > _MAX_BESIDE_M
+    above = (movement.joints[:, 0, 2] - movement.sole_heights.min(1)) / movement.leg
+    rests = (
+        (beside & (speed < _MAX_STANDING_SPEED_M_S), "rests beside its feet",
+         "sitting, lying or leaning on something"),
+        ((above > _INVERTED) & (above < _SEATED), "has its pelvis low over its feet",
+         "sitting, kneeling, squatting or lying"),
+    )  # fmt: skip
+    found = _uneven(movement)
+    for resting, what, how in rests:
+        if frames := stretches(resting, np.nextafter(_LEAST_REST * movement.fps, np.inf)):
+            seconds = sum(last - first + 1 for first, last in frames) / movement.fps
+            said = (
+                f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: contacts are told "
+                "of feet, knees and hands with z = 0 only"
+            )
+            return [*found, Finding("uneven ground", said, (), frames, seconds)]
+    return found
+
+
+def _uneven(movement: Movement) -> list[Finding]:
+    """Feet that stand below the body at several heights."""
+    lower, rows = movement.sole_heights.argmin(1), np.arange(movement.frames)
+    height = movement.sole_heights[rows, lower]
+    speeds = [
+        np.linalg.norm(np.gradient(part, axis=0), axis=-1) * movement.fps
+        for part in (movement.toes, movement.ankles)
+    ]
+    still = np.minimum(*speeds)[rows, lower] < _MAX_STANDING_SPEED_M_S
+    known = still & (movement.joints[:, 0, 2] > height + _BELOW * movement.leg)
+    if known.sum() < _LEAST_FRAMES:
+        return []
+    floor = float(np.quantile(height[known], 0.1))
+    above = known & (height > floor + _LEVELS)
+    long = stretches(above, _MIN_LEVEL_S * movement.fps)
+    if not long or above.sum() < _MIN_LEVEL_SHARE * known.sum():
+        return []
+    most = float(np.quantile(height[above], 0.9)) - floor
+    return [
+        Finding(
+            "uneven ground",
+            f"feet stand at several heights, up to {most:.2f} m above the lowest: contacts are "
+            "told on the level z = 0 only",
+            value=most,
+        )
+    ]
+
+
+_SLOWEST = 0.4
+"""Metres per second of a belt; feet that slip are slower."""
+_SOLE_HEIGHT_M = 0.03
+"""Metres above the ground up to which a sole is on it."""
+_MAX_RELATIVE_DEVIATION = 0.2
+"""Relative deviation from the belt's velocity up to which a foot is carried by it."""
+_STEADY_LEAST = 0.2
+"""Deviation from the velocity of slow belts up to which a foot is carried by them, m/s."""
+_MIN_CARRIED_SHARE = 0.55
+"""Share of the moments with a sole on the ground in which it must move with the belt."""
+_STANDING = 0.3
+"""Metres per second below which a foot stands in the room."""
+_STANDING_SHARE = 0.15
+"""Share of the moments with a sole on the ground in which it may stand in the room."""
+_STAYS = 0.35
+"""Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
+_MIN_CONTACT_S = 0.15
+"""Seconds for which each foot must touch the ground."""
+_MIN_PELVIS_HEIGHT_LEGS = 0.7
+"""Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
+
+
+def belt_velocity(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> Float[Tensor, " 2"] | None:
+    """Horizontal velocity of the belt under a motion's feet, m/s, or None where there is none.
+
+    Feet are taken as standing by their height alone, since on a belt none stands still. Both are
+    carried at one velocity against the way the person faces, and the body stays in the room.
+
+    Args:
+        motion: one clip, z up, without a batch axis.
+        body: whose motion it is.
+        observed: joints that the data shows.
+    """
+    movement = Movement.of(motion, body, observed)
+    if movement.frames < 3:
+        return None
+    height = float(np.median(movement.joints[:, 0, 2])) - movement.ground
+    if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
+        return None
+    feet = np.stack((movement.ankles, movement.toes), -2)
+    # the part of each foot that is on the ground: heel strike to flat foot to toe
+    lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
+    steps = np.diff(feet[..., :2], axis=0) * movement.fps
+    velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
+    low = movement.sole_heights < movement.ground + _SOLE_HEIGHT_M
+    standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
+    if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
+        return None
+    # the velocity with most others near it, refined to their median
+    every = velocity[standing]
+    some = every[:: max(1, len(every) // 400)]
+    best = some[int(np.argmax([int(_near(every, candidate).sum()) for candidate in some]))]
+    belt = np.median(every[_near(every, best)], axis=0)
+    speed = float(np.linalg.norm(belt))
+    if speed < _SLOWEST:
+        return None
+    carried = _near(velocity, belt)
+    shares = [carried[standing[:, side], side].mean() for side in (0, 1)]
+    still = (np.linalg.norm(velocity[standing], axis=-1) < _STANDING).mean()
+    drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / (
+        movement.frames / movement.fps
+    )
+    facing = movement.forward.mean(0) @ belt / speed
+    stays = float(np.linalg.norm(drift)) < _STAYS * speed
+    if min(shares) < _MIN_CARRIED_SHARE or still > _STANDING_SHARE or not stays or facing > 0:
+        return None
+    return torch.from_numpy(belt).to(motion.translation)
+
+
+def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
+    """What is said of a belt of this velocity, m/s."""
+    speed = float(belt.norm())
+    return Finding(
+        "treadmill",
+        f"standing feet are all carried along at {speed:.2f} m/s, as on a treadmill: they do not "
+        "stand still in the room, so contacts with the ground are not told",
+        value=speed,
+    )
+
+
+def _near(
+    velocity: Float[np.ndarray, "*shape 2"], belt: Float[np.ndarray, " 2"]
+) -> Bool[np.ndarray, "*shape"]:
+    reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
+    return np.linalg.norm(velocity - belt, axis=-1) < reach
+
+
+def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
+    """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
+    path = _path(points.positions.shape[-3], points.fps, points.start_time, belt)
+    moved = points.positions - path.to(points.positions)[:, None]
+    return points.replace(positions=moved.where(points.visible[..., None], 0.0))
+
+
+def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+    """A motion in the frame that moves with the belt, in the room; with -belt the other way."""
+    return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
+
+
+def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
+    """How far the belt has come at every frame of a motion, metres."""
+    path = _path(motion.frames, motion.fps, motion.start_time, belt)
+    return path.to(motion.translation)
+
+
+def _path(
+    count: int, fps: float, start: float, belt: Float[Tensor, " 2"]
+) -> Float[Tensor, "time 3"]:
+    times = start + torch.arange(count, dtype=torch.float64) / fps
+    return torch.nn.functional.pad(times[:, None] * belt.double().cpu(), (0, 1))

@@ -1,0 +1,229 @@
+"""Tracked points in space with names and places on the body, and their distances along bones."""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from observations.points import TrackedPoints
+from recon.body.model import BodyModel
+from recon.core.skeleton import MIRROR, PARENTS
+from recon.method.protocols import Estimate
+from recon.method.timing import at_observation_times
+
+_MIRRORED_WITHIN = 0.04
+"""Metres between a point's mirror image at rest and its counterpart on the other side; markers
+are not placed more alike than this."""
+_MIN_PAIR_LENGTH_M = 0.1
+"""Metres of distance at rest from which on a pair of points is used for the size of a body."""
+_MIN_PAIRS, _MIN_MOMENTS = 4, 3
+_MAX_SPREAD_RATIO = 0.5
+"""Share of its error up to which a length may vary where a joint is misplaced by a constant."""
+
+
+@dataclass(frozen=True)
+class NamedPoints:
+    """Positions of named points of one clip, in arrays that checks can work on."""
+
+    positions: Float[np.ndarray, "moments points 3"]
+    """Frame of the recording, metres; zero where not visible."""
+    visible: Bool[np.ndarray, "moments points"]
+    names: tuple[str, ...]
+    bones: tuple[int, ...]
+    """The body joint whose bone carries each point."""
+    rest: Float[np.ndarray, "points 3"]
+    """Positions of the points on the average body in its rest pose, metres."""
+    fps: float
+    given: TrackedPoints
+    """The observation that they come from."""
+    are_joints: bool
+    """Whether the points are joints and keypoints rather than markers on the skin."""
+    rigid: tuple[tuple[int, int], ...] | None = None
+    """Pairs of points whose distance no pose changes; None where they follow from `bones`."""
+    std: Float[np.ndarray, "moments points"] | None = None
+    """Standard deviation of the coordinates, metres; None where none are given."""
+
+    @classmethod
+    def of(cls, observation: TrackedPoints, body: BodyModel) -> "NamedPoints":
+        """The points of an observation of one clip, whose batch axis has length one."""
+        return cls(
+            positions=observation.positions[0].double().cpu().numpy(),
+            visible=observation.visible[0].cpu().numpy(),
+            names=observation.point_names(body),
+            bones=observation.bones(body),
+            rest=observation.at_rest(body).double().cpu().numpy(),
+            fps=observation.fps,
+            given=observation,
+            are_joints=not observation.on_skin,
+            rigid=observation.rigid_pairs(body),
+            std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
+        )
+
+    @property
+    def observation(self) -> TrackedPoints:
+        """The observation with these positions instead of its own, zero where not visible."""
+        positions = self.positions * self.visible[..., None]
+        std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
+        return self.given.replace(
+            positions=torch.from_numpy(positions)[None].to(self.given.positions),
+            visible=torch.from_numpy(self.visible.copy())[None].to(self.given.visible.device),
+            std=std,
+        )
+
+    def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
+        """The points with some of them no longer visible."""
+        return replace(self, visible=self.visible & ~hidden)
+
+    def swapped(
+        self, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+    ) -> "NamedPoints":
+        """The points with the names of two exchanged at some moments."""
+        order = list(range(len(self.names)))
+        order[pair[0]], order[pair[1]] = pair[1], pair[0]
+        return self.permuted(tuple(order), moments)
+
+    def permuted(
+        self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
+    ) -> "NamedPoints":
+        """The points with names exchanged at some moments: point k gets data of point order[k]."""
+        index, when = list(order), moments[:, None]
+        return replace(
+            self,
+            positions=np.where(when[..., None], self.positions[:, index], self.positions),
+            visible=np.where(when, self.visible[:, index], self.visible),
+            std=None if self.std is None else np.where(when, self.std[:, index], self.std),
+        )
+
+    @property
+    def counterparts(self) -> tuple[int, ...]:
+        """Index of every point's mirror image on the body; its own index where there is none.
+
+        Joints and landmarks of the bundled body come in pairs; the rest pose is symmetric.
+        """
+        central = [k for k, bone in enumerate(self.bones) if MIRROR[bone] == bone]
+        image = self.rest * np.array([-1.0, 1.0, 1.0])
+        image[:, 0] += 2 * float(np.median(self.rest[central, 0])) if central else 0.0
+        away = np.linalg.norm(image[:, None] - self.rest[None], axis=-1)
+        bones_match = np.array([[MIRROR[a] == b for b in self.bones] for a in self.bones])
+        away[~bones_match] = np.inf
+        nearest = away.argmin(1)
+        return tuple(
+            int(j) if away[k, j] < _MIRRORED_WITHIN and nearest[j] == k else k
+            for k, j in enumerate(nearest)
+        )
+
+    @property
+    def centre(self) -> Float[np.ndarray, "moments 3"]:
+        """Median of the visible points at every moment; NaN where there is none."""
+        there = np.any(self.visible, axis=1, keepdims=True)
+        shown = np.where(self.visible[..., None], self.positions, np.nan)
+        middle = np.nanmedian(np.where(there[..., None], shown, 0.0), axis=1)
+        return np.where(there, middle, np.nan)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Predicted and observed positions of points."""
+
+    points: NamedPoints
+    positions: Float[np.ndarray, "moments points 3"]
+    """Predicted positions in the frame of the recording, metres; beyond the body's frames those of
+    the nearest one."""
+    away: Float[np.ndarray, "moments points"]
+    """Distance of every visible point from its place, metres; NaN where not visible."""
+    typical: Float[np.ndarray, " points"]
+    """Its median over time, metres; zero for points that were never seen."""
+    offset: Float[np.ndarray, "points 3"]
+    """Median offset of a point from its place, in the frame of its bone, metres; zero likewise."""
+    spread: Float[np.ndarray, " points"]
+    """Median distance of single offsets from that, metres."""
+
+    @classmethod
+    def of(cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate) -> "Predicted":
+        """The prediction of an estimate at the moments of the observation."""
+        moments = observed.positions.shape[-3]
+        with torch.no_grad():
+            there, seen = at_observation_times(
+                estimate.scene.to_recording(observed.predicted(estimate)), estimate.motion,
+                fps=observed.fps, start_time=observed.start_time, moments=moments,
+            )  # fmt: skip
+        covered = np.clip(np.arange(moments) - seen.start, 0, seen.stop - seen.start - 1)
+        turns = estimate.body.orientations[0][:, list(points.bones)].double().numpy()
+        frames = np.linspace(0, len(turns) - 1, seen.stop - seen.start).round().astype(int)
+        positions = there[0].double().numpy()[covered]
+        ways = np.where(points.visible[..., None], points.positions - positions, np.nan)
+        known = np.where(np.any(points.visible, axis=0)[:, None], ways, 0.0)
+        local = np.einsum("tpij,tpi->tpj", turns[frames[covered]], known)
+        offset = np.nanmedian(local, axis=0)
+        return cls(
+            points=points,
+            positions=positions,
+            away=np.linalg.norm(ways, axis=-1),
+            typical=np.nanmedian(np.linalg.norm(known, axis=-1), axis=0),
+            offset=offset,
+            spread=np.nanmedian(np.linalg.norm(local - offset, axis=-1), axis=0),
+        )
+
+
+def size(points: NamedPoints) -> float | None:
+    """Size of the body against the average one: median ratio of distances along bones.
+
+    None where too few such distances are seen.
+    """
+    pairs = {*joint_pairs(points), *(() if points.rigid else same_bone_pairs(points))}
+    ratios = [
+        float(np.median(seen)) / rest
+        for a, b in sorted(pairs)
+        if (rest := rest_length(points, a, b)) > _MIN_PAIR_LENGTH_M
+        and len(seen := distances(points, a, b)) >= _MIN_MOMENTS
+    ]
+    return float(np.median(ratios)) if len(ratios) >= _MIN_PAIRS else None
+
+
+def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
+    """Joints whose bones to all of their neighbours are longer or shorter than a person's.
+
+    Args:
+        points: joints; for markers the answer is always no.
+        limit: metres by which the median length of each bone differs from the average body's
+            of the same size.
+    """
+    wrong: list[list[bool]] = [[] for _ in points.names]
+    ratio = size(points) or 0.0
+    for a, b in joint_pairs(points) if ratio and points.are_joints else ():
+        seen = distances(points, a, b)
+        if len(seen) >= _MIN_MOMENTS:
+            middle = float(np.median(seen))
+            error = abs(middle - ratio * rest_length(points, a, b))
+            spread = float(np.median(np.abs(seen - middle)))
+            for one in (a, b):
+                wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
+    # the end of a wrong bone that has other, right bones is where it should be
+    return np.array([len(bones) > 0 and all(bones) for bones in wrong])
+
+
+def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of joints at the two ends of a bone, the parent first, or of rigid pairs."""
+    if points.rigid is not None:
+        return list(points.rigid)
+    bones = list(enumerate(points.bones))
+    return [(a, b) for b, child in bones for a, bone in bones if PARENTS[child] == bone]
+
+
+def same_bone_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points on one bone."""
+    return [(a, b) for a, b in combinations(range(len(points.bones)), 2)
+            if points.bones[a] == points.bones[b]]  # fmt: skip
+
+
+def distances(points: NamedPoints, a: int, b: int) -> Float[np.ndarray, " moments"]:
+    """Distances between two points, metres, wherever both are seen."""
+    both = points.visible[:, a] & points.visible[:, b]
+    return np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
+
+
+def rest_length(points: NamedPoints, a: int, b: int) -> float:
+    """Distance of two points on the average body in its rest pose, metres."""
+    return float(np.linalg.norm(points.rest[a] - points.rest[b]))

@@ -1,0 +1,262 @@
+"""One view at odds with the others: which one, the likeliest cause, and what can be undone.
+
+Points that the other views see are compared with the rays of the view. An explanation that
+brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
+back is left out where the other views agree, and warned of otherwise.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from recon.diagnosis.explanations import Cause, Explained, Odd, mirrored
+from recon.diagnosis.findings import (
+    NOTHING,
+    Code,
+    Finding,
+    Findings,
+    in_turn,
+    lasting,
+    spans,
+    stretches,
+)
+from recon.diagnosis.images import Images
+from recon.diagnosis.rigs import Agreement, agreement, common_miss, corrected_rig
+
+_FLOOR = 2.2
+"""Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
+of two others, at most; validation windows have 1.4 to 2.1."""
+_PAIR_FLOOR = 0.8
+"""Distance, in standard deviations of the keypoints, by which rays of two good views miss the
+points triangulated from both; validation windows have 0.5."""
+_ALL_FLOOR = 1.2
+"""Distance, in standard deviations of the keypoints, by which rays of all of three or more good
+views miss their points; validation windows have 0.8."""
+_WORSE = 1.3
+"""Multiple of that floor from which on a view is looked into."""
+_AT_ODDS = 0.095
+"""Metres from which on a view is called at odds whatever its noise: real recordings with a
+usable calibration (Pose2Sim's) stay below 0.087."""
+_PAIR_AT_ODDS = 0.06
+"""Metres by which rays of two views miss their common points, from which on they are called at
+odds; usable calibrations stay below 0.032."""
+_AWAY = 0.2
+"""Metres by which a view must miss the others for a stretch to be left out."""
+_STRETCH = 0.15
+"""Seconds that such a stretch lasts at least."""
+_SIMPLER = 1.15
+"""Multiple of the least remaining error within which the simplest explanation is preferred."""
+_MAX_MIRRORED_RATIO = 0.6
+"""Mirrored images must fit together with less than this share of the error."""
+
+
+def noise_of_views(images: Images) -> float:
+    """Standard deviation of keypoints at the body, metres: the median over the views."""
+    own = (images.noise / np.median(images.scale, -1))[images.seen.any((1, 2))]
+    return float(np.median(own)) if own.size and np.isfinite(own).all() else 0.0
+
+
+def checked_together(images: Images) -> tuple[Images, Findings]:
+    """Views of one moment compared: one at odds, one out of step, one mirrored."""
+    if len(images.names) < 2:
+        return images, NOTHING
+    noise = noise_of_views(images)
+    if len(images.names) == 2:
+        return _two_views(images, noise)
+    explained = partial(_one_explained, noise=noise, causes=tuple(_CAUSES))
+    return in_turn(images, (corrected_rig, explained, partial(_one_left_out, noise=noise)))
+
+
+def all_mirrored(images: Images) -> tuple[Images, Findings]:
+    """Images that fit together only when mirrored, as front cameras of phones write them."""
+    turned, said, sure = mirrored_together(images)
+    if said is None:
+        return images, NOTHING
+    if sure:
+        done = "they were mirrored back. Give the videos as they were filmed"
+        return turned, Findings((replace(said, message=f"{said.message}; {done}"),))
+    return images, Findings(warnings=mirror_warnings(images))
+
+
+def mirror_warnings(images: Images) -> tuple[Finding, ...]:
+    """What is said of images that fit together better when mirrored, and are left as they are."""
+    said = mirrored_together(images)[1]
+    todo = "mirror the videos back before keypoints are detected"
+    return () if said is None else (replace(said, message=f"{said.message}; {todo}"),)
+
+
+def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
+    """The images mirrored, what is said if they fit together better so, and whether fully.
+
+    One view is not enough: it shows what the mirrored person would have done.
+    """
+    floor = noise_of_views(images) * (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR)
+    turned = mirrored(images, list(range(len(images.names))))
+    given, other = common_miss(images), common_miss(turned)
+    if given < max(floor, 0.002) or other > _MAX_MIRRORED_RATIO * given:
+        return turned, None, False
+    said = (
+        f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
+        f"by {100 * other:.1f} cm when left and right of all images are exchanged"
+    )
+    return turned, Finding("mirrored", said, value=given), other <= floor
+
+
+def another_image(images: Images) -> tuple[Images, Findings]:
+    """One view that fits the others only when it is mirrored or scaled.
+
+    Looked for before names are, as wrong pixels make names look wrong.
+    """
+    if len(images.names) < 3:
+        return images, NOTHING
+    return _one_explained(images, noise_of_views(images), ("mirrored", "sized"))
+
+
+def _one_explained(
+    images: Images, noise: float, causes: tuple[Cause, ...]
+) -> tuple[Images, Findings]:
+    """The view that a cause brings back to the noise, with the others at the noise."""
+    floor, best = _FLOOR * noise, np.inf
+    out, said = images, NOTHING
+    for v, name in enumerate(images.names):
+        odd = Odd.of(images, v)
+        before = odd.miss()
+        if before < _WORSE * floor or floor == 0:
+            continue
+        rest = common_miss(images.view([k for k in range(len(images.names)) if k != v]))
+        chosen = _simplest(odd.explained(causes))
+        if max(rest, chosen.remains) <= floor and rest + chosen.remains < best:
+            code, what, _ = _CAUSES[chosen.cause]
+            text = (
+                f"{name} contradicts the other views by {100 * before:.1f} cm, and by "
+                f"{100 * chosen.remains:.1f} cm if {what.format(chosen.value)}"
+            )
+            best, out = rest + chosen.remains, chosen.images
+            said = Findings((Finding(code, text, value=chosen.value or before),))
+    return out, said
+
+
+def _simplest(options: list[Explained]) -> Explained:
+    least = min(option.remains for option in options)
+    return next(option for option in options if option.remains <= _SIMPLER * least)
+
+
+_SOMEBODY = (
+    "Likeliest it shows another person, or the files and cameras of two views are mixed up; check "
+    "who is followed (--person) and which calibration belongs to which view"
+)
+_CAUSES: dict[Cause, tuple[Code, str, str]] = {
+    "mirrored": (
+        "mirrored",
+        "its images are mirrored; they were mirrored back",
+        "Its images seem to be mirrored; mirror them back before keypoints are detected",
+    ),
+    "sized": (
+        "view at odds",
+        "its keypoints are {:.2f} times as large as its calibration's image; they were scaled. "
+        "Give keypoints and calibration of one resolution",
+        "Its keypoints seem to be of another image size; give those of the calibration's",
+    ),
+    "turned": (
+        "view at odds",
+        "its camera is turned by {:.1f} degrees against the calibration; the pose was corrected. "
+        "Calibrate anew",
+        "Its camera seems to be turned; calibrate anew",
+    ),
+    "placed": (
+        "view at odds",
+        "its camera stands {:.2f} m from where the calibration has it; the pose was corrected. "
+        "Calibrate anew",
+        _SOMEBODY,
+    ),
+    "moving": (
+        "camera moves",
+        "its camera, declared fixed, turns by {:.1f} degrees during the clip; its poses were "
+        "estimated. Fix the camera, or give a pose for every frame",
+        _SOMEBODY,
+    ),
+}
+"""What may be wrong with a view, the simplest first: code, what was undone, what to do."""
+
+
+def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
+    """A view that stays at odds, or its stretches: left out where the others agree, else said."""
+    views = range(len(images.names))
+    rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
+    v = int(np.argmin(rest))
+    odd, name = Odd.of(images, v), images.names[v]
+    before, agree = odd.miss(), 0 < rest[v] <= _FLOOR * noise
+    hidden = np.zeros_like(images.seen)
+    if before > _AT_ODDS:
+        hidden[v], frames, size = True, (), before
+        least = _simplest(odd.explained(tuple(_CAUSES)))
+        clear = least.remains < _MAX_MIRRORED_RATIO * before
+        hint = _CAUSES[least.cause][2] if clear else _SOMEBODY
+        said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"
+        left_out = f"{said}, while they agree with each other; it was left out. {hint}"
+        warned = f"{said}. {hint}"
+    else:
+        miss = odd.misses()
+        away = np.array([np.median(row[known]) if known.any() else 0.0
+                         for row, known in zip(miss, np.isfinite(miss), strict=True)])  # fmt: skip
+        hidden[v] = lasting(away > _AWAY, round(_STRETCH * images.fps))[:, None]
+        if not hidden.any():
+            return images, NOTHING
+        frames = stretches(hidden[v, :, 0])
+        size = float(np.median(away[hidden[v, :, 0]]))
+        said = (
+            f"{name} contradicts the other views by {size:.2f} m in {spans(frames)}, as when it "
+            "follows another person there"
+        )
+        left_out = f"{said}; these frames of it were left out"
+        warned = f"{said}; check who is followed"
+    found = Finding("view at odds", left_out if agree else warned, frames=frames, value=size)
+    if agree:
+        return images.without(hidden), Findings((found,))
+    return images, Findings(warnings=(found,))
+
+
+def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
+    """Two views that contradict each other: clocks can be corrected, poses only reported."""
+    given, floor = common_miss(images), _PAIR_FLOOR * noise
+    if given <= max(_WORSE * floor, 0.002):
+        return images, NOTHING
+    names = " and ".join(images.names)
+    said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
+    timed = agreement(images, ("clock",))
+    by, clear = _out_of_step(images, timed), timed.remains < _MAX_MIRRORED_RATIO * given
+    if clear and timed.remains <= floor:
+        text = (
+            f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
+            "time. Number the frames of all cameras from the same moment"
+        )
+        done = Finding("views out of step", text, value=timed.late / images.fps)
+        return timed.images, Findings((done,))
+    turned, both = agreement(images, ("pose",)), agreement(images, ("clock", "pose"))
+    if both.remains < turned.remains / _SIMPLER:
+        turned = both
+    code: Code = "view at odds"
+    if turned.remains <= floor and turned.remains < _MAX_MIRRORED_RATIO * given:
+        late = f"{_out_of_step(images, turned)} and " if turned.late else ""
+        text = (
+            f"{said}, and by {100 * turned.remains:.1f} cm if {late}one of the cameras is turned "
+            f"by {turned.degrees:.1f} degrees against the calibration. Two views do not tell "
+            "which of them, so nothing was changed. Calibrate anew, see that the frames of both "
+            "are numbered from the same moment, or add a view"
+        )
+    elif given <= _PAIR_AT_ODDS:
+        return images, NOTHING
+    elif clear:
+        code, text = "views out of step", f"{said}; it seems that {by}"
+    else:
+        text = (
+            f"{said}. Check that each has its own camera's calibration, in the image size of its "
+            "keypoints, and that both show the same person at the same time"
+        )
+    return images, Findings(warnings=(Finding(code, text, value=given),))
+
+
+def _out_of_step(images: Images, found: Agreement) -> str:
+    late = found.late / images.fps
+    return f"{images.names[1]} is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"

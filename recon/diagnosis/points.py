@@ -1,0 +1,198 @@
+"""Points in space before a fit: what is wrong with them, and the repairs that are sure."""
+
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.points import TrackedPoints
+from recon.body.model import BodyModel
+from recon.core.robust import geman_mcclure, squared
+from recon.core.skeleton import PARENTS
+from recon.diagnosis.exact import (
+    floor_finding,
+    floor_height,
+    repaired_copies,
+    repaired_held,
+    repaired_zeros,
+    scale_findings,
+)
+from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn, listed, spans, stretches
+from recon.diagnosis.misplaced import (
+    exchanged_moments,
+    exchanged_pairs,
+    exchanged_throughout,
+    find_exchanges,
+    misplaced_points,
+    outliers,
+)
+from recon.diagnosis.movement import belt_velocity
+from recon.diagnosis.named_points import NamedPoints, Predicted
+from recon.diagnosis.quick_fit import QuickFit, plausible, pursued, quick_fits
+from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
+
+_MIN_POSITIONS = 12
+"""Visible positions without which nothing is checked."""
+_WRONG_SIDES = 0.75
+"""Share of the cost of the names as given, below which exchanged sides are the right ones."""
+_CLEARLY_BETTER = 0.9
+"""Share of the cost below which two points that exchange their names are the right ones."""
+_MAX_MISPLACED_SHARE = 0.1
+"""Share of the points that may be misplaced; if more seem to be, the body is."""
+_KERNEL_STDS, _MIN_KERNEL_M = 4.0, 0.05
+"""Scale of the robust kernel where there are outliers: in standard deviations of a coordinate,
+and metres at least, as a smaller scale would take the model's own error for outliers."""
+
+Velocity = Float[Tensor, " 2"]
+
+
+def screen_points(
+    points: TrackedPoints, body: BodyModel, *, grounded: bool = True
+) -> tuple[TrackedPoints, Findings, Velocity | None]:
+    """Check one clip's joints or markers, and repair what can be repaired surely.
+
+    In this order: what repeats bit for bit, the order of frames, sides and single pairs that
+    change names within the clip, jumps of the whole body, its size, sides exchanged throughout,
+    and, against a quick robust fit, two points exchanged, points away from their place, outliers
+    and the ground, unless there is none (`grounded`).
+
+    Returns:
+        The points as they should be fitted, what was found, and the velocity of the treadmill
+        under the feet, m/s, where there is one.
+    """
+    exact = (repaired_zeros, repaired_copies, repaired_held)
+    named, found = in_turn(NamedPoints.of(points, body), exact)
+    if named.visible.sum() < _MIN_POSITIONS:
+        return named.observation, found, None
+    if disorder := frame_order(named):  # no other check works on such frames
+        return named.observation, found + Findings(warnings=disorder), None
+    steady = plausible(named)
+    flips = find_exchanges(steady)
+    steady = steady.permuted(steady.counterparts, flips)
+    found += Findings(warnings=scale_findings(steady))
+    for pair, moments in exchanged_pairs(steady):
+        steady = steady.swapped(pair, moments)
+        named, more = _exchanged_back(named, pair, moments)
+        found += more
+    if jumps := identity_changes(steady):  # no one body explains the points before and after
+        return named.observation, found + Findings(warnings=jumps), None
+    named, fitted, more = _sides(named, flips, body)
+    found += more
+    named, fitted, more = _exchanged(named, fitted, body)
+    found += more
+    named, belt, more = _against_a_body(named, fitted, body, grounded=grounded)
+    return named.observation, found + more, belt
+
+
+def _sides(
+    named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
+) -> tuple[NamedPoints, QuickFit, Findings]:
+    """Left and right by continuity within the clip, and by which body fits throughout."""
+    order = named.counterparts
+    steady = named.permuted(order, exchanged)
+    given = plausible(steady).observation
+    if all(k == other for k, other in enumerate(order)):
+        return named, quick_fits([given], body)[0], NOTHING
+    opposite = steady.permuted(order, np.ones_like(exchanged))
+    fits = quick_fits([given, plausible(opposite).observation], body)
+    best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
+    wrong = exchanged if best.points is given else ~exchanged
+    right, found = (steady if best.points is given else opposite), NOTHING
+    if wrong.all():
+        said = Finding(
+            "sides exchanged",
+            "knees, elbows and feet bend the wrong way unless left and right are exchanged: the "
+            "names were exchanged throughout. If the recording is mirrored instead, mirror it "
+            "back before fitting: this result is then the mirror image of the motion",
+            value=min(one.cost for one in fits) / max(one.cost for one in fits),
+        )
+        found = Findings((said,), (said,))
+    elif wrong.any():
+        said = Finding(
+            "sides exchanged",
+            "left and right change places from one frame to the next and back "
+            f"({spans(stretches(wrong))}); there the names were exchanged",
+            (),
+            stretches(wrong),
+            float(wrong.mean()),
+        )
+        found = Findings((said,))
+    return right, best, found
+
+
+def _exchanged(
+    named: NamedPoints, fitted: QuickFit, body: BodyModel
+) -> tuple[NamedPoints, QuickFit, Findings]:
+    """Two points that carry each other's name, throughout or in a stretch."""
+    found = NOTHING
+    if (pair := exchanged_throughout(named)) is not None:
+        other, said = _exchanged_back(named, pair, np.ones(len(named.visible), dtype=bool))
+        (better,) = quick_fits([plausible(other).observation], body)
+        if better.cost < _CLEARLY_BETTER * fitted.cost:
+            named, fitted, found = other, better, said
+    noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    pairs = exchanged_moments(predicted, noise)
+    if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
+        # before points are blamed, the body reaches for them
+        fitted = pursued(fitted, body)
+        pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
+    for pair, moments in pairs:
+        named, said = _exchanged_back(named, pair, moments)
+        found += said
+    if pairs:
+        (fitted,) = quick_fits([plausible(named).observation], body)
+    return named, fitted, found
+
+
+def _exchanged_back(
+    named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+) -> tuple[NamedPoints, Findings]:
+    """The points with the names of a pair exchanged at some moments, and what is said of it."""
+    names = (named.names[pair[0]], named.names[pair[1]])
+    frames = () if moments.all() else stretches(moments)
+    when = f" ({spans(frames)})" if frames else ""
+    said = Finding(
+        "points exchanged",
+        f"{listed(names)} lie in each other's place{when}; their names were exchanged",
+        names,
+        frames,
+        float(moments.mean()),
+    )
+    return named.swapped(pair, moments), Findings((said,))
+
+
+def _against_a_body(
+    named: NamedPoints, fitted: QuickFit, body: BodyModel, *, grounded: bool
+) -> tuple[NamedPoints, Velocity | None, Findings]:
+    """What a quick robust fit says about single points, the ground and the noise."""
+    noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    kept, misplaced = misplaced_points(predicted, noise)
+    bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
+    limb = any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
+    if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
+        # the quick fit itself is wrong, so it judges no points: an acrobat's planted hand was said
+        # to be left behind by a body that was fitted wrong
+        return named, None, NOTHING
+    kept, wild = outliers(replace(predicted, points=kept), noise)
+    # what is left out throughout is inferred, which a user should know
+    repairs, warnings = tuple(misplaced), tuple(misplaced)
+    given = kept.given
+    if wild is not None:
+        repairs = (*repairs, wild)
+        if given.kernel is squared:
+            scale = max(_MIN_KERNEL_M, _KERNEL_STDS * noise)
+            given = given.replace(kernel=partial(geman_mcclure, sigma=scale))
+    motion = fitted.estimate.motion
+    belt = None
+    if grounded and given.placed:  # root-relative points have no heights and paths
+        height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
+        if height != 0:  # it is known to two centimetres
+            given, floor = given.replace(ground_known=False), floor_finding(height)
+            repairs, warnings = (*repairs, floor), (*warnings, floor)
+        belt = belt_velocity(motion[0], body)
+    return replace(kept, given=given), belt, Findings(repairs, warnings)

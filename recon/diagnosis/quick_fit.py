@@ -1,0 +1,179 @@
+"""A quick robust fit under the pose prior, to see what contradicts a body before the real fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from observations.noise import estimate_noise
+from observations.points import TrackedPoints
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.robust import geman_mcclure, squared
+from recon.core.struct import concatenate
+from recon.diagnosis.named_points import NamedPoints
+from recon.method.protocols import Estimate
+from recon.method.reconstruction import solve
+from recon.method.stages import Stage, Stages
+from recon.method.terms import Term
+from recon.solver.lbfgs import LBFGS
+
+_BODY_RADIUS_M = 1.4
+"""Metres from the middle of a body within which all of its points lie, arms stretched."""
+_SPIKE = 0.5
+"""Metres by which a point may be away from its own median over a quarter of a second; hands that
+punch and feet that kick turn around within less."""
+_HALF_WINDOW = 0.12
+"""Seconds to either side over which that median is taken."""
+
+
+def plausible(points: NamedPoints) -> NamedPoints:
+    """The points without those far from all others and those that leap out of their own path."""
+    away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
+    return points.without(_far(points) | (np.nan_to_num(away) > _SPIKE))
+
+
+def _far(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
+    away = np.linalg.norm(points.positions - points.centre[:, None], axis=-1)
+    return np.nan_to_num(away) > _BODY_RADIUS_M
+
+
+def smoothed(points: NamedPoints) -> NamedPoints:
+    """The points' medians over a quarter of a second: a first guess that outliers do not move.
+
+    They have no standard deviations: medians exist where points were not seen as well.
+    """
+    median = _running_median(points.without(_far(points)))
+    known = np.isfinite(median[..., 0])
+    places = np.where(known[..., None], median, 0.0)
+    return replace(points, positions=places, visible=known, std=None)
+
+
+def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
+    """Median of every coordinate about every moment; NaN where nothing is visible about it."""
+    half = max(int(_HALF_WINDOW * points.fps), 1)
+    shown = np.where(points.visible[..., None], points.positions, np.nan)
+    padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), -1)
+    count = np.isfinite(windows).sum(-1)  # NaN is sorted last
+    middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
+    return np.take_along_axis(windows, middle, -1).mean(-1)
+
+
+ROBUST_SCALE = 0.15
+"""Metres beyond which a point counts ever less: several times what the pose prior misses good
+points by, and less than the distance of two points that are confused."""
+_EXCERPT = 6.0
+"""Seconds of a recording that are enough to decide which of two versions is a body."""
+_AT_NOISE = 0.95
+"""Share of ½ · 3 · noise², the cost of noise alone, up to which a version is taken to be right.
+Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation people)."""
+_SHAPE = 1e-4
+"""Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
+_ITERATIONS = (12, 40)
+"""Largest numbers of iterations of the two stages."""
+
+
+@dataclass(frozen=True)
+class QuickFit:
+    """One version of a clip's points, and how a body agrees with it."""
+
+    points: TrackedPoints
+    estimate: Estimate
+    """The motion that most of the points agree on, one clip."""
+    cost: float
+    """Objective per visible point, metres²; of an excerpt where the recording is long."""
+
+
+def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[QuickFit]:
+    """Fit versions of one clip's points with robust residuals under the pose prior.
+
+    Costs may be compared, as all versions see the same moments. Where the first one fits as well
+    as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
+    only the version of the least cost is fitted whole, and only that one is returned.
+    """
+    first, noise = versions[0], _noise(versions[0])
+    method, excerpts = partial(_quick, noise), [_excerpt(one) for one in versions]
+    fits = _fitted(excerpts[:1], method, body)
+    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
+        fits += _fitted(excerpts[1:], method, body)
+    if excerpts[0] is first:
+        return fits
+    best = min(range(len(fits)), key=lambda row: fits[row].cost)
+    start = smoothed(NamedPoints.of(versions[best], body)).observation.start(body)
+    # an excerpt of a long recording is not the whole of it
+    from recon.fitting.long import fit_long
+
+    motion = fit_long([_robust(versions[best])], method, body, start=start).motion
+    estimate = Estimate.of_clip(motion[0].detach(), body)
+    return [QuickFit(versions[best], estimate, fits[best].cost)]
+
+
+def _robust(points: TrackedPoints) -> TrackedPoints:
+    return points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
+
+
+def _fitted(
+    versions: Sequence[TrackedPoints], method: Stages, body: BodyModel, start: Motion | None = None
+) -> list[QuickFit]:
+    """Fits of all versions at once, from the medians of their points or from a given motion."""
+    robust = _robust(concatenate(list(versions)))
+    if start is None:
+        smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
+        start = concatenate([one.start(body) for one in smooth])
+    result = solve([robust], method, body, start=start)
+    value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
+    return [
+        QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
+        for row, one in enumerate(versions)
+    ]
+
+
+def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
+    """The better of a quick fit and of one that begins where the body reaches for every point.
+
+    A robust fit gives up on a limb that it begins too far from, and then blames its points: a
+    handspring's hands and planted feet were called misplaced. With squared residuals the limb
+    follows its points as far as its bones let it, and the robust fit that begins there has the
+    lower objective unless the points really are misplaced. Long recordings are left as they are:
+    no limb is lost throughout them.
+    """
+    if _excerpt(fit.points) is not fit.points:
+        return fit
+    method, start = partial(_quick, _noise(fit.points)), fit.estimate.motion
+    reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
+    (again,) = _fitted([fit.points], method, body, reached.detach())
+    return again if again.cost < fit.cost else fit
+
+
+def _noise(points: TrackedPoints) -> float:
+    """Standard deviation of a coordinate, metres."""
+    return float(estimate_noise(points.positions, points.visible))
+
+
+def _quick(noise: float, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
+    prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
+    return tuple(
+        replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
+        for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
+    )
+
+
+def _excerpt(points: TrackedPoints) -> TrackedPoints:
+    """The seconds around the moment in the middle of all that was seen."""
+    length = round(_EXCERPT * points.fps) + 1
+    moments = points.positions.shape[-3]
+    if moments <= length:
+        return points
+    counts = points.visible[0].sum(-1).double().cumsum(0)
+    middle = int((counts < counts[-1] / 2).sum())
+    first = min(max(middle - length // 2, 0), moments - length)
+    cut = slice(first, first + length)
+    return points.map(lambda tensor: tensor[:, cut]).derived(
+        start_time=points.start_time + first / points.fps
+    )

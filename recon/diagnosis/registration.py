@@ -1,0 +1,382 @@
+"""Clock and pose of one camera together, from what the other views see (Gauss-Newton, robust).
+
+A view that is late by L shows at time t what happened at t - L; a camera whose calibration has
+gone is turned about its centre and shifted a little. Both move keypoints in the image, so that
+neither can be found right while the other is taken for right: of 80 ms and 1 degree, each alone
+leaves half of the error. Here all seven numbers are found at once. The derivative by the clock is
+the velocity of the points.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from recon.diagnosis.explanations import (
+    centre,
+    robust_turns,
+    shifted,
+)
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import (
+    Trajectories,
+    by_turn,
+    derivatives,
+    in_camera,
+    in_front,
+    projected,
+)
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
+
+Part = Literal["clock", "pose"]
+"""What of a view may be wrong: when its frames were taken, or from where."""
+
+PARTS: tuple[Part, ...] = ("clock", "pose")
+
+SHIFT = 0.01
+"""Standard deviation of every coordinate of a shift of the camera, metres: what a tripod that was
+pushed has moved by. A turn of 1 degree moves what is seen at 4 m by 0.07 m."""
+NOISE = 1.5
+"""Multiple of the noise of keypoints that may remain where everything is right."""
+MAX_LATE_S = 0.7
+"""Seconds by which a clock may be off."""
+_LEAST_OVERLAP = 0.5
+"""Share of the moments that the view must share with the others after a shift of its clock."""
+COARSE_STEP_S = 1 / 30
+"""Seconds between the offsets from which the best one is refined."""
+_MAX_MOMENTS = 500
+"""Moments that are looked at, evenly chosen from a longer recording."""
+_OPTIONS = GaussNewton(12, tolerance=1.4e-3, scale=1.0, damping=0.0)
+"""Rounds end with a step of the seven unknowns of about 0.02 standard deviations each."""
+_MIN_KEYPOINTS = 100
+"""Least number of keypoints to estimate clock and pose from."""
+_OUTLIER = 9.0
+"""Squared standard deviations at which a keypoint counts half."""
+_MEDIAN = 1.386
+"""Median of the squared length of a vector whose two coordinates are unit normal."""
+_CLEAN = 30.0
+"""Squared standard deviations of the slope of the residuals below which nothing is searched."""
+_CLEAN_COST = 1.85
+"""Mean robust squared residual above which a correction is searched at once; white noise has
+1.6."""
+_LEAST_MOTION = 0.2
+"""Share of the squared velocities that must be more than noise for a clock to be estimated."""
+_MAX_RESIDUAL_RATIO = 0.97
+"""Share of the residuals at an offset nearer to zero that those at a better one have at most."""
+_GLANCE = 40
+"""Frames from which the first offset is chosen."""
+_UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What one view must be corrected by to agree with the others, and how sure that is."""
+
+    view: int
+    late: float
+    """Frames by which the view is late."""
+    pose: Float[np.ndarray, "4 4"]
+    """The corrected T_camera_world."""
+    values: Float[np.ndarray, "7"]
+    """Lateness in frames, turn about the camera's own axes in radians, shift of its centre along
+    them in metres."""
+    covariance: Float[np.ndarray, "7 7"]
+    """Covariance of `values`; zero for what was not corrected."""
+    noise: float
+    """What remains of the residuals, in standard deviations of white noise: 1 where nothing else
+    is wrong."""
+    cost: float
+    """Robust sum of squared residuals, those of the other views among themselves included."""
+    inflation: float
+    """Residuals that say the same, for each independent one."""
+    moves: float
+    """Root mean square distance that the correction moves keypoints by, in standard deviations of
+    their noise."""
+
+    def squared_deviations(self, part: Part) -> float:
+        """How far a part of the correction is from none, in squared standard deviations."""
+        rows = _UNKNOWN[part]
+        own, values = self.covariance[rows, rows], self.values[rows]
+        return float(values @ np.linalg.solve(own, values)) if own.any() else 0.0
+
+    @property
+    def degrees(self) -> float:
+        """Angle of the turn."""
+        return float(np.degrees(np.linalg.norm(self.values[1:4])))
+
+    @property
+    def metres(self) -> float:
+        """Distance by which the centre of the camera is shifted."""
+        return float(np.linalg.norm(self.values[4:]))
+
+    def applied(self, images: Images) -> Images:
+        """All views, this one as it should have been."""
+        pose = images.pose.copy()
+        pose[self.view] = self.pose
+        return shifted(replace(images, pose=pose), self.view, self.late)
+
+
+def registered(
+    images: Images,
+    view: int,
+    noise: Float[np.ndarray, " views"],
+    parts: tuple[Part, ...] = PARTS,
+) -> Registration | None:
+    """What a fixed camera must be corrected by to agree with the other views.
+
+    None where they do not agree with each other, and where too little is seen.
+
+    Args:
+        images: three views or more of one clock.
+        view: which of them is corrected.
+        noise: standard deviation of a pixel coordinate in every view.
+        parts: what is corrected.
+    """
+    return Alignment.of(images, view, noise, parts).solved()
+
+
+_View = tuple[float, Float[np.ndarray, "4 4"]]
+"""Frames by which a view is late, and its T_camera_world."""
+
+
+@dataclass(frozen=True)
+class Alignment(Problem[_View]):
+    """Residuals of a view against the paths that the others see, by its clock and pose."""
+
+    images: Images
+    """The view alone."""
+    view: int
+    paths: Trajectories
+    sigma: float
+    """Standard deviation of a pixel coordinate."""
+    parts: tuple[Part, ...]
+    frames: Float[np.ndarray, " moments"]
+    """Numbers of the moments that are looked at."""
+
+    @classmethod
+    def of(
+        cls,
+        images: Images,
+        view: int,
+        noise: Float[np.ndarray, " views"],
+        parts: tuple[Part, ...],
+    ) -> "Alignment":
+        """The problem of one view of several."""
+        rest = [v for v in range(len(images.names)) if v != view]
+        paths = Trajectories.of(images.view(rest), noise[rest])
+        moments = images.pixels.shape[1]
+        frames = np.unique(np.linspace(0, moments - 1, min(moments, _MAX_MOMENTS)).astype(int))
+        sigma = float(noise[view])
+        return cls(images.view([view]), view, paths, sigma, parts, frames.astype(float))
+
+    @property
+    def rows(self) -> np.ndarray:
+        """`frames` as indices."""
+        return self.frames.astype(int)
+
+    @property
+    def seen(self) -> Bool[np.ndarray, "moments points"]:
+        """Keypoints of the view whose points the others see."""
+        return self.images.seen[0, self.rows] & self.paths.exists[self.rows]
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the other views agree with each other and enough keypoints are seen."""
+        return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the view as it is given could be better, by a test that needs no search."""
+        given = self._residuals(0.0, self.images.pose[0, 0])
+        if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
+            return self.trusted
+        normal, slope, _ = given.equations()
+        gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
+        return self.trusted and gain > _CLEAN
+
+    def solved(self) -> Registration | None:
+        """The correction after which least remains; None where the data do not determine it."""
+        if not self.trusted:
+            return None
+        start = self.images.pose[0, 0]
+        (late, pose), _ = minimise(self, self._coarse(start), _OPTIONS)
+        found = self._residuals(late, pose)
+        if found.there.sum() < _MIN_KEYPOINTS:
+            return None
+        normal, _, inflation = self._equations((late, pose), found)
+        covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
+        covariance[unknown] = np.linalg.inv(normal[unknown])
+        turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
+        values = np.concatenate(([late], turn, self._shift(pose)))
+        given = self._residuals(0.0, start)
+        both = found.there & given.there
+        if not both.any():
+            return None
+        away = found.predicted[both] - given.predicted[both]
+        moves = float(np.sqrt(np.square(away).sum(-1).mean() / 2)) / self.sigma
+        others = self.paths.disagreement[self.rows][self.seen]
+        per_point = robust(found.squared[found.there]) + robust(others)
+        return Registration(
+            self.view, float(late), pose, values, covariance, found.spread,
+            per_point * float(self.seen.sum()), inflation, moves,
+        )  # fmt: skip
+
+    @property
+    def _unknown(self) -> list[int]:
+        return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
+
+    def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+        """How far the camera's centre is from the given one, along its axes, metres."""
+        return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
+
+    def _equations(
+        self, x: _View, found: "_Residuals"
+    ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
+        """Hessian, descent and inflation of the residuals, with what is believed of a shift."""
+        normal, slope, inflation = found.equations()
+        normal[4:, 4:] += np.eye(3) / SHIFT**2
+        slope[4:] -= self._shift(x[1]) / SHIFT**2
+        return normal, slope, inflation
+
+    def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Reweighted least squares about a correction; no slope where too little is seen."""
+        found, own = self._residuals(*x), self._unknown
+        normal, slope = np.eye(7), np.zeros(7)
+        if found.there.sum() >= _MIN_KEYPOINTS:
+            normal, slope, _ = self._equations(x, found)
+        hessian = Banded.dense(torch.from_numpy(normal[np.ix_(own, own)]))
+        return Quadratic(self.value(x, rows), -torch.from_numpy(slope[own])[None], [hessian])
+
+    def moved(self, x: _View, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> _View:
+        """The correction after a step, of its clock by two frames at most."""
+        del rows
+        step = np.zeros(7)
+        step[self._unknown] = steps[0].numpy()
+        return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved(x[1], step[1:4], step[4:])
+
+    def _coarse(self, pose: Float[np.ndarray, "4 4"]) -> tuple[float, Float[np.ndarray, "4 4"]]:
+        """The offset with which the view fits best after a turn, and the turned pose."""
+        if "clock" not in self.parts:
+            return 0.0, pose
+        fps, moments = self.images.fps, self.images.pixels.shape[1]
+        most = min(MAX_LATE_S * fps, (1 - _LEAST_OVERLAP) * moments)
+        count = int(most / max(COARSE_STEP_S * fps, 1.0))
+        best = (np.inf, 0.0, pose)
+        step = max(len(self.frames) // _GLANCE, 1)
+        some = replace(self, frames=self.frames[::step])
+        lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
+        for late in sorted(lates.tolist(), key=abs):
+            turned = some._turned(late, pose) if "pose" in self.parts else pose
+            found = some._residuals(late, turned)
+            if found.there.sum() < _MIN_KEYPOINTS / step:
+                continue
+            away = float(np.median(found.squared[found.there]))
+            if away < _MAX_RESIDUAL_RATIO * best[0]:
+                best = (away, late, turned)
+        return best[1], best[2]
+
+    def _turned(self, late: float, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        points, _, _, exists = self.paths.at(self.frames - late)
+        local, front = in_camera(pose, points)
+        rays = in_front(self.images)[0, self.rows]
+        ways = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
+        there = self.seen & exists & front
+        if not there.any():
+            return pose
+        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
+        return _moved(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
+
+    def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":
+        points, velocity, covariance, exists = self.paths.at(self.frames - late)
+        local, front = in_camera(pose, points)
+        predicted = projected(self.images, local[None], front[None])[0]
+        there = self.images.seen[0, self.rows] & exists & front
+        away = self.images.pixels[0, self.rows] - predicted
+        by_place = self.images.matrix[0, :2, :2] @ derivatives(local, front)
+        by_point = by_place @ pose[:3, :3]
+        noise = by_point @ covariance @ np.swapaxes(by_point, -1, -2)
+        noise = noise + self.sigma**2 * np.eye(2)
+        whiten = np.linalg.inv(np.linalg.cholesky(noise))
+        jacobian = np.concatenate(
+            (-(by_point @ velocity[..., None]), by_place @ by_turn(local), -by_place), -1
+        )
+        by_velocity = whiten @ by_point
+        blur = self.paths.velocity_noise * (by_velocity @ covariance * by_velocity).sum((-2, -1))
+        white = np.where(there[..., None], (whiten @ away[..., None])[..., 0], 0.0)
+        past = self.frames - late - np.rint(self.frames - late)
+        return _Residuals(white, whiten @ jacobian, blur, past, predicted, there)
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Residuals of a view in standard deviations, and their derivatives by the seven unknowns."""
+
+    white: Float[np.ndarray, "moments points 2"]
+    jacobian: Float[np.ndarray, "moments points 2 7"]
+    blur: Float[np.ndarray, "moments points"]
+    """Expected part of the noise of velocities in the squared derivative by the clock."""
+    past: Float[np.ndarray, " moments"]
+    """Frames from the middle of the parabola that gave the positions."""
+    predicted: Float[np.ndarray, "moments points 2"]
+    """Pixels."""
+    there: Bool[np.ndarray, "moments points"]
+
+    @property
+    def squared(self) -> Float[np.ndarray, "moments points"]:
+        return np.square(self.white).sum(-1)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the residuals, by their median."""
+        return float(np.sqrt(np.median(self.squared[self.there]) / _MEDIAN))
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Normal equations of a step, and how much variance the residuals have beyond white noise.
+
+        A clock on which the residuals do not depend, as nobody moves, is left as it is.
+
+        Residuals of neighbouring moments are alike where a detector or the smoothing makes them
+        so; by as much as that they say the same twice.
+        """
+        scale = max(self.spread, 1.0) ** 2
+        weight = self.there / (1 + self.squared / (_OUTLIER * scale))
+        j, r = self.jacobian[self.there], self.white[self.there]
+        counted = weight[self.there]
+        both = self.there[1:] & self.there[:-1]
+        soft = self.white * np.sqrt(weight)[..., None]
+        along = float((soft[1:] * soft[:-1])[both].sum() / max((soft[1:][both] ** 2).sum(), 1e-9))
+        along = float(np.clip(along, 0.0, 0.95))
+        inflation = scale * (1 + along) / (1 - along)
+        weighed = (j * counted[:, None, None]).reshape(-1, 7).T
+        normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
+        # noise of velocities looks like motion, and is in positions away from the middle, too
+        blur = counted * self.blur[self.there]
+        past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
+        slope[0] -= float((blur * past).sum())
+        raw, normal[0, 0] = normal[0, 0], normal[0, 0] - blur.sum()
+        if normal[0, 0] <= _LEAST_MOTION * raw:
+            normal[0], normal[:, 0], slope[0] = 0.0, 0.0, 0.0
+            normal[0, 0] = 1e-9
+        return normal / inflation, slope / inflation, inflation
+
+
+def robust(squared: Float[np.ndarray, " samples"]) -> float:
+    """Mean of squared residuals of which large ones count less (Cauchy)."""
+    return _OUTLIER * float(np.log1p(squared / _OUTLIER).mean())
+
+
+def _moved(
+    pose: Float[np.ndarray, "4 4"], turn: Float[np.ndarray, "3"], shift: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """A camera turned about its centre, and its centre shifted along its axes."""
+    if not turn.any() and not shift.any():
+        return pose
+    out = pose.copy()
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
+    out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
+    return out

@@ -1,0 +1,294 @@
+"""Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
+
+Of three views and more, leaving one out shows which is at fault: the others agree, and the one
+agrees with them after a correction of its clock and pose. Two views show that something is wrong,
+but not which of them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from recon.diagnosis.explanations import shifted
+from recon.diagnosis.findings import Code, Finding, Findings
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays
+from recon.diagnosis.registration import (
+    COARSE_STEP_S,
+    MAX_LATE_S,
+    NOISE,
+    PARTS,
+    Alignment,
+    Part,
+    Registration,
+)
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
+
+_OPTIONS = GaussNewton(8, tolerance=1e-12, scale=1.0, damping=1e-6)
+"""Rounds end when the sum of squared distances would fall by less than 1e-12 metres²."""
+_LATE_STEP, _TURN_STEP = 0.5, 1e-4
+"""Frames and radians to either side over which derivatives are differences."""
+_UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What would bring two views together."""
+
+    images: Images
+    """The two views, the second one corrected."""
+    late: float
+    """Frames by which the second view is late against the first."""
+    degrees: float
+    """Angle by which one of the cameras is turned."""
+    remains: float
+    """Median distance by which rays then miss each other's points, metres."""
+
+
+def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
+    """The clock or turn of the second view, or both, with which rays of two views miss least."""
+    unknown = [k for part in parts for k in _UNKNOWN[part]]
+    turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
+    best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
+    for late in _starts(images) if "clock" in parts else (0.0,):
+        values = np.array([late, 0.0, 0.0, 0.0])
+        if turns.unknown:
+            values, _ = minimise(turns, values, replace(_OPTIONS, max_iterations=2))
+        away = _typical(_misses(images, late, values[1:])[0])
+        if away < best[0]:
+            best = (away, values)
+    most = max(abs(late) for late in _starts(images))
+    values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
+    pose = images.pose.copy()
+    pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
+    corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
+    angle = float(np.degrees(np.linalg.norm(values[1:])))
+    return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
+
+
+def common_miss(images: Images) -> float:
+    """Median distance of all rays from the points that they see in common, metres."""
+    rays = Rays.of(images)
+    points, exists = rays.meet()
+    there = exists & (rays.weight > 0)
+    return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
+
+
+def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
+    step = max(COARSE_STEP_S * images.fps, 1.0)
+    count = int(min(MAX_LATE_S * images.fps, images.pixels.shape[1] / 2) / step)
+    return np.arange(-count, count + 1) * step
+
+
+def _misses(
+    images: Images, late: float, *turns: Float[np.ndarray, "3"]
+) -> list[Float[np.ndarray, "moments points"]]:
+    """Signed distances of the two rays of every keypoint; 0 where there are no two.
+
+    Args:
+        images: two views.
+        late: frames by which the second one's clock is put right.
+        turns: rotation vectors of its camera about its centre, one for each result.
+    """
+    rays, R = Rays.of(shifted(images, 1, late)), images.pose[1, :, :3, :3]
+    there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
+    found: list[np.ndarray] = []
+    for turn in turns:
+        carry = np.swapaxes(R, -1, -2) @ Rotation.from_rotvec(turn).as_matrix() @ R
+        across = np.cross(rays.direction[0], rays.direction[1] @ carry)
+        size = np.linalg.norm(across, axis=-1)
+        both = there & (size > 0.03)
+        found.append(np.where(both, (between * across).sum(-1) / np.where(both, size, 1.0), 0.0))
+    return found
+
+
+def _typical(away: Float[np.ndarray, "moments points"]) -> float:
+    """Median size of the distances that exist."""
+    there = away != 0
+    return float(np.median(np.abs(away[there]))) if there.any() else np.inf
+
+
+@dataclass(frozen=True)
+class _Rays(Problem[Float[np.ndarray, "4"]]):
+    """How far rays of two views miss each other, by the second one's clock and turn."""
+
+    images: Images
+    unknown: list[int]
+    """Which of the four values are moved."""
+    latest: float
+    """Frames by which the clock is off at most, where it is moved."""
+
+    def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Reweighted least squares; no slope where too little is seen."""
+        unknown, late, turn = self.unknown, float(x[0]), x[1:]
+        ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
+        away, *ends = _misses(self.images, late, turn, *(ends if 1 in unknown else ()))
+        columns = [(a - b) / (2 * _TURN_STEP) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+        if 0 in unknown:
+            later = _misses(self.images, late + _LATE_STEP, turn)[0]
+            earlier = _misses(self.images, late - _LATE_STEP, turn)[0]
+            columns.insert(0, (later - earlier) / (2 * _LATE_STEP))
+        jacobian = np.stack(columns, -1)
+        there = (away != 0) & (jacobian != 0).any(-1)
+        j, r = jacobian[there], away[there]
+        normal, slope = np.eye(len(unknown)), np.zeros(len(unknown))
+        if len(r) > len(unknown):
+            weight = 1 / (1 + np.square(r / max(3 * float(np.median(np.abs(r))), 1e-9)))
+            normal = (j * weight[:, None]).T @ j + 1e-12 * np.eye(len(unknown))
+            slope = j.T @ (weight * r)
+        hessian = Banded.dense(torch.from_numpy(normal))
+        return Quadratic(self.value(x, rows), torch.from_numpy(slope)[None], [hessian])
+
+    def moved(
+        self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Float[np.ndarray, "4"]:
+        """The values after a step."""
+        del rows
+        out = x.copy()
+        out[self.unknown] += steps[0].numpy()
+        if 0 in self.unknown:
+            out[0] = np.clip(out[0], -self.latest, self.latest)
+        return out
+
+
+_LEAST_NOISE = 0.5
+"""Pixels; keypoints are not known better than that."""
+_MIN_SQUARED_STDS = 60.0
+"""Squared standard deviations by which a part of a correction must be different from none."""
+_FEWER = 30.0
+"""Squared standard deviations from none of a part that is corrected together with a certain
+one."""
+_MIN_MOVED_STDS = 0.4
+"""Least distance, in standard deviations of the keypoints, that a correction moves them by."""
+_TOLD = 60.0
+"""Difference of robust squared residuals from which on one view is clearly the better one to
+correct."""
+_SMALLEST_CLOCK = 0.004
+"""Seconds below which a clock is left as it is."""
+_SMALLEST_TURN = 0.08
+"""Degrees below which, with a shift below `_SMALLEST_SHIFT`, a pose is left as it is."""
+_SMALLEST_SHIFT = 0.01
+"""Metres."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What single views must be corrected by, and whether that is decided."""
+
+    images: Images
+    """All views after the corrections."""
+    applied: tuple[Registration, ...] = ()
+    undecided: tuple[Registration, ...] = ()
+    """Corrections of different views after which the rays fit equally well."""
+
+
+def corrections(images: Images) -> Corrections:
+    """Clocks and poses put right where that is sure.
+
+    One view after the other, as long as two views remain that need no correction.
+    """
+    applied: tuple[Registration, ...] = ()
+    for _ in range(len(images.names) - 2):
+        found = candidates(images)
+        if not found or not certain(found[0], images.fps):
+            break
+        best = found[0]
+        alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
+        if len(alike) > 1:
+            return Corrections(images, applied, tuple(alike))
+        images, applied = best.applied(images), (*applied, best)
+    return Corrections(images, applied)
+
+
+def corrected_rig(images: Images) -> tuple[Images, Findings]:
+    """The views after `corrections`, in the words of findings."""
+    found = corrections(images)
+    repairs = tuple(_finding(images, one) for one in found.applied)
+    if not found.undecided:
+        return found.images, Findings(repairs)
+    every = [f"{images.names[one.view]}: {_said(one, images.fps)}" for one in found.undecided]
+    said = Finding(
+        "view at odds",
+        "the views contradict each other, and they do not tell which of them is wrong: "
+        f"{'; or '.join(every)}. Nothing was changed. Check the calibration and the clocks, or "
+        "add a view",
+        value=found.undecided[0].degrees,
+    )
+    return found.images, Findings(repairs, (said,))
+
+
+def candidates(images: Images) -> list[Registration]:
+    """What single fixed views would be corrected by, that which leaves least first.
+
+    None where every view agrees with the others.
+    """
+    noise = np.maximum(images.noise, _LEAST_NOISE)
+    fixed = [v for v, still in enumerate(images.fixed) if still]
+    given = (
+        [Alignment.of(images, v, noise, PARTS) for v in fixed] if np.isfinite(noise).all() else []
+    )
+    if not any(one.doubted for one in given):
+        return []
+    every = [_simplest(images, one) for one in given]
+    return sorted((one for one in every if one is not None), key=lambda one: one.cost)
+
+
+def certain(found: Registration, fps: float) -> bool:
+    """Whether a correction leaves nothing but noise and is more than noise itself."""
+    if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
+        return False
+    return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
+
+
+def _simplest(images: Images, given: Alignment) -> Registration | None:
+    """A correction of a view by no more than is needed."""
+    both = given.solved()
+    if both is None:
+        return None
+    parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
+    return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
+
+
+def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
+    large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+    if part == "clock":
+        large = abs(found.late) / fps >= _SMALLEST_CLOCK
+    return large and found.squared_deviations(part) >= least
+
+
+def _finding(images: Images, found: Registration) -> Finding:
+    code: Code = "views out of step" if found.late else "view at odds"
+    advice = ["Number the frames of all cameras from the same moment"] if found.late else []
+    if found.values[1:].any() or not found.late:
+        advice.append("calibrate anew")
+    text = ", and ".join(advice)
+    return Finding(
+        code,
+        f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
+        f"That was corrected. {text[0].upper()}{text[1:]}",
+        value=found.late / images.fps if found.late else found.degrees,
+    )
+
+
+def _said(found: Registration, fps: float) -> str:
+    """What is wrong with a view, with standard deviations."""
+    std = np.sqrt(np.diag(found.covariance))
+    out: list[str] = []
+    if found.late:
+        late = found.late / fps
+        out.append(
+            f"its clock is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'} "
+            f"(standard deviation {1000 * std[0] / fps:.1f} ms)"
+        )
+    if found.values[1:].any():
+        out.append(
+            f"its camera is turned by {found.degrees:.2f} degrees "
+            f"({np.degrees(std[1:4].max()):.2f}) and shifted by {100 * found.metres:.1f} cm "
+            f"({100 * std[4:].max():.1f}) against the calibration"
+        )
+    return " and ".join(out)

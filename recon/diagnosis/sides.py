@@ -1,0 +1,375 @@
+"""Keypoints that carry each other's name: left and right, and two neighbours along a limb.
+
+Left and right follow from two facts. A point does not leave its path and go on along its
+counterpart's within a frame; and where several cameras see a body, rays through one point meet,
+and noses, knees and toes point to where right is on the right. All views and moments are decided
+together (Viterbi's algorithm). Two single keypoints jump onto each other's path where a stretch
+with exchanged names begins or ends; the bones of the limb show which part is wrong: exchanged ends
+make one of them longer than it is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from recon.diagnosis.findings import NOTHING, Finding, Findings, spans, stretches
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays
+
+_MIN_FORWARD_M = 0.02
+"""Metres by which something must stick out forwards for its direction to count."""
+_BENT = 0.06
+"""Metres by which a knee must stand before the line from hip to ankle to show the front."""
+
+
+def handedness(
+    positions: Float[np.ndarray, "moments points 3"],
+    exists: Bool[np.ndarray, "moments points"],
+    names: Sequence[str],
+) -> Float[np.ndarray, " moments"]:
+    """1 where the body's right is to the right of where it faces, -1 where to the left.
+
+    The trunk has an up and a right, whose product points forwards; noses, toes and bent knees
+    point forwards themselves. The value is the mean cosine between both; 0 where nothing is seen.
+    """
+    shown = np.moveaxis(np.where(exists[..., None], positions, np.nan), 1, 0)
+    places, nowhere = dict(zip(names, shown, strict=True)), np.full((len(positions), 3), np.nan)
+
+    def at(side: str, *parts: str) -> np.ndarray:
+        """The first of these keypoints that the layout has."""
+        return next((places[k] for part in parts if (k := f"{side}{part}") in places), nowhere)
+
+    hips, shoulders, ears = (
+        (at("left_", *parts), at("right_", *parts))
+        for parts in (("hip",), ("shoulder",), ("ear", "shoulder"))
+    )
+    up = _unit(shoulders[0] + shoulders[1] - hips[0] - hips[1])
+    across = [np.nan_to_num(_unit(right - left)) for left, right in (hips, shoulders)]
+    forwards = _unit(np.cross(up, _unit(across[0] + across[1])))
+    ahead = [(at("", "nose") - (ears[0] + ears[1]) / 2, _MIN_FORWARD_M)]
+    for side in ("left_", "right_"):
+        foot = at(side, "big_toe", "foot", "small_toe") - at(side, "heel", "ankle")
+        knee = at(side, "knee") - (at(side, "hip") + at(side, "ankle")) / 2
+        ahead += [(foot, _MIN_FORWARD_M), (knee, _BENT)]
+    cosines = [
+        np.where(
+            np.linalg.norm(way, axis=-1) > least,
+            (_unit(way - (way * up).sum(-1, keepdims=True) * up) * forwards).sum(-1),
+            np.nan,
+        )
+        for way, least in ahead
+    ]
+    return np.nan_to_num(cosines).sum(0) / np.maximum(np.isfinite(cosines).sum(0), 1)
+
+
+def _unit(way: np.ndarray) -> np.ndarray:
+    return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+
+
+_MISS = 0.04
+"""Metres by which rays of good views miss each other; real detections do by 0.01 to 0.03."""
+_PATH_STEP_M = (0.01, 0.05)
+"""Metres by which points of views leave their paths from one frame to the next, at least and
+at most; estimated as the median of a view."""
+_RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector whose two coordinates are unit normal."""
+_MAX_SQUARED_STDS = 9.0
+"""Squared standard deviations beyond which a point is an outlier and says no more."""
+_CHANGE = 12.0
+"""Cost of a change of names, in squared standard deviations."""
+_BACKWARDS_COST = 6.0
+"""Cost of a moment that faces backwards, in squared standard deviations."""
+_EXCHANGED = 0.05
+"""Cost of a moment with exchanged names: without evidence, names are right."""
+_MIN_SAVED_COST = 30.0
+"""Cost that exchanging names must save; in good windows of validation people it saves 11 at most,
+and 60 and more where a third of a clip has its names exchanged."""
+_MEET = 0.06
+"""Metres by which rays may miss each other under the right names; real detections, with what
+their calibrations are worth, do by 0.03."""
+_TOGETHER = 5
+"""Views that are decided together; further ones follow them."""
+
+
+def repaired_sides(images: Images) -> tuple[Images, Findings]:
+    """Left and right given back their names, and what was found."""
+    flags = exchanged_sides(images)
+    found = list(zip(images.names, flags, strict=True))
+    if len(flags) > 1 and (flags == flags[0]).all():
+        found = [("all views", flags[0])]
+    said = tuple(_sides_finding(name, own, images) for name, own in found if own.any())
+    return (images.exchanged(flags), Findings(said)) if said else (images, NOTHING)
+
+
+def _sides_finding(name: str, here: Bool[np.ndarray, " moments"], images: Images) -> Finding:
+    throughout = bool(here[images.seen.any((0, 2))].all())
+    frames = () if throughout else stretches(here)
+    when = "throughout" if throughout else f"in {spans(frames)}"
+    return Finding(
+        "sides exchanged",
+        f"left and right are exchanged {when}; they were given back their names. Detectors "
+        "confuse them in views from the side and from behind",
+        (),
+        frames,
+        float(here.mean()),
+    ).of(name)
+
+
+def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
+    """The views and moments that surely have left and right exchanged.
+
+    Of several views only those under whose new names all rays meet: a view that is wrong in
+    another way is not put right by other names.
+    """
+    views, moments = images.confidence.shape[:2]
+    flags = np.zeros((views, moments), dtype=bool)
+    if not images.sided.any() or moments == 0:
+        return flags
+    first = np.argsort(-images.seen.sum((1, 2)), kind="stable")[:_TOGETHER].tolist()
+    flags[first] = _decided(images.view(first), list(range(len(first))))
+    for v in sorted(set(range(views)) - set(first)):
+        group = images.exchanged(flags).view([*first, v])
+        flags[v] = _decided(group, [len(first)])[-1]
+    if views > 1:
+        rays = Rays.of(images.exchanged(flags))
+        points, exists = rays.meet()
+        miss, there = rays.miss(points), exists & (rays.weight > 0)
+        for own, near, seen in zip(flags, miss, there, strict=True):
+            if seen[own].any() and np.median(near[own][seen[own]]) > _MEET:
+                own[:] = False
+    return flags
+
+
+def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
+    """The flags of some free views that cost least; none where that is not sure."""
+    views = len(images.confidence)
+    states = np.stack([
+        np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
+        for number in range(2 ** len(free))
+    ])  # fmt: skip
+    here = np.stack([_emission(images, state) for state in states], -1)
+    stay, change = _steps(images)
+    differ = states[:, None] ^ states
+    between = np.where(differ, (change + _CHANGE).T[:, None, None], stay.T[:, None, None]).sum(-1)
+    path, cost = cheapest_path(here, between[1:])
+    unchanged = here[:, 0].sum() + between[1:, 0, 0].sum()
+    return states[path if unchanged - cost >= _MIN_SAVED_COST else 0 * path].T
+
+
+def cheapest_path(
+    here: Float[np.ndarray, "moments states"], between: Float[np.ndarray, "steps from to"]
+) -> tuple[Int[np.ndarray, " moments"], float]:
+    """The state of every moment with the least sum of costs of moments and of steps, and the sum.
+
+    Viterbi's algorithm.
+    """
+    best, back = here[0], []
+    for cost, step in zip(here[1:], between, strict=True):
+        reached = best[:, None] + step
+        back.append(reached.argmin(0))
+        best = reached.min(0) + cost
+    path = [int(best.argmin())]
+    for origin in reversed(back):
+        path.append(int(origin[path[-1]]))
+    return np.array(path[::-1]), float(best.min())
+
+
+def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.ndarray, " moments"]:
+    """How badly the views fit together at every moment when some have their names exchanged."""
+    moments = images.confidence.shape[1]
+    cost = np.full(moments, _EXCHANGED * state.sum())
+    if len(state) < 2:
+        return cost
+    named = images.exchanged(np.repeat(state[:, None], moments, 1))
+    rays = Rays.of(named)
+    points, exists = rays.meet()
+    miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
+    counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
+    cost += counted[:, named.sided].sum(-1)
+    return cost - _BACKWARDS_COST * handedness(points, exists, images.points)
+
+
+def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
+    """What it costs to go on from the moment before under the same names, and under exchanged.
+
+    Both (views, moments); the first moment has no cost. Points go on as they went before.
+    """
+    before, known = _continued(images)
+    away = np.linalg.norm(images.pixels - before, axis=-1) / images.scale[..., None]
+    typical = np.array([
+        np.clip(np.median(way[some]) / _RAYLEIGH_MEDIAN if some.any() else 0.0, *_PATH_STEP_M)
+        for way, some in zip(away, images.seen & known, strict=True)
+    ])  # fmt: skip
+
+    def cost(there: np.ndarray, known: np.ndarray) -> np.ndarray:
+        away = (images.pixels - there) / images.scale[..., None, None]
+        squared = np.square(away / typical[:, None, None, None]).sum(-1)
+        both = images.seen & known
+        counted = both & both[:, :, images.counterparts] & images.sided
+        return np.minimum(squared, _MAX_SQUARED_STDS).sum(-1, where=counted)
+
+    order = images.counterparts
+    return cost(before, known), cost(before[:, :, order], known[:, :, order])
+
+
+def _continued(
+    images: Images,
+) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
+    """Where keypoints would be if they went on as before, and which were seen one moment before.
+
+    Where a keypoint was not seen two moments before, it would stay.
+    """
+    seen, place = images.seen, images.pixels
+    before, known = np.zeros_like(place), np.zeros_like(seen)
+    before[:, 1:], known[:, 1:] = place[:, :-1], seen[:, :-1]
+    moving = (seen[:, 1:-1] & seen[:, :-2])[..., None]
+    before[:, 2:] += np.where(moving, place[:, 1:-1] - place[:, :-2], 0.0)
+    return before, known
+
+
+_OFF = 0.08
+"""Metres by which both keypoints leave their own paths when their names are exchanged."""
+_ON = 0.5
+"""Share of that by which they may then miss the other's path."""
+_USUAL = 5.0
+"""Multiple of the usual distance from their paths by which both keypoints must leave them."""
+_FEW = 0.35
+"""Share of the keypoints that may leave their paths at that moment; more is the whole body."""
+_LONGER = 1.1
+"""Times a bone's length at the body's size that it may be in an image."""
+_STRETCHED = 0.03
+"""Metres by which bones of a limb are on average too long when two of its ends are exchanged
+throughout; in good windows of validation people exchanging never saves that."""
+
+
+@dataclass(frozen=True)
+class ExchangedPair:
+    """Two keypoints of a view with each other's name, from the first to the last moment."""
+
+    view: int
+    points: tuple[int, int]
+    first: int
+    last: int
+    distance: float
+    """Metres by which both jumped, or by which bones were too long."""
+
+
+def repaired_pairs(images: Images) -> tuple[Images, Findings]:
+    """The images with exchanged keypoints given back their names, and what was found."""
+    found: list[Finding] = []
+    for find in (exchanged_for_a_while, exchanged_throughout):
+        for one in find(images):
+            pixels, confidence = images.pixels.copy(), images.confidence.copy()
+            when, both = slice(one.first, one.last + 1), list(one.points)
+            for values in (pixels, confidence):
+                values[one.view, when, both] = values[one.view, when, both[::-1]]
+            images = replace(images, pixels=pixels, confidence=confidence)
+            found.append(_pair_finding(images, one))
+    return images, Findings(tuple(found))
+
+
+def _pair_finding(images: Images, one: ExchangedPair) -> Finding:
+    a, b = (images.points[k] for k in one.points)
+    throughout = one.first == 0 and one.last == images.pixels.shape[1] - 1
+    frames = () if throughout else ((one.first, one.last),)
+    when = "throughout" if throughout else f"in {spans(frames)}"
+    return Finding(
+        "points exchanged",
+        f"{a} and {b} carry each other's name {when}, as they jump onto each other's path or "
+        "stretch the limb; they were given back their names",
+        (a, b),
+        frames,
+        one.distance,
+    ).of(images.names[one.view])
+
+
+def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
+    """The stretches in which two keypoints of one view exchange their names.
+
+    A jump of both along each other's path begins a stretch, the next one ends it. The moments
+    that stretch bones are the wrong ones, else the fewer.
+    """
+    found: list[ExchangedPair] = []
+    for v in range(len(images.names)):
+        for pair, jumps in _jumps_onto_each_other(images, v).items():
+            exchanged = np.zeros(images.pixels.shape[1], dtype=bool)
+            for t in jumps:
+                exchanged[t:] ^= True
+            saved = np.nan_to_num(_saved_length(images, v, pair))
+            inside, outside = saved[exchanged].sum(), saved[~exchanged].sum()
+            if outside > inside or (outside == inside and exchanged.mean() > 0.5):
+                exchanged = ~exchanged
+            away = min(jumps.values())
+            found += [ExchangedPair(v, pair, a, b, away) for a, b in stretches(exchanged)]
+    return found
+
+
+def exchanged_throughout(images: Images) -> list[ExchangedPair]:
+    """Neighbours along a limb whose exchange makes bones no longer than they are."""
+    last = images.pixels.shape[1] - 1
+    found: list[ExchangedPair] = []
+    for v in range(len(images.names)):
+        for pair in _neighbours(images):
+            saved = _saved_length(images, v, pair)
+            known = saved[np.isfinite(saved)]
+            if known.size and (mean := float(known.mean())) > _STRETCHED:
+                found.append(ExchangedPair(v, pair, 0, last, mean))
+    return found
+
+
+def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], dict[int, float]]:
+    """Pairs of keypoints, and the moments at which they jump onto each other's path, by metres.
+
+    Outliers, which do not stay where they jump to, are left out.
+    """
+    before, known = (values[0] for values in _continued(images.view([view])))
+    now, scale = images.pixels[view], images.scale[view, :, None]
+    known &= images.seen[view]
+    own = np.where(known, np.linalg.norm(now - before, axis=-1) / scale, 0.0)
+    usual = float(np.median(own[known])) if known.any() else 0.0
+    off = known & (own > max(_OFF, _USUAL * usual))
+    few = off.sum(-1) <= np.maximum(2, _FEW * known.sum(-1))
+    found: dict[tuple[int, int], dict[int, float]] = {}
+    for t in np.flatnonzero((off.sum(-1) >= 2) & few).tolist():
+        rows = np.flatnonzero(off[t])
+        ways = np.linalg.norm(now[t, rows][:, None] - before[t, rows], axis=-1)
+        ratio = ways / scale[t] / own[t, rows][:, None]
+        for pair in np.argwhere(np.triu(np.maximum(ratio, ratio.T) < _ON, 1)):
+            both = rows[pair]
+            away = float(own[t, both].min())
+            if t + 1 < len(now):
+                leave = np.linalg.norm(now[t + 1, both] - now[t, both], axis=-1) / scale[t]
+                if (images.seen[view, t + 1, both] & (leave > _ON * away)).any():
+                    continue
+            found.setdefault((int(both[0]), int(both[1])), {})[t] = away
+    return found
+
+
+def _neighbours(images: Images) -> dict[tuple[int, int], int]:
+    """Keypoints that follow each other along a limb, and the one at its root."""
+    chains = [
+        [f"{side}_{part}" for part in limb]
+        for side in ("left", "right")
+        for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+    ]
+    rows = [[*map(images.points.index, chain)] for chain in chains if {*chain} <= {*images.points}]
+    return {(middle, end): root for root, middle, end in rows}
+
+
+def _saved_length(
+    images: Images, view: int, pair: tuple[int, int]
+) -> Float[np.ndarray, " moments"]:
+    """Metres by which bones are too long as named, less those after an exchange.
+
+    NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
+    """
+    root = _neighbours(images).get(pair)
+    if root is None:
+        return np.zeros(images.pixels.shape[1])
+    there = images.seen[view][:, [root, *pair]].all(-1)
+    length = _LONGER * np.linalg.norm(images.rest[root] - images.rest[pair[0]])
+    ways = images.pixels[view, :, [root]] - images.pixels[view, :, list(pair)]
+    excess = (np.linalg.norm(ways, axis=-1) / images.scale[view] - length).clip(min=0.0)
+    return np.where(there, excess[0] - excess[1], np.nan)

@@ -1,1 +1,0 @@
-"""Checks of keypoints in images before a fit, and the repairs that are sure."""

@@ -1,0 +1,241 @@
+"""2D keypoints in JSON: OpenPose, EasyMocap, MMPose, rtmlib, MediaPipe, and AlphaPose's COCO form.
+
+A reader of one producer takes what a file says of a frame and gives everybody in it, or None where
+another producer wrote it.
+"""
+
+from collections.abc import Callable
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.errors import FormatError
+from recon.formats.detections.records import Detections, Row, gather
+from recon.formats.json_files import (
+    Frames,
+    as_floats,
+    as_identity,
+    flat_points,
+    frame_numbers,
+    listed_frames,
+)
+
+EXPECTED = (
+    "OpenPose (people), EasyMocap (annots), MMPose or rtmlib (keypoints with scores), AlphaPose "
+    "(image_id with keypoints) or MediaPipe (landmarks)"
+)
+"""What is read, in messages."""
+_COCO_RANGE = 6.0
+"""AlphaPose's scores run to 6 for COCO models, to 1 for others."""
+_LISTS = ("instance_info", "predictions", "frames")
+"""Keys under which a file with all frames keeps them."""
+_SCORES = ("keypoint_scores", "scores")
+_LANDMARK_KEYS = ("pose_landmarks", "landmarks", "poseLandmarks")
+LANDMARKS = 33
+_FRACTION = 2.0
+"""Landmarks outside the image are guessed too, but seldom farther out than another image."""
+People = list[tuple[Float[np.ndarray, "keypoints 3"], int]]
+"""x, y and confidence of everybody in a frame, with their number or -1."""
+
+
+def read_json_detections(
+    value: Any, name: str, layout: str | None, image_size: tuple[int, int] | None
+) -> Detections:
+    """Everybody in the JSON file of all frames.
+
+    Args:
+        value: what the file holds.
+        name: of the file, for messages.
+        layout: which keypoints; None to tell it from them.
+        image_size: width and height, pixels; needed for fractions of an image alone.
+
+    Raises:
+        ValueError: when no known producer wrote it so, or nobody is in it.
+    """
+    if is_alphapose(value):
+        return _alphapose(value, name, layout)
+    if isinstance(value, dict):
+        value = next((value[key] for key in _LISTS if key in value), [value])
+    if not isinstance(value, list):
+        raise FormatError(f"{name}: expected {EXPECTED}")
+    records = [one for one in value if isinstance(one, dict)]
+    one_frame = all("keypoint_scores" in one for one in records) or all(
+        {"x", "y"} <= one.keys() for one in records
+    )
+    if one_frame and 0 < len(records) == len(value):
+        value = [value]
+    return read_frames(listed_frames(value, name), name, layout, image_size)
+
+
+def read_frames(
+    frames: Frames, name: str, layout: str | None, image_size: tuple[int, int] | None
+) -> Detections:
+    """Everybody in frames of one producer; arguments and refusals as of `read_json_detections`."""
+    producer = next(
+        (
+            one
+            for _, entry in frames
+            if entry
+            for one in _PRODUCERS
+            if one(entry, name) is not None
+        ),
+        None,
+    )
+    if producer is None and not any(not entry for _, entry in frames):
+        raise FormatError(f"{name}: expected {EXPECTED}")
+    rows: list[Row] = []
+    for number, entry in frames:
+        if not entry or producer is None:
+            continue
+        place = f"{name}, frame {number}"
+        people = producer(entry, place)
+        if people is None and producer is not _mediapipe:
+            raise FormatError(f"{place}: expected {_PRODUCERS[producer]}")
+        rows += [(number, points, identity) for points, identity in people or []]
+    if producer is _mediapipe:
+        rows, layout = _in_pixels(rows, image_size, name), layout or "mediapipe33"
+    return gather(name, [number for number, _ in frames], rows, layout=layout)
+
+
+def is_alphapose(value: Any) -> bool:
+    """Whether a file is a flat list of people with an image each, as COCO's results are."""
+    return (
+        isinstance(value, list)
+        and len(value) > 0
+        and all(isinstance(one, dict) and "image_id" in one for one in value)
+    )
+
+
+def _alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
+    """Where any score exceeds 1, all are divided by 6; else they are taken as they are."""
+    images = sorted({str(person["image_id"]) for person in people})
+    numbers = frame_numbers([PurePath(image).stem for image in images], name)
+    by_image = dict(zip(images, numbers, strict=True))
+    rows: list[Row] = []
+    for person in people:
+        image = str(person["image_id"])
+        points = flat_points(person.get("keypoints") or [], f"{name}, image {image}")
+        rows.append((by_image[image], points, as_identity(person.get("idx"), name)))
+    if max(np.nanmax(points[:, 2], initial=0.0) for _, points, _ in rows) > 1:
+        scale = (1.0, 1.0, _COCO_RANGE)
+        rows = [(number, points / scale, identity) for number, points, identity in rows]
+    rows.sort(key=lambda row: row[0])
+    return gather(name, sorted(numbers), rows, layout=layout)
+
+
+def _openpose(entry: Any, place: str) -> People | None:
+    return _listed_people(entry, place, "people", "pose_keypoints_2d", ("person_id",))
+
+
+def _easymocap(entry: Any, place: str) -> People | None:
+    """As OpenPose's; a negative confidence means missing."""
+    return _listed_people(entry, place, "annots", "keypoints", ("personID", "id"))
+
+
+def _listed_people(
+    entry: Any, place: str, key: str, keypoints: str, identities: tuple[str, ...]
+) -> People | None:
+    """Records of people under a key, their keypoints as flat lists of x, y, confidence."""
+    people = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(people, list):
+        return None
+    if not all(isinstance(one, dict) for one in people):
+        raise FormatError(f"{place}: expected a list of people, each a record, in {key}")
+    numbers = [next((one[k] for k in identities if k in one), None) for one in people]
+    return [
+        (flat_points(one.get(keypoints) or [], place), as_identity(number, place))
+        for one, number in zip(people, numbers, strict=True)
+    ]
+
+
+def _mmpose(entry: Any, place: str) -> People | None:
+    """`{"instances": [...]}`, a list of instances, or rtmlib's one record of two arrays.
+
+    Heatmap scores lie in [0, 1]; those of SimCC heads (RTMPose) are not normalised and clipped.
+    """
+    if isinstance(entry, dict):
+        entry = entry.get("instances", [entry])
+    while isinstance(entry, list) and len(entry) == 1 and isinstance(entry[0], list):
+        entry = entry[0]
+    if not isinstance(entry, list):
+        return None
+    people: People = []
+    for person in entry:
+        key = next((key for key in _SCORES if isinstance(person, dict) and key in person), None)
+        if key is None or "keypoints" not in person:
+            return None
+        scores, pixels = as_floats(person[key], place), as_floats(person["keypoints"], place)
+        if scores.size == 0:
+            continue
+        if pixels.ndim < 2 or pixels.shape[:-1] != scores.shape or pixels.shape[-1] != 2:
+            raise FormatError(
+                f"{place}: expected keypoints (..., K, 2) with scores (..., K), got "
+                f"{pixels.shape} and {scores.shape}"
+            )
+        identity = as_identity(person.get("track_id", person.get("instance_id")), place)
+        points = np.concatenate((pixels, scores[..., None]), -1)
+        single = points.reshape(-1, *points.shape[-2:])
+        people += [(one, identity if len(single) == 1 else -1) for one in single]
+    return people
+
+
+def _mediapipe(entry: Any, place: str) -> People | None:
+    """Fractions of the image or pixels; the confidence is the visibility."""
+    people = people_of_landmarks(entry, _LANDMARK_KEYS)
+    if people is None or (people and not _has_axes(people[0], "xy")):
+        return None
+    return [(landmarks(person, "xy", place), -1) for person in people]
+
+
+def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
+    """MediaPipe's landmarks by person, of one or of several; None where there are none."""
+    if isinstance(entry, dict):
+        key = next((key for key in keys if key in entry), None)
+        entry = None if key is None else entry[key] or []
+    if not isinstance(entry, list):
+        return None
+    if entry and isinstance(entry[0], dict):
+        return [entry]
+    return [person for person in entry if isinstance(person, list) and len(person) > 0]
+
+
+def landmarks(person: list[Any], axes: str, place: str) -> Float[np.ndarray, "33 numbers"]:
+    """The axes and the visibility of the landmarks of one person, as MediaPipe writes them.
+
+    Raises:
+        ValueError: when there are not 33 of them, or axes are missing.
+    """
+    if len(person) != LANDMARKS or not _has_axes(person, axes):
+        raise FormatError(
+            f"{place}: expected {LANDMARKS} landmarks with {', '.join(axes)} and visibility"
+        )
+    rows = [[*(one[axis] for axis in axes), one.get("visibility", 1.0)] for one in person]
+    return as_floats(rows, place)
+
+
+def _has_axes(person: list[Any], axes: str) -> bool:
+    return all(isinstance(one, dict) and set(axes) <= one.keys() for one in person)
+
+
+def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -> list[Row]:
+    """Landmarks in pixels: coordinates that all lie near [0, 1] are fractions of the image."""
+    places = np.abs([points[:, :2] for _, points, _ in rows])
+    if not rows or np.median(np.nan_to_num(places)) > _FRACTION:
+        return rows
+    if image_size is None:
+        raise FormatError(
+            f"{name}: MediaPipe's landmarks are fractions of the image, whose size is unknown; "
+            "give --image-size WIDTH HEIGHT, or a camera with --camera"
+        )
+    return [(number, points * (*image_size, 1.0), who) for number, points, who in rows]
+
+
+_PRODUCERS: dict[Callable[[Any, str], People | None], str] = {
+    _openpose: "a list of people, as in OpenPose",
+    _easymocap: "annots, as in EasyMocap",
+    _mediapipe: "landmarks, as in MediaPipe",
+    _mmpose: "keypoints and keypoint_scores of every instance",
+}
+"""Readers of a frame, and what they expect in every one, in messages."""

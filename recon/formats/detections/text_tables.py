@@ -1,0 +1,76 @@
+"""Tables of text whose cells lie between commas: rows, a look at the first ones, and numbers."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.errors import FormatError
+from recon.core.limits import Limit
+from recon.formats.opening import decode, read_bytes
+
+
+def read_rows(path: Path, limit: Limit) -> list[list[str]]:
+    """The cells of every row that is not blank, without white space around them.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty, no table, or larger than the limit.
+    """
+    try:
+        rows = list(csv.reader(decode(read_bytes(path, limit)).splitlines()))
+    except csv.Error as error:
+        raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
+    return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+
+
+def first_rows(path: Path, count: int = 4) -> list[list[str]]:
+    """The first rows of a table, without reading the rest; none where it is no table.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+    """
+    with path.open("rb") as file:
+        lines = [decode(line) for line, _ in zip(file, range(count), strict=False)]
+    try:
+        rows = list(csv.reader(line.replace("\0", "") for line in lines))
+    except csv.Error:
+        return []
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def numbers(
+    rows: Sequence[Sequence[str]],
+    columns: Sequence[int],
+    name: str,
+    *,
+    most: int,
+    least: int = 0,
+) -> Float[np.ndarray, "rows columns"]:
+    """The numbers in some columns; NaN where a cell is blank or a short row has none.
+
+    Args:
+        rows: below the header.
+        columns: which of them.
+        name: of the file, for messages.
+        most: number of cells that a row has, by the header.
+        least: cells that it has at least.
+
+    Raises:
+        ValueError: when a row has another number of cells, or a cell is no number.
+    """
+    values = np.full((len(rows), len(columns)), np.nan)
+    for line, row in enumerate(rows):
+        if not least <= len(row) <= most:
+            raise FormatError(f"{name}: row {line} has {len(row)} cells, the header {most}")
+        for k, column in enumerate(columns):
+            if column < len(row) and row[column]:
+                try:
+                    values[line, k] = float(row[column])
+                except ValueError as error:
+                    raise FormatError(
+                        f"{name}: expected a number in row {line}, got {row[column][:40]!r}"
+                    ) from error
+    return values

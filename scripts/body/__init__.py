@@ -1,1 +1,0 @@
-"""Steps of `scripts/build_body.py`: from MakeHuman's adults to the bundled linear body."""
