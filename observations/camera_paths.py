@@ -1,4 +1,4 @@
-"""The unit of a path that a tracker of images tells but for its scale: by feet that stand.
+"""The scale of a camera's path, which trackers of images leave open: standing feet give it.
 
 A person's distance follows from the size of the body, so feet have places in metres about the
 camera. In the world they are where the camera is, in an unknown unit, plus that. One foot stands
@@ -32,7 +32,9 @@ _MIN_EXTENT = 1e-6
 
 
 def with_unit(view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]) -> Keypoints2D:
-    """The view on a path of the unit in which most feet stand; its first pose stays.
+    """The view with its path scaled so that feet stand still most of the time.
+
+    Its first pose stays.
 
     Args:
         view: of a camera that moves.
@@ -44,7 +46,7 @@ def with_unit(view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]
 
 
 def stretched(view: Keypoints2D, unit: Float[Tensor, " batch"]) -> Keypoints2D:
-    """The view on a path that is so many times as long; its first pose stays."""
+    """The view with its camera's path scaled by a factor; its first pose stays."""
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + unit.to(T)[:, None, None] * (T[..., :3, 3] - first)
@@ -57,7 +59,9 @@ def path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres of a unit of the path in which one foot mostly stands; 1 where the camera only turns.
+    """Metres per unit of the path, such that one foot mostly stands.
+
+    1 where the camera only turns.
 
     Args:
         T_world_camera: in the tracker's unit.
@@ -90,7 +94,7 @@ def path_unit(
 
 
 def keypoint_feet(view: Keypoints2D, body: BodyModel) -> Float[np.ndarray, "batch moments feet 3"]:
-    """Ankles in the frame of the camera, at the distance that the size of bones tells, metres."""
+    """Ankles in the camera's frame, at the distance that the size of bones implies, metres."""
     names = list(view.points.names)
     rows = [names.index(name) for name in _FEET if name in names] or list(range(len(names)))
     rest = view.points.at_rest(body, body.template.new_zeros(body.shape_size)).to(view.pixels)
@@ -111,7 +115,9 @@ _LEAST_ANGLE = 0.03
 def triangulate(
     views: Sequence[Keypoints2D],
 ) -> tuple[Float[Tensor, "batch moments points 3"], Bool[Tensor, "batch moments points"]]:
-    """Points nearest to their rays, weighed by confidence, in the recording's frame; which exist.
+    """Points nearest to their rays (weights.
+
+    Confidences), recording frame, and which of them exist.
 
     The point with least Σ c² |(I - d dᵀ)(x - o)|² over rays from o along the unit vector d: three
     linear equations per point, any number of views at once (OpenCV's triangulation takes two).
@@ -148,7 +154,7 @@ def triangulate(
 
 
 def tell_distance(views: Sequence[Keypoints2D]) -> bool:
-    """Whether some point of every clip is seen from directions that differ.
+    """Whether every clip has a point seen from different enough directions to triangulate it.
 
     Cameras side by side see hardly more than one of them does: not how far a person is.
     """

@@ -1,4 +1,4 @@
-"""What is checked when an observation is built, so that the fit need not ask again.
+"""Checks of an observation's arrays when it is built, so that fits need not repeat them.
 
 Arrays become tensors, what is not visible becomes zero, and what cannot be an observation is
 refused by name. Nothing here runs while a fit minimises: records that the library derives from
@@ -40,7 +40,7 @@ _MOMENTS, _POINTS = 64, 256
 def checked_positions(
     kind: str, name: str, positions: Any, mask_name: str, mask: Any
 ) -> tuple[Float[Tensor, "*batch moments points 3"], Bool[Tensor, "*batch moments points"]]:
-    """Positions in metres, zero where they are not visible, and where they are.
+    """Positions in metres, zero where not visible, and the mask of what is visible.
 
     Args:
         kind: the observation's class, for messages.
@@ -117,7 +117,7 @@ def checked_pixels(
 
 
 def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
-    """Moments per second and the time of the first, seconds.
+    """The frame rate (Hz) and the time of the first frame (seconds), checked.
 
     Raises:
         ValueError: when they are no numbers or out of range.
@@ -168,7 +168,7 @@ def checked_offsets(
 
 
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
-    """The camera with the leading axes of what it saw; without them it is one that stands still.
+    """The camera with the leading axes of its keypoints; without them it is one fixed camera.
 
     Raises:
         ValueError: when it has a distorting lens, or belongs to another number of clips.
@@ -196,7 +196,7 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
 
 
 def _same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
-    """Refuse a mask of other axes, and nothing at all."""
+    """Refuse a mask whose axes differ from those of the points, and arrays without any point."""
     if mask.shape != values.shape[:-1]:
         raise ObservationError(
             f"{kind}.{mask_name}: expected the shape {tuple(values.shape[:-1])}, that of {name} "

@@ -21,7 +21,7 @@ _NEAR_JOINT_M = 0.2
 
 @dataclass(frozen=True)
 class BodyPlace:
-    """A point of the body: the mean of some joints and landmarks of the skin."""
+    """A point of the body, defined as the mean of some joints and landmarks of the skin."""
 
     joints: tuple[str, ...] = ()
     landmarks: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ class BodyPoints:
 
     @classmethod
     def of_places(cls, places: Mapping[str, BodyPlace], body: BodyModel) -> "BodyPoints":
-        """Points by any name, in the order given, where these places say."""
+        """Points of any names, at the given places of the body."""
         return cls._at(list(places.values()), tuple(places), body)
 
     @classmethod
@@ -205,7 +205,7 @@ class BodyPoints:
 def joints_shown(
     bones: Sequence[int], rest: Float[np.ndarray, "points 3"], body: BodyModel
 ) -> Bool[np.ndarray, "points 22"]:
-    """Joints whose place each point tells.
+    """Joints that each point locates, as a mask (points, joints).
 
     They lie near it at rest, and its bone ends or begins there.
 
@@ -225,7 +225,7 @@ def joints_shown(
 def told_joints(
     shown: Bool[Tensor, "*batch moments points"], shows: Bool[np.ndarray, "points 22"]
 ) -> Float[Tensor, "*batch 22"]:
-    """Share of the moments in which the place of each joint is told by a point that was seen.
+    """Share of the frames in which some visible point locates each joint.
 
     Moments before the first and after the last that shows anything do not count: a clip that is
     fitted beside longer ones is filled up with them.

@@ -1,4 +1,4 @@
-"""Quadratic models of energies of points about their predicted places."""
+"""Second-order models of point energies, linearised at the predicted positions."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ def of_places(
     kernel: Callable[[Tensor], Tensor],
     rate: float,
 ) -> PointModel:
-    """The model of rate ½ Σ kernel(w² |p - observed|²); weights w (*batch, moments, points)."""
+    """The model of E = rate ½ Σ kernel(w² |p - observed|²); weights w (*batch, frames, points)."""
     away = points - positions
     slope = weights.to(points).square()
     value = slope * away.square().sum(-1)

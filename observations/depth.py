@@ -1,4 +1,4 @@
-"""Depth: points on the body's surface, of which nobody knows which point of the body they are."""
+"""Depth points on the body's surface, without known correspondences to points of the body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -187,7 +187,7 @@ class PointCloud(Sensor):
     def _relative(
         self, seen: slice | Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Variances of distances in units of `CLOUD_NOISE`², and what such a square is worth.
+        """Variances of distances in units of `CLOUD_NOISE`², and the weights of their squares.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.
@@ -280,7 +280,10 @@ class PointCloud(Sensor):
         return middles, self.at_own_times(normals, estimate.motion)[0], seen
 
     def eye(self, moments: range) -> Float[Tensor, "*batch moments 3"] | None:
-        """Where the sensor was at some moments, recording, metres; None for scans."""
+        """Positions of the sensor at some frames, in the frame of the recording, metres.
+
+        None for scans.
+        """
         if self.camera is None:
             return None
         place = self.camera.at(moments).T_world_camera[..., :3, 3]
@@ -294,7 +297,7 @@ class PointCloud(Sensor):
         return self._few(number)
 
     def _few(self, number: Tensor) -> "PointCloud":
-        """Some of the points of every moment."""
+        """The cloud with some of its points in every frame, chosen by their numbers."""
         axis = self.present.ndim - 1
 
         def taken(values: Tensor) -> Tensor:
@@ -304,14 +307,17 @@ class PointCloud(Sensor):
         return self.derived(points=taken(self.points), present=taken(self.present), labels=labels)
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
-        """Few points of every `step`-th moment, of all where most are empty; a rough surface."""
+        """A cheap version of the cloud to compare hypotheses.
+
+        Few points, every `step`-th frame, few discs.
+        """
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
         few = super().coarse(body, step)._few(number)
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
-        """The average body in the poses that labels tell; see `labelled_start`."""
+        """The average body in the poses that fit the labelled points; see `labelled_start`."""
         seen = self.labelled()
         assert seen.labels is not None
         return labelled_start(
@@ -320,7 +326,7 @@ class PointCloud(Sensor):
         )  # fmt: skip
 
     def labelled(self) -> "PointCloud":
-        """The cloud with what the bundled network believes of its points, unless it has labels."""
+        """The cloud with labels by the bundled network, unless it has labels already."""
         if self.labels is not None:
             return self
         level = self.ground_known or self.ground_seen

@@ -1,4 +1,4 @@
-"""Points of the skin as an earlier estimate of the motion had them, whose errors last for seconds.
+"""Points of the skin in an earlier estimate of the motion; errors are correlated over time.
 
 A network that looks at video is not noisy as a sensor is: what it gets wrong in one frame it gets
 wrong in the next, by joint, and the whole path drifts. Counted as independent, a second of such
@@ -29,7 +29,10 @@ _UNSEEN = 10.0
 
 @dataclass(frozen=True)
 class Drifting:
-    """Covariance of an error in time: white jitter and a part that lasts, metres per axis."""
+    """Covariance of an error over time.
+
+    White jitter plus a slowly changing part, metres per axis.
+    """
 
     jitter: float
     """Standard deviation of what is another in every frame at 30 Hz."""
@@ -64,7 +67,7 @@ class Drifting:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedPoints(Markers3D):
-    """Points of the skin of a motion that was estimated before.
+    """Points of the skin of an earlier estimate of the motion, used as measurements.
 
     The energy is ½ s² r' C⁻¹ r for the residuals r of every coordinate in time, with the
     covariance C of `path` for the mean of all points and that of `own` for every point's
@@ -84,17 +87,20 @@ class EstimatedPoints(Markers3D):
     ground_known: bool = False
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
-        """The noise of a usual sensor: the covariances in the energy replace an estimated one."""
+        """The noise of a typical sensor.
+
+        The energy has its own covariances, so none is estimated.
+        """
         del guess, body, given
         return Noise(_SCALE, _SCALE)
 
     def robust_beyond(self, distance: float) -> "EstimatedPoints":
-        """Itself: what is not believed is marked beforehand."""
+        """The sensor itself: untrusted points are marked before a fit, so no kernel is needed."""
         del distance
         return self
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ s² Σ r' C⁻¹ r of the path's and of every point's own residuals; metres²."""
+        """½ s² Σ rᵀ C⁻¹ r over the residuals of the path and of every point about it; metres²."""
         points, seen = self.expected(estimate)
         there = self.visible[..., seen, :, None]
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)

@@ -30,7 +30,7 @@ class FirstGuess:
 
 
 def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
-    """The rest body placed by the observations that tell most.
+    """The rest body placed by the most informative of the observations.
 
     Points that are known by name come first, then what several cameras see, then what one camera
     sees, at the distance and in the posture of the depth where there is depth, and depth alone
@@ -56,7 +56,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
 
 
 def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
-    """The views that see the moments of the first."""
+    """The views that share the clock of the first one."""
 
     def clock(view: Keypoints2D) -> tuple[object, ...]:
         return (view.fps, view.start_time, *view.pixels.shape[:-1])
@@ -65,7 +65,7 @@ def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
 
 
 def _moved_like(posed: Motion, placed: Motion) -> Motion:
-    """A motion in the postures and at the places of another one, which may be on another clock.
+    """A motion with the poses and translations of another one, which may have another frame rate.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
     point is near them, so none pulls them back. Before the other motion begins and after it has
@@ -83,7 +83,9 @@ def _moved_like(posed: Motion, placed: Motion) -> Motion:
 
 
 def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations with labels for their clouds, unless other points in space have names.
+    """The observations, clouds with labels added.
+
+    Without them where another sensor has named points in space.
 
     Those tell the posture better than labels do.
     """

@@ -59,11 +59,11 @@ class Joints3D(TrackedPoints):
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """Numbers of the joints."""
+        """Joint numbers of the points."""
         return self.joints
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The joints on a body of some shape."""
+        """The joints as points of a body of a given shape."""
         return CarriedPoints.joints(body, shape).some(self.joints)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
@@ -71,7 +71,7 @@ class Joints3D(TrackedPoints):
         return body.joint_template[list(self.joints)]
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """Every joint carries itself."""
+        """The joint that moves each point: the point itself."""
         del body
         return self.joints
 

@@ -1,4 +1,7 @@
-"""2D keypoints: where a detector sees points of the body in the image of a calibrated camera."""
+"""2D keypoints.
+
+Pixels at which a detector found points of the body in a calibrated camera's image.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -146,20 +149,20 @@ class Keypoints2D(PointsOfBody):
         return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
     def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
-        """Metres between measured and predicted points, at the depth of the latter."""
+        """Distances of measured from predicted points, metres at the predicted depth."""
         projected = self.camera.project(points)
         focal = self.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
         pixels = (projected.pixels - self.pixels).norm(dim=-1)
         return pixels * projected.depth.clamp(min=NEAREST) / focal
 
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
-        """The estimate's keypoints in the image, at the moments that it covers, and which."""
+        """Pixels of the estimate's keypoints in the frames that it covers, and these frames."""
         points, seen = super().expected(estimate)
         camera = self.settled(estimate.scene).camera
         return camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 2"], slice]:
-        """Pixels of the estimate's keypoints at the moments that it covers, and which."""
+        """Predicted pixels in the frames that the estimate covers, and these frames."""
         projected, seen = self.project(estimate)
         return projected.pixels, seen
 
@@ -171,7 +174,7 @@ class Keypoints2D(PointsOfBody):
         )  # fmt: skip
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints2D":
-        """Images whose camera is given in another frame, after a rigid transform of it."""
+        """The view with its camera's pose expressed in another frame, after a rigid transform."""
         return self.derived(camera=self.camera.moved(T_new_old))
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
@@ -192,12 +195,12 @@ class Keypoints2D(PointsOfBody):
         return distance / float(self.camera.camera_matrix[..., [0, 1], [0, 1]].mean())
 
     def coarse(self, body: BodyModel, step: int = 2) -> "Keypoints2D":
-        """All moments: images are cheap to compare with."""
+        """All frames: views are cheap to evaluate, so nothing is left out."""
         del body, step
         return self
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the moments in which a keypoint tells where each joint is in the image.
+        """Share of the frames in which a visible keypoint locates each joint in the image.
 
         Detectors place legs beyond the edge of an image, too, but do not believe in them: a
         keypoint of less than a fifth of the greatest confidence tells nothing.
@@ -206,7 +209,7 @@ class Keypoints2D(PointsOfBody):
         return told_joints(self.shown & (self.confidence > FAINT * greatest), self.shows(body))
 
     def start(self, body: BodyModel) -> Motion:
-        """The rest pose where the torso's keypoints suggest; see `image_start`."""
+        """The rest pose placed by the keypoints of the torso; see `image_start`."""
         return image_start(
             body, self.points, self.pixels, self.confidence, self.camera,
             fps=self.fps, start_time=self.start_time,

@@ -1,4 +1,4 @@
-"""3D keypoints: points of the body where triangulations and depth cameras see them in space."""
+"""3D keypoints: points of the body measured in space, as by triangulation or depth cameras."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -71,13 +71,16 @@ class Keypoints3D(TrackedPoints):
         )  # fmt: skip
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The bone that carries each keypoint; the trunk carries means of joints of both sides."""
+        """The joint whose bone moves each keypoint.
+
+        Means of joints of both sides belong to the trunk.
+        """
         del body
         named = zip(self.points.names, self.points.bones, strict=True)
         return tuple(TRUNK.get(name, bone) for name, bone in named)
 
     def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
-        """Pairs of keypoints of one bone."""
+        """Pairs of keypoints on the same bone, whose distance is constant."""
         return self.points.rigid_pairs(body)
 
     def start(self, body: BodyModel) -> Motion:
@@ -92,7 +95,7 @@ class Keypoints3D(TrackedPoints):
         )  # fmt: skip
 
     def _path(self) -> Float[Tensor, "*batch moments 1 3"]:
-        """Translations of every moment that plant the feet, metres."""
+        """Translations of all frames with which standing feet do not slide, metres."""
         moments, count = self.visible.shape[-2:]
         every = zip(
             self.positions.detach().double().cpu().reshape(-1, moments, count, 3).numpy(),

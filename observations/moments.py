@@ -1,4 +1,4 @@
-"""Single moments of sensors that a stream can follow: named points and calibrated views."""
+"""Single frames of sensors that a stream accepts: named points and calibrated views."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ Tracker = TrackedPoints | Keypoints2D
 
 
 def followed(given: Any) -> Tracker:
-    """A sensor that can be followed, without an axis of clips, in single precision.
+    """The sensor as a stream takes it: without an axis of clips, in single precision.
 
     Raises:
         ObservationError: when it has no named points, its camera moves or has no pose, or the
@@ -50,7 +50,7 @@ def followed(given: Any) -> Tracker:
 
 
 def filled(sensor: Tracker, array: Numbers) -> Tracker:
-    """A moment of a sensor from its array, checked as a new observation is.
+    """One frame of a sensor built from an array, with the checks of a new observation.
 
     Args:
         sensor: that the points are of.
@@ -74,24 +74,24 @@ def filled(sensor: Tracker, array: Numbers) -> Tracker:
 
 
 def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
-    """Some moments by their numbers; the record keeps its own start."""
+    """Some frames of a sensor by their numbers; `start_time` is kept."""
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 
 def joined(before: Tracker, after: Tracker) -> Tracker:
-    """What was seen and what was seen next."""
+    """Two stretches of one sensor joined in time."""
     later = iter(after.by_frame(lambda tensor: tensor).values())
     return before.derived(**before.by_frame(lambda tensor: torch.cat((tensor, next(later)))))
 
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
-    """The sensor with another moment in a row."""
+    """The sensor with one more frame appended."""
     later = moments(sensor, row + 1, sensor.moments)
     return joined(joined(moments(sensor, 0, row), moments(moment, 0, 1)), later)
 
 
 def without(sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None) -> Tracker:
-    """The sensor without some points, or, by default, without all."""
+    """The sensor with some of its points hidden; by default, with all of them hidden."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
 
     def kept(tensor: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""How noisy observations are, estimated from the data alone, and what that makes them weigh."""
+"""Noise of observations, estimated from the data alone, and the weights that follow from it."""
 
 import math
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def _third_differences(
     positions: Float[Tensor, "*batch time points dims"],
     visible: Bool[Tensor, "*batch time points"],
 ) -> Float[Tensor, "runs dims"]:
-    """Sizes of the third differences of all points that are visible four frames in a row."""
+    """Absolute third differences in time of points that are visible in four frames in a row."""
     run = visible
     for _ in range(3):
         run = run[..., 1:, :] & run[..., :-1, :]

@@ -1,4 +1,4 @@
-"""Points of the body with names: where they are on it, and where they were measured in space."""
+"""Named points of the body: their places on it, and their measured positions in space."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ at once, so that a variable in metres would be stiff."""
 
 
 class PointsOfBody(Sensor):
-    """What measures points of the body that have names, in space or in an image."""
+    """Base of sensors that measure named points of the body, in space or in an image."""
 
     points: BodyPoints
     """The points of the body that are measured."""
@@ -46,7 +46,7 @@ class PointsOfBody(Sensor):
 
     @property
     def marks(self) -> tuple[str, ...] | tuple[int, ...]:
-        """What tells the points apart: their names, or numbers of joints or vertices."""
+        """Identifiers of the points: names, or numbers of joints or vertices."""
         return self.points.names
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
@@ -54,7 +54,7 @@ class PointsOfBody(Sensor):
         raise NotImplementedError
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The points on a body of some shape, without offsets."""
+        """The points carried by the bones of a body of a given shape, without offsets."""
         points = self.points
         return CarriedPoints.create(
             body, shape, points.of_joints, points.of_vertices, points.vertices
@@ -86,7 +86,7 @@ class PointsOfBody(Sensor):
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
-        """The points on a body of some shape; offsets as in `Scene.offsets`."""
+        """The points on bones of a body of a given shape; offsets as in `Scene.offsets`."""
         found = self.on_bones(body, shape)
         if self.offset_rows is None:
             return found
@@ -94,15 +94,15 @@ class PointsOfBody(Sensor):
         return found.displaced(self.bones(body), own)
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the frames in which the place of each joint is told by a point that is seen."""
+        """Share of the frames in which some visible point locates each joint."""
         return told_joints(self.shown, self.shows(body))
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
-        """Joints of the first clip that a point tells the place of, in every frame."""
+        """Joints of the first clip that some visible point locates, in every frame."""
         return self.shown[0].cpu().numpy() @ self.shows(estimate.body.model)
 
     def shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-        """Joints whose place each point tells."""
+        """Joints that each point locates, as a mask (points, joints)."""
         rest = self.at_rest(body).double().cpu().numpy()
         return joints_shown(self.bones(body), rest, body)
 
@@ -154,7 +154,7 @@ class TrackedPoints(PointsOfBody):
         exist: Bool[Tensor, " points"] | None = None,
         **rest: Any,
     ) -> tuple[int, ...]:
-        """Set the fields to what checks make of them, for constructors; gives checked places.
+        """Check a constructor's arguments, set the fields from them, return the checked places.
 
         Args:
             positions: what the caller gave.
@@ -180,7 +180,10 @@ class TrackedPoints(PointsOfBody):
         return numbers
 
     def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
-        """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
+        """Pairs of points whose distance does not depend on the pose.
+
+        None to derive them from `bones`.
+        """
         del body
 
     @property
@@ -197,10 +200,13 @@ class TrackedPoints(PointsOfBody):
     def weights(
         self,
     ) -> Float[Tensor, "*batch moments points"] | Bool[Tensor, "*b moments points"]:
-        """`rms_std` over the standard deviation of every point; zero where it was not visible."""
+        """Weights: `rms_std` over each point's standard deviation.
+
+        Zero where it was not visible.
+        """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # a quotient of tensors: that of a number and a tensor goes by way of the reciprocal
+        # dividing a number by a tensor rounds differently: torch multiplies by the reciprocal
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 
@@ -250,7 +256,10 @@ class TrackedPoints(PointsOfBody):
         return self.derived(kernel=partial(geman_mcclure, sigma=distance))
 
     def start(self, body: BodyModel) -> Motion:
-        """A first guess: the rest pose on the points of the torso, limbs towards their points."""
+        """A first guess.
+
+        The rest pose fitted to the torso, with limbs turned towards their points.
+        """
         rest, bones = self.at_rest(body).to(self.positions), self.bones(body)
         start = rigid_start(
             body, rest, bones, self.positions, self.visible, fps=self.fps,

@@ -1,4 +1,4 @@
-"""The surface of a body as discs, and how far points are from them, robustly."""
+"""The surface of a body as discs, and robust distances of points from them."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ def to_discs(
     height = (offset * normal).sum(-1)
     across = (offset - height[..., None] * normal).square().sum(-1)
     outside = across > radius.square()
-    # the root is taken of what lies outside only: its gradient at zero is infinite
+    # the square root is taken outside the disc only, since its gradient at zero is infinite
     beyond = torch.where(outside, across, radius.square().clamp(min=1e-12)).sqrt() - radius
     return height.square() + torch.where(outside, beyond, 0.0).square()
 
@@ -73,7 +73,7 @@ def bounded(
     present: Bool[Tensor, "*batch samples"],
     sigma: float = 0.1,
 ) -> Float[Tensor, "*batch samples"]:
-    """Geman-McClure with a fixed scale in metres: a misfit that no scale moves."""
+    """Geman and McClure's kernel with a fixed scale, metres; `tukey` estimates its scale."""
     del present
     return geman_mcclure(squared, sigma)
 
@@ -85,7 +85,7 @@ _NEIGHBOURS = 6
 
 @dataclass(frozen=True)
 class Surfels:
-    """A disc at each of some vertices, evenly spread; plain arrays, shared by all clips.
+    """Discs at evenly spread vertices that approximate the surface; shared by all clips.
 
     The normals are those of the unposed average body. They turn with the bones that move the
     vertex; what the shape changes of them (a few degrees) is left out.
@@ -117,7 +117,7 @@ class Surfels:
         bones: Float[Tensor, "*batch moments 22 4 3"],
         pairs: Int[Tensor, "*batch moments points"],
     ) -> tuple[Float[Tensor, "*batch moments points 3"], Float[Tensor, "*batch moments points 3"]]:
-        """Middles (metres) and unit normals of some discs, others at every moment.
+        """Middles (metres) and unit normals of discs whose numbers differ from frame to frame.
 
         Only these are skinned: far fewer than all where few points are seen. The offsets that
         follow the pose (SMPL) are left out.

@@ -1,4 +1,4 @@
-"""Clocks of sensors, at the place where 0.2.0 had them; they are in `recon.method.timing`."""
+"""Kept for plug-ins of version 0.2.0: clocks of sensors, now in `recon.method.timing`."""
 
 from recon.method.timing import at_observation_times, moment_numbers, padded
 

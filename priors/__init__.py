@@ -1,4 +1,4 @@
-"""Learned priors: which motions are likely, and what part of a body a point shows."""
+"""Learned priors over motions, and the network that labels points of clouds by body part."""
 
 from typing import TYPE_CHECKING
 

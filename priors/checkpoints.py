@@ -49,7 +49,7 @@ class Checkpoint:
         return {name: self.tensors[name] for name in shapes}
 
     def under(self, prefix: str) -> "Checkpoint":
-        """The tensors whose names begin so, without the beginning, in single precision."""
+        """Tensors whose names have this prefix, the prefix removed, in single precision."""
         own = {
             name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
             for name, tensor in self.tensors.items()
@@ -58,7 +58,7 @@ class Checkpoint:
         return Checkpoint(self.path, own, self.settings)
 
     def besides(self, *prefixes: str) -> "Checkpoint":
-        """The tensors whose names begin with none of these, in single precision."""
+        """Tensors whose names have none of these prefixes, in single precision."""
         others = {
             name: tensor.float()
             for name, tensor in self.tensors.items()
@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
-        """Settings that are whole numbers, of a file whose other settings are the given words.
+        """The integer settings of a file, whose other settings must equal the given texts.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.

@@ -1,4 +1,4 @@
-"""Orthonormal cosines over the frames of a clip, in which slow motions are few numbers."""
+"""Orthonormal cosines over the frames of a clip (DCT-II); few of them describe a slow motion."""
 
 import math
 

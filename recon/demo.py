@@ -39,7 +39,7 @@ Metrics = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Case:
-    """One way to spoil the recording."""
+    """One degradation of the recording: noise or hidden points."""
 
     title: str
     sensor: str
@@ -136,7 +136,7 @@ def _metrics(
 
 
 def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
-    """Errors of the data themselves; None where they tell no joints."""
+    """Errors of the data themselves; None where the data are no joints."""
     exact = seen.predict(body.pose(truth))
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}

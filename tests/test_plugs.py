@@ -23,7 +23,7 @@ VERBS = {
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
     "recon/live/tracking.py", "recon/live/objective.py",
-    "recon/live/stream.py", "recon/diagnosis/points/quick.py", "recon/fitting/retargeting.py",
+    "recon/live/stream.py", "recon/diagnosis/quick_fit.py", "recon/fitting/retargeting.py",
     "recon/ingest/marker_poses.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""

@@ -88,7 +88,7 @@ N = TypeVar("N", bound=nn.Module)
 
 
 class Run(Generic[S, N]):
-    """Networks that learn, and all that a run needs to go on exactly where it was."""
+    """A training run: networks, optimiser and random state, resumable exactly."""
 
     panels: ClassVar[Sequence[Sequence[str]]]
     """Losses that are drawn together."""
@@ -139,7 +139,7 @@ class Run(Generic[S, N]):
         raise NotImplementedError
 
     def optimiser_of(self, networks: N) -> torch.optim.Optimizer:
-        """What takes the steps."""
+        """The optimiser."""
         rate, decay = self.settings.rate, self.settings.decay
         return torch.optim.AdamW(
             networks.parameters(), rate, self.betas, weight_decay=decay, fused=True
@@ -151,7 +151,7 @@ class Run(Generic[S, N]):
         return ((self.settings.steps, self.settings.rate),)
 
     def more(self) -> dict[str, Any]:
-        """What files of the run hold besides weights and losses."""
+        """Further content of a run's checkpoint, besides weights and losses."""
         return {}
 
     def resume(self, state: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Settings of a training run, and whether a folder holds that same run."""
+"""Settings of a training run, and the check that a folder holds the same run."""
 
 import dataclasses
 import logging
@@ -102,7 +102,7 @@ def told_settings(settings: Any) -> dict[str, Any]:
 
 
 def identity(settings: Any) -> dict[str, Any]:
-    """All that decides what a run learns: its settings, and the contents of the files they name.
+    """The identity of a run: its settings, and checksums of the files they name.
 
     A folder counts by the motions and notes of its corpus, another file by its bytes, wherever
     they lie. Where a run is written and how fast it goes (`FREE`) is no part of it.

@@ -20,7 +20,7 @@ from recon.formats.replacing import replacing
 
 
 def half_precision(networks: nn.Module, **parts: TensorStruct) -> dict[str, Tensor]:
-    """Tensors of networks, and under the name of each part those that are not learned.
+    """Tensors of networks in half precision, and those of named parts that are not learned.
 
     All are in half precision but what scales others: of parts only `directions` are.
     """
@@ -58,7 +58,7 @@ def save_checkpoint(
             f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
             "finite numbers, in float16 of at most 65504: look into the training that gave them"
         )
-    # as JSON gives it back, so that the checksum of what is read is that of what was written
+    # converted as by JSON, so that a file that is read has the checksum that was written
     plain = json.loads(json.dumps({"kind": kind, "settings": dict(settings)}))
     about = json.dumps(plain | {"sha256": checksum(rows, plain)}, sort_keys=True)
     with replacing(path) as beside:
@@ -87,7 +87,7 @@ def save_humor(
 
 
 def save_anchor(path: Path, weights: AnchorWeights, settings: Mapping[str, Any]) -> None:
-    """Write networks and directions in half precision, what scales them in single."""
+    """Write networks and principal directions in half precision, scales in single precision."""
     networks, basis = weights.networks, weights.networks.basis
     sizes = {
         "latent": networks.latent,
@@ -100,7 +100,7 @@ def save_anchor(path: Path, weights: AnchorWeights, settings: Mapping[str, Any])
 
 
 def save_humos(path: Path, weights: HumosWeights, settings: Mapping[str, Any]) -> None:
-    """Write networks and directions in half precision, what scales them in single."""
+    """Write networks and principal directions in half precision, scales in single precision."""
     networks = weights.networks
     tensors = half_precision(networks, basis=networks.basis, density=weights.density)
     about = {"codes": CODES_OF, **settings, "frames": weights.frames}

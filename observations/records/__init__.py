@@ -1,1 +1,1 @@
-"""The place where plug-ins of 0.2.0 find what they derive a sensor from."""
+"""Kept for plug-ins of version 0.2.0, which import the base class of sensors from here."""

@@ -1,4 +1,4 @@
-"""The base of sensors under the name that plug-ins of 0.2.0 derive from."""
+"""The base class of sensors under its name in version 0.2.0."""
 
 from recon.method.sensor import Sensor as SensorRecord
 

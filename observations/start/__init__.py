@@ -1,1 +1,1 @@
-"""First guesses from one sensor: the rest body laid on what it saw."""
+"""First guesses from one sensor: the rest body placed on its data."""

@@ -1,4 +1,4 @@
-"""Poses of single moments from points whose places on the body are known, roughly.
+"""Poses of single frames from points whose places on the body are roughly known.
 
 Every point belongs to a bone and has a place on it, so what it asks of a pose is linear in the
 pose [O_b | p_b] of that bone. The points of a bone enter by their moments alone (sums of places,
@@ -34,7 +34,7 @@ def torques(
     """Derivatives of the energy by the translation and by world turns about the joints."""
     below = BELOW.to(bones)
     moment = force @ bones.mT
-    # the axial part of Σ w r xᵀ is Σ w x × r
+    # the antisymmetric part of Σ w r xᵀ, as a vector, is Σ w x × r
     twist = torch.stack([
         moment[..., (axis + 2) % 3, (axis + 1) % 3] - moment[..., (axis + 1) % 3, (axis + 2) % 3]
         for axis in range(3)
@@ -81,7 +81,7 @@ _SHIFT = 0.5
 
 @dataclass(frozen=True)
 class BoneTargets(TensorStruct):
-    """Points seen at some moments, each with its place on a bone."""
+    """Measured points of some frames, each with its place on a bone."""
 
     points: Float[Tensor, "rows points 3"]
     """Positions that were seen, metres."""
@@ -101,7 +101,7 @@ class BoneTargets(TensorStruct):
 
 @dataclass(frozen=True)
 class BonePoses(TensorStruct):
-    """Poses of moments and what follows from them."""
+    """Poses of some frames, and the joint positions and rotations that follow from them."""
 
     translation: Float[Tensor, "rows 3"]
     """The translation of `Motion`, which does not turn the rest pelvis."""
@@ -148,7 +148,7 @@ class PoseSolver(TensorStruct):
         sigmas: tuple[float, ...],
         ties: "Springs | None",
     ) -> BonePoses:
-        """The poses after one damped Gauss-Newton step for every scale of the robust kernel.
+        """The poses after damped Gauss-Newton steps, one for each falling scale of the kernel.
 
         The energy of a frame is ½ Σ w ρ(|predicted - seen|²) + ½ |z|², with Geman and McClure's
         kernel ρ, whose scale shrinks from step to step: what is far away counts at first and not
@@ -165,7 +165,7 @@ class PoseSolver(TensorStruct):
         return minimise(annealed, (state, 0), options)[0][0]
 
     def moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
-        """The poses after steps, shorter where one would turn a joint or go too far."""
+        """The poses after steps; a step that would turn a joint or move too far is shortened."""
         turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
         long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
@@ -183,7 +183,10 @@ class PoseSolver(TensorStruct):
 
 @dataclass(frozen=True)
 class Springs:
-    """Springs between moments and the next ones: of places, of the root and of coordinates."""
+    """Quadratic ties between neighbouring frames.
+
+    Of translations, root rotations and pose coordinates.
+    """
 
     linked: Bool[Tensor, " between"]
     place: float
@@ -214,7 +217,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class _Annealed(Problem[tuple[BonePoses, int]]):
-    """Poses of all rows, and the number of the kernel's scale that comes next."""
+    """Poses of all rows, and the index of the next kernel scale of the annealing."""
 
     solver: PoseSolver
     targets: Callable[[BonePoses], BoneTargets]
@@ -232,7 +235,8 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
         diagonal = own.diagonal(dim1=1, dim2=2)
         diagonal[:, 6:] += 1
         diagonal += 1e-3 * diagonal + 1.0
-        lost = ~gradient.isfinite().all(-1)  # such a row stays where it is, and spoils no other
+        # such a row keeps its pose and does not affect the others
+        lost = ~gradient.isfinite().all(-1)
         gradient[lost], own[lost] = 0.0, torch.eye(own.shape[-1])
         inner = own[:, None]
         if self.ties is not None:
@@ -249,7 +253,7 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
     def moved(
         self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> tuple[BonePoses, int]:
-        """The poses after steps, and the next scale."""
+        """The poses after steps, with the index of the next kernel scale."""
         del rows
         state = x[0]
         framed = steps[0].view(len(state.translation), -1)
@@ -262,7 +266,7 @@ def placed_rigidly(
     trunk: Bool[Tensor, "rows points"],
     sigmas: tuple[float, ...],
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
-    """Pelvis and root of the rest body laid on the points of the trunk, in any tilt.
+    """Rigid placement of the rest body on the points of the trunk, with any tilt.
 
     Procrustes' problem with the weights of Geman and McClure's kernel, whose scale shrinks.
     Moments with fewer than three such points are laid on all of theirs.

@@ -1,4 +1,7 @@
-"""A first guess from one camera: the rest body, turned and scaled to fit every image."""
+"""A first guess from one camera.
+
+The rest body turned and scaled to fit the keypoints of every frame.
+"""
 
 import math
 from collections.abc import Sequence
@@ -50,7 +53,7 @@ def image_start(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The rest pose upright in the recording, where torso and legs fit the keypoints best.
+    """The upright rest pose with the place and heading that fit torso and legs best.
 
     For every heading of the body, scale and place in the image follow by least squares (weak
     perspective). The headings of all frames are chosen together, as a body does not spin
@@ -91,7 +94,7 @@ def bone_distance(
     confidence: Float[Tensor, "batch time points"],
     camera: Camera,
 ) -> Float[Tensor, "batch time"]:
-    """Distance of the average body by the bones least foreshortened in each frame, metres.
+    """Distance of an average body by its least foreshortened bones, in each frame, metres.
 
     Focal length times a high quantile over the visible bones of length in the image over length
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no

@@ -1,4 +1,4 @@
-"""A first guess from labelled points: any posture, tilt and heading, tracked through time.
+"""A first guess from labelled clouds: any posture, tilt and heading, made consistent over time.
 
 A cloud's labels say of every point where on the body it lies, roughly. So a pose follows as it
 does from markers. What labels get wrong, they get wrong for a whole moment: left for right, the
@@ -65,7 +65,7 @@ _CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 
 @dataclass(frozen=True)
 class _Moments:
-    """The moments that are posed, one clip."""
+    """The frames of one clip that get a pose, about ten per second."""
 
     number: Int[Tensor, " rows"]
     points: Float[Tensor, "rows points 3"]
@@ -86,7 +86,7 @@ def labelled_start(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The average body in the poses that labels and points tell, about ten times a second.
+    """The average body in poses fitted to labelled points, about ten frames per second.
 
     Moments that show too little take the pose that lies between their neighbours'.
 
@@ -128,7 +128,7 @@ def labelled_start(
 
 @dataclass(frozen=True)
 class _Tracker:
-    """What is known of the body, in single precision."""
+    """Constants of the body that the tracker uses, in single precision."""
 
     body: BodyModel
     solver: PoseSolver
@@ -182,7 +182,7 @@ class _Tracker:
         return _between(found, moments.number, count)
 
     def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
-        """The points on the bones that a reading of their labels puts them on."""
+        """The points with their places on bones under one hypothesis of the labels."""
         labels = _read(moments.labels, signs)
         place, region = labels.places, labels.region.clamp(min=0)
         away = torch.cdist(place, self.place)
@@ -199,7 +199,7 @@ class _Tracker:
         )
 
     def _posed(self, targets: BoneTargets) -> BonePoses:
-        """Poses of all moments under all readings, independent of each other."""
+        """Poses of all frames under all hypotheses, each frame on its own."""
         region = torch.tensor(REGION_OF_JOINT)[targets.bone]
         trunk = torch.isin(region, torch.tensor(sorted(_TRUNK)))
         place, turn = placed_rigidly(targets, self.solver.rest, trunk, _RIGID)
@@ -214,7 +214,7 @@ class _Tracker:
     def _path(
         self, moments: _Moments, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
-        """The reading of every moment."""
+        """The hypothesis chosen for every frame (Viterbi)."""
         rows, readings = len(moments.number), len(_READINGS)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),
@@ -239,7 +239,7 @@ class _Tracker:
 def _chosen(
     points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
 ) -> _Moments | None:
-    """About ten moments a second that show enough, with few of their points; None without any."""
+    """About ten frames per second with enough points, thinned; None where there are none."""
     enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
     number = enough.nonzero()[:, 0]
     if len(number) == 0:
@@ -250,7 +250,7 @@ def _chosen(
         if k - kept[-1] >= stride or k == int(number[-1]):
             kept.append(k)
     number = torch.tensor(kept)
-    # present points first, in an order that is that of no scan line
+    # present points first, in a random order, so that a cut leaves no scan line out
     order = (
         present[number].float()
         + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2
@@ -273,7 +273,7 @@ def _chosen(
 
 
 def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """The labels in a reading."""
+    """The labels under one hypothesis of which side is left."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]
@@ -284,7 +284,7 @@ def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
 def _changes(
     posed: BonePoses, readings: int, seconds: Float[Tensor, " between"]
 ) -> Float[Tensor, "between readings readings"]:
-    """What it costs to go from every reading of a moment to every one of the next."""
+    """Cost of going from each hypothesis of a frame to each one of the next."""
     root = posed.root.unflatten(0, (readings, -1)).transpose(0, 1)
     joints = posed.joints.unflatten(0, (readings, -1)).transpose(0, 1)
     joints = joints - joints[..., :1, :]

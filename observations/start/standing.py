@@ -1,4 +1,7 @@
-"""Where a person is whose keypoints tell only how it stands: by feet that do not slide."""
+"""The path of a person whose keypoints are relative to the body.
+
+Feet on the ground do not slide.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,7 +22,7 @@ def planted_path(
     visible: Bool[np.ndarray, "time points"],
     fps: float,
 ) -> Float[np.ndarray, "time 3"]:
-    """Translations, metres, that keep the lower foot where it stands, and on z = 0.
+    """Translations, metres, with which the lower foot does not move and is on z = 0.
 
     It is only where to begin from: a prior that knows how feet touch the ground says more.
 
@@ -44,7 +47,7 @@ def planted_path(
     anchor = middle[stance, 0, :2].copy()
     for t in range(len(path)):
         other = 1 - stance
-        # heights of whole feet: toes of a swinging foot pass close above the ground
+        # the height of the whole foot decides: toes of a swinging foot pass close above the ground
         if len(feet) > 1 and middle[other, t, 2] < middle[stance, t, 2] - _LOWER:
             here = anchor - middle[stance, t, :2]
             stance, anchor = other, here + middle[other, t, :2]
@@ -59,7 +62,7 @@ def _foot(
     visible: Bool[np.ndarray, "time points"],
     width: int,
 ) -> Float[np.ndarray, "time parts 3"] | None:
-    """Points of a foot as if each lay on its sole, without gaps; None where none is ever seen."""
+    """Points of a foot lowered to its sole, gaps filled; None where none is ever seen."""
     found: list[np.ndarray] = []
     for part, lift in _PARTS.items():
         if f"{side}_{part}" not in names:

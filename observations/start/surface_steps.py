@@ -1,4 +1,4 @@
-"""Poses that labels tell roughly, brought to the surface that was seen by closest points.
+"""Rough poses from labels, refined to the observed surface by closest points.
 
 Labels are off by centimetres to decimetres, and the points themselves by millimetres. So a pose is
 drawn to both: to the places that labels name, as far as they are believed, and to the surface of
@@ -33,7 +33,7 @@ labels do not count, and 5.6 and more where they count six times as much."""
 
 
 def costs_of_points(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
-    """Rows for `recon.core.nearest.nearest_alike`, less a constant of every point."""
+    """Rows for `recon.core.nearest.nearest_alike`: costs of matches up to a constant per point."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
     size = torch.full_like(sure, _PLACE_WEIGHT)
@@ -42,7 +42,7 @@ def costs_of_points(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
 
 
 def kinds_of_surfels(surfels: Surfels, body: BodyModel) -> Float[Tensor, "surfels 16"]:
-    """Rows of the surface that these are multiplied by."""
+    """Rows of the surface for `nearest_alike`, the counterpart of `costs_of_points`."""
     index = torch.from_numpy(surfels.vertices).to(body.template.device)
     regions = Regions.of(body)
     place = regions.places[index]
@@ -60,7 +60,7 @@ _ALONG = 0.2
 
 @dataclass(frozen=True)
 class SeenSurface:
-    """Labelled points of some rows, and where they were seen from."""
+    """Labelled points of some frames, and the sensor's position."""
 
     body: BodyModel
     cover: Surfels
@@ -81,7 +81,7 @@ class SeenSurface:
         labels: PointLabels,
         eye: Float[Tensor, "rows 3"] | None,
     ) -> "SeenSurface":
-        """The points with what it costs to take them for other parts than their labels say."""
+        """The points with the costs of matching them to other parts than their labels name."""
         kinds = kinds_of_surfels(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
         costs = costs_of_points(labels)
@@ -103,7 +103,7 @@ class SeenSurface:
         sigmas: tuple[float, ...],
         springs: Springs | None,
     ) -> BonePoses:
-        """The poses after a step for every scale of the robust kernel, with points matched anew.
+        """The poses after one step per kernel scale, with new closest points before each.
 
         Args:
             state: where to begin.
@@ -130,7 +130,7 @@ class SeenSurface:
         away = self.points - middle
         height = (away * normal).sum(-1, keepdim=True) * normal
         bone = self.bone[found]
-        # where the surfel is on its bone as it is posed now, with all that blends into it
+        # the surfel's place in the frame of its bone, from the posed surface, blending included
         placed = state.bones[torch.arange(len(bone))[:, None], bone]
         place = (placed[..., :3].mT @ (middle - placed[..., 3])[..., None])[..., 0]
         count = self.present.sum(-1, keepdim=True).clamp(min=1)
@@ -139,7 +139,7 @@ class SeenSurface:
 
 
 def _motion(state: BonePoses, body: BodyModel) -> Motion:
-    """The rows as frames of one motion of the average body."""
+    """The poses of all rows as the frames of one motion of the average body."""
     shape = state.translation.new_zeros(body.shape_size)
     return Motion.create(state.translation, state.rotations, shape, fps=30.0)
 
@@ -179,7 +179,7 @@ def evidence(
     shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
     if eye is not None:
         shown = facing(middles, normals, eye)
-    centre = points.mean(1, keepdim=True)  # far from the origin, products of places lose digits
+    centre = points.mean(1, keepdim=True)  # near zero, products of coordinates keep their digits
     squared = squared_distances(points - centre, middles - centre)
     nearest = squared.masked_fill(~shown[:, None], torch.inf).amin(-1)
     share = (nearest / (nearest + _HALF_COUNTED**2)).nan_to_num(1.0).where(present, 0.0)

@@ -1,4 +1,4 @@
-"""A cycle of motion as 100 anchor frames: poses, translations and times in numbers of fixed count.
+"""A cycle of motion as 100 anchor frames, so that cycles of any length have equally many numbers.
 
 Marsot et al., section 3: anchors lie evenly in time from the cycle's first moment to its last,
 so that cycles of any duration are of one size; each carries the time it stands for.
@@ -61,7 +61,7 @@ class Anchors(TensorStruct):
         return every
 
     def motion(self, shape: Float[Tensor, "*batch shape"], fps: float) -> Motion:
-        """The anchors as frames of a rate."""
+        """The anchor frames resampled to a frame rate."""
         return Motion.create(self.translation, self.full_rotations, shape, fps)
 
     def pack(self) -> Float[Tensor, "*batch anchors 124"]:
@@ -172,14 +172,14 @@ class CycleBasis(TensorStruct):
     def metric(
         self, normalised: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
-        """The inverse of `normalised`: radians-free 6D, metres, seconds."""
+        """The inverse of `normalised`: 6D rotations without unit, metres, seconds."""
         span = (self.high - self.low) / self.high.new_tensor([2.0, 2.0, 2.0, 1.0])
         low = self.low + span * span.new_tensor([1.0, 1.0, 1.0, 0.0])
         scale = torch.cat((span.new_ones(POSE_NUMBERS), span))
         return torch.cat((low.new_zeros(POSE_NUMBERS), low)) + scale * normalised
 
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
-        """Cosines of every channel and the duration, each worth what the losses make of it."""
+        """Cosine coefficients of every channel and the duration, in the units of the losses."""
         waves = cosines(ANCHORS, COSINES).to(normalised)
         slow = waves.mT @ normalised[..., :-1] * _worth(normalised)
         return torch.cat((slow.flatten(-2), _TIME * normalised[..., -1, -1:]), -1)

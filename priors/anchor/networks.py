@@ -1,4 +1,4 @@
-"""Networks of the anchor-frame VAE: a linear map of cycles, and what bends it."""
+"""Networks of the anchor-frame VAE: a linear map of cycles plus nonlinear residual layers."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +105,7 @@ ALIGNMENT = "yaw"
 
 @dataclass(frozen=True)
 class CodeSpread(TensorStruct):
-    """The aggregate posterior of recorded cycles: their codes are about N(mean, root rootᵀ)."""
+    """The aggregate posterior: latent codes of recorded cycles are about N(mean, root rootᵀ)."""
 
     mean: Float[Tensor, " latent"]
     root: Float[Tensor, "latent latent"]

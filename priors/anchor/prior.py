@@ -1,4 +1,4 @@
-"""The anchor-frame prior: a whole cycle of motion as one code (Marsot et al. 2022).
+"""The anchor-frame prior: a whole cycle of motion as one latent code (Marsot et al. 2022).
 
 A code and a shape decode to 100 anchors with their times; a rigid transform puts them into the
 world, and reading them at even moments gives the motion. So data at any times meet the prior, and
@@ -75,7 +75,7 @@ class AnchorVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class AnchorFrames(CyclePrior[AnchorVariables]):
-    """The prior of whole gait cycles: a normal distribution of codes, and small, slow details."""
+    """The prior of whole gait cycles: normal latent codes plus small, slow corrections."""
 
     weights: AnchorWeights
     body: BodyModel
@@ -100,12 +100,12 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
 
     @property
     def code_size(self) -> int:
-        """Numbers in a code."""
+        """Dimension of a latent code."""
         return self.weights.networks.latent
 
     @property
     def typical(self) -> Float[Tensor, "typical latent"]:
-        """Codes of a few cycles that are unlike each other, to begin with."""
+        """Latent codes of a few different cycles, as first hypotheses."""
         return self.weights.spread.typical
 
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
@@ -114,21 +114,24 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         return rows[..., -4:-1] + rest_pelvis(self.body, shape)
 
     def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Place alone, then the code: it tells good beginnings from bad ones."""
+        """Stages of a quick fit that ranks first hypotheses.
+
+        Place and heading, then the latent code.
+        """
         return (
             self._stage("place", data, noise, _PLACING, LBFGS(12)),
             self._stage("rough", data, noise, _CYCLE, LBFGS(30)),
         )
 
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """The code, then the body as well."""
+        """Stages over the latent code, then over the body's shape as well."""
         return (
             self._stage("cycle", data, noise, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
             self._stage("body", data, noise, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
         )
 
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """The last stage, where data are dense: details that codes cannot express."""
+        """The last stage, for dense data: corrections that latent codes cannot express."""
         minimiser = LBFGS(60, tolerance_decrease=1e-5)
         stage = self._stage("details", data, noise, _BODY | {"bend", "shift"}, minimiser)
         held = Term("details", prior_energy("details"), noise**2)
@@ -198,7 +201,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         return anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
 
     def rows(self, variables: AnchorVariables) -> Float[Tensor, "*batch 100 124"]:
-        """Parameters chi of the decoded anchors, in the frame of the first anchor."""
+        """Rows chi of the decoded anchors, in the frame of the first anchor."""
         spread = self.weights.spread
         codes = spread.mean + variables.latent @ spread.root.mT
         return self.weights.networks.decode(codes, variables.shape)
@@ -241,7 +244,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
     def _moments(
         self, x: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
     ) -> Float[Tensor, "*batch time"]:
-        """Place of every frame among the anchors, from 0 to 99."""
+        """Position of every frame among the anchors, 0 to 99, fractional."""
         clock = torch.arange(x.valid.shape[-1], dtype=rows.dtype, device=rows.device) / x.fps
         since = clock - BEGIN * x.begin[..., None]
         return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
@@ -257,7 +260,7 @@ def detailed(
     bend: Float[Tensor, "*batch modes 60"],
     shift: Float[Tensor, "*batch modes 3"],
 ) -> Anchors:
-    """Poses and places with details in cosines of time, each as large as its rate may be."""
+    """Poses and translations plus corrections in cosines of time, scaled by frequency."""
     frames, modes = anchors.translation.shape[-2], bend.shape[-2]
     waves = torch.zeros(frames, modes, dtype=torch.float64)
     count = min(frames, modes)

@@ -83,7 +83,7 @@ class Collocation(Prior[PoseVariables]):
         return cls(humor, CollocationWeights.for_noise(noise), poses)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """The motion at 30 Hz of the time that the networks see; exact but for the resampling.
+        """Variables of a motion resampled to the networks' 30 Hz; exact but for the resampling.
 
         Raises:
             ValueError: when it has fewer than two frames.
@@ -97,7 +97,7 @@ class Collocation(Prior[PoseVariables]):
         return self.poses.encode(motion)
 
     def belief(self, noise: float) -> Density:
-        """The pose prior with all of its smoothness, which stands for the steps here."""
+        """The density of the pose prior; its smoothness stands in for HuMoR's steps."""
         return PosePrior(self.poses.density, PoseWeights.for_noise(noise)).belief(noise)
 
     def from_steps(
@@ -111,7 +111,7 @@ class Collocation(Prior[PoseVariables]):
         return self.poses.turns(variables, clip)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
-        """Add the Hessian of poses, the mean one of steps, or that of feet held by contacts."""
+        """Add the Hessian of the pose density, the mean Hessian of steps, or that of held feet."""
         if term.energy is contact_velocity:
             contacts = clip.estimate.decoded.contacts
             assert contacts is not None
@@ -130,14 +130,14 @@ class Collocation(Prior[PoseVariables]):
         scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
         steps = max(int(clip.motion.valid.sum()) - 1, 1)
-        # the mean logarithm of the derivative of ρ over the steps
+        # log of the geometric mean of dρ/dx over the steps
         weight = term.weight * float((-nats / (scale * steps)).exp())
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
         bundled_curvature().add(clip.motion, clip.part, error, latents)
         return True
 
     def decode(self, variables: PoseVariables) -> Decoded:
-        """The motion, what the networks think of its steps, and where feet touch.
+        """The motion, the energies of its steps under the networks, and its contacts.
 
         `energies` in nats: "pose" as the pose prior's, "step" Σ ρ(½ eᵀ C⁻¹ e) of the decoder's
         errors with their covariance C over the training corpus, "latents" Σ ρ(KL);
@@ -170,7 +170,7 @@ class Collocation(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """First the root, then smooth poses, then likely steps, and at last held feet as well.
+        """Stages: root; smooth poses; steps under the networks; feet held by contacts as well.
 
         Feet come last, because wrongly standing feet of a first guess would be held there; and
         only the last stage is minimised to the end. The one before moves slow changes of the
@@ -181,7 +181,7 @@ class Collocation(Prior[PoseVariables]):
         likely then, where legs are unseen, gravity asks for a foot that carries the body, and who
         moves faster than the networks know is read slower.
         """
-        del noise, body, method  # its weights are chosen
+        del noise, body, method  # the weights were given to the constructor
         w = self.weights
         terms = (
             *data,
@@ -227,7 +227,7 @@ class Collocation(Prior[PoseVariables]):
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
-    """Whether one sensor tells the place in space of every joint in most moments of every clip."""
+    """Whether one sensor locates every joint in space in most frames of every clip."""
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"

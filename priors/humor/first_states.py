@@ -58,7 +58,8 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # what follows from other numbers: the pelvis is over its place, and moves as the translation
+    # dependent features: in a canonical frame the pelvis has fixed coordinates and the root's
+    # velocity
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

@@ -36,7 +36,7 @@ _ABOVE = 0.02
 
 @dataclass(frozen=True)
 class Footing:
-    """How much the ground has to say; chosen among a dozen settings on validation people."""
+    """Strength with which sampled motions are kept on the ground; chosen on validation people."""
 
     draws: int = 8
     """Next states of each motion, of which one is kept."""
@@ -54,7 +54,7 @@ class Footing:
         touching: Float[Tensor, "all 4"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
-        """Numbers of the draws that are kept, one of each run of `draws`.
+        """Index of the draw that is kept of every `draws` draws.
 
         Args:
             before: states in the world, each repeated for its draws.
@@ -72,7 +72,7 @@ class Footing:
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
     def grounded(self, before: State, after: State, touching: Float[Tensor, "clips 4"]) -> State:
-        """The states, nearer to the ground; arguments as of `kept`, without draws."""
+        """The states moved towards the ground; arguments as of `kept`, without draws."""
         lower = (after.joints[:, FEET, 2] - touching).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
         lowered = self.lowered * _share(before, after) * (lower - _ABOVE).clamp(min=0)
@@ -84,7 +84,7 @@ class Footing:
 
 
 def _share(before: State, after: State) -> Float[Tensor, " all"]:
-    """Share of its weight that the ground carries of a body, from one state to the next."""
+    """Share of the body's weight that the ground carries between two states."""
     rise = (after.joints - before.joints)[:, 0, 2] * REFERENCE_FPS
     return carried_share((rise - before.velocity[:, 2]) * REFERENCE_FPS)
 
@@ -126,7 +126,7 @@ _FOOTING = Footing()
 
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
-    """The body is moved to where the predicted joints are on average; its joints are the state's.
+    """The body moved onto the mean of the predicted joints; its own joints become the state's.
 
     The network knows best by its joints how high a body is.
     """

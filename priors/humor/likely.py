@@ -1,4 +1,4 @@
-"""Likely states: what HuMoR's networks cannot say of limbs that nobody saw.
+"""A density of single states for unobserved limbs, which step networks hardly constrain.
 
 A conditional prior tells how likely a step is from the state before it, not how likely that state
 is. Legs that take too few steps for the arms' swing get from one unlikely state to the next by
@@ -31,7 +31,7 @@ matters."""
 
 
 def tempo(data: Sequence[Term]) -> float:
-    """Share of their speed at which the motions of a batch are read; 1 as they are.
+    """Factor of time with which each motion of a batch is read by the networks; 1 is real time.
 
     √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
@@ -45,7 +45,7 @@ def tempo(data: Sequence[Term]) -> float:
 
 
 def _speed(sensor: Any) -> Float[Tensor, " clips"]:
-    """Mean speed of the middle of points in space that two moments `_SPEED_SPAN_S` show, m/s."""
+    """Mean speed of the centroid of visible points over `_SPEED_SPAN_S`, m/s."""
     places, shown = sensor.places, sensor.shown
     lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
     both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
@@ -58,7 +58,7 @@ def _speed(sensor: Any) -> Float[Tensor, " clips"]:
 
 @dataclass(frozen=True, eq=False)
 class LikelyStates(TensorStruct):
-    """Energy of the states of clips in which nobody saw some limb, at 30 Hz."""
+    """Energy of the states of clips with an unobserved limb, at 30 Hz."""
 
     humor: Humor
     """Prior whose mixture of initial states is the density."""
@@ -82,4 +82,7 @@ class LikelyStates(TensorStruct):
     def add_curvature(
         self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
     ) -> None:
-        """Add nothing: steps are stiffer, and L-BFGS learns what this energy adds."""
+        """Add nothing.
+
+        The steps are stiffer, and L-BFGS infers the small curvature of this energy.
+        """

@@ -1,4 +1,4 @@
-"""Limbs that no sensor saw: which they are, how they may begin, and states with them filled in."""
+"""Unobserved limbs: which they are, draws of their first state, and particles that continue it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ metres; of their velocities, m/s; and of the angular velocity, rad/s."""
 
 
 def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 22"] | None:
-    """Joints whose rotations no sensor tells, because it saw nothing that hangs from them.
+    """Joints whose rotations are unobserved: no sensor saw a point at or below them in the tree.
 
     A joint at the end of a limb, whose rotation moves no other joint, counts as its parent does.
     Clips in which every knee and elbow is told have none. None where no clip has unseen limbs,
@@ -54,7 +54,7 @@ def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 2
 
 @dataclass(frozen=True)
 class LimbDraws:
-    """Particles of one clip have these bodies and unseen joints in common."""
+    """The body shapes and unobserved joints that the particles of one clip share."""
 
     humor: Humor
     pelvis: Float[Tensor, "particles 3"]
@@ -76,7 +76,7 @@ class LimbDraws:
         return cls(humor, humor.pelvis(shape), humor.body.rest_joints(shape), unseen, nowhere)
 
     def completed(self, known: State, drawn: State) -> State:
-        """The known states with the unseen limbs of others."""
+        """States of the known observed joints and the particles' unobserved limbs."""
         velocities = torch.where(
             self.nowhere[:, None], drawn.joint_velocities, known.joint_velocities
         )
@@ -110,7 +110,10 @@ class LimbDraws:
         return self.completed(state, frame.leave(begun, self.pelvis))
 
     def _drawn_features(self) -> Bool[Tensor, " 138"]:
-        """The mask of `initial_features` that are drawn: places and velocities of joints."""
+        """Mask of those `initial_features` that are drawn.
+
+        Positions and velocities of unobserved joints.
+        """
         joints = self.nowhere.repeat_interleave(3)
         return torch.cat((joints, joints, torch.zeros_like(joints[:6])))
 
@@ -122,7 +125,7 @@ class LimbDraws:
     def _aimed(
         self, state: State, points: Float[Tensor, "particles 22 3"]
     ) -> Float[Tensor, "particles 21 3 3"]:
-        """Rotations that turn the bones of unseen limbs, from the trunk outwards, to points."""
+        """Rotations that point the bones of unobserved limbs at given joints, trunk first."""
         rotations = list(torch.cat((state.root[:, None], state.pose), 1).unbind(1))
         world = [rotations[0]]
         for joint in range(1, len(JOINTS)):
@@ -197,7 +200,7 @@ class ParticleFilter:
     def _agreement(
         self, predicted: State, completed: State, seen: Bool[Tensor, " 22"]
     ) -> Float[Tensor, " particles"]:
-        """Logarithm of the likelihood of what was seen, as of one joint; and of feet on ground."""
+        """Log-likelihood of the observed joints (their mean), and of feet on the ground."""
         place = (predicted.joints - completed.joints)[:, seen].square().sum(-1).mean(-1)
         speed = predicted.joint_velocities - completed.joint_velocities
         speed = speed[:, seen].square().sum(-1).mean(-1)
@@ -211,7 +214,7 @@ class ParticleFilter:
         *,
         last: bool,
     ) -> tuple[Int[Tensor, " all"], Float[Tensor, "hypotheses particles"]]:
-        """The particle that each comes from, systematically drawn, and the weights after it."""
+        """Systematic resampling: the ancestor of each particle, and the weights afterwards."""
         share = weights.softmax(-1)
         few = (1 / share.square().sum(-1, keepdim=True) < self.least * self.particles) & (not last)
         own = torch.arange(self.particles, device=weights.device).expand_as(weights)
@@ -232,7 +235,7 @@ class UnseenLimbs:
     filter: ParticleFilter = ParticleFilter()
 
     def __call__(self, estimate: Estimate, clip: int) -> Motion | None:
-        """Motions of one clip that differ from the estimate in the unseen limbs."""
+        """Proposed motions of one clip that differ from the estimate in the unobserved limbs."""
         unseen, motion = self.unseen[clip], estimate.motion.detach()
         if not bool(unseen.any()) or int(motion.valid.sum()) < 2:
             return None
@@ -250,7 +253,7 @@ def _best(weights: Float[Tensor, "hypotheses particles"]) -> Int[Tensor, " hypot
 def _paths(
     poses: list[Tensor], parents: list[Tensor], last: Int[Tensor, " hypotheses"]
 ) -> Float[Tensor, "hypotheses time 21 3 3"]:
-    """The poses that led to particles of the last frame."""
+    """The trajectories of poses that end in the particles of the last frame."""
     index, path = last, [poses[-1][last]]
     for pose, parent in zip(poses[-2:0:-1], parents[-2::-1], strict=True):
         index = parent[index]

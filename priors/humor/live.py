@@ -1,4 +1,4 @@
-"""HuMoR beside a stream: the energies of the steps between its newest frames."""
+"""HuMoR in a stream: the energies of the steps between its newest frames."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -28,7 +28,7 @@ they are too short for fast motions, with half of it many do not descend (valida
 
 @dataclass(frozen=True)
 class JudgedSteps:
-    """What the networks say of the steps of a window."""
+    """The networks' outputs for the steps of a window, and the energy of these steps."""
 
     energy: Float[Tensor, ""]
     contacts: Float[Tensor, "time 22"]
@@ -53,18 +53,18 @@ class LiveSteps:
 
     @classmethod
     def for_noise(cls, humor: Humor, noise: float) -> "LiveSteps":
-        """The energies beside points of a standard deviation of `noise` metres per coordinate."""
+        """The energies, weighted for points with a noise of `noise` metres per coordinate."""
         return cls(humor, CollocationWeights.for_noise(noise))
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the density of poses and of smoothness beside the steps."""
+        """Weights of the pose density and of smoothness that go with the steps."""
         return self.weights.pose
 
     def judged(
         self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int
     ) -> JudgedSteps:
-        """The energy of all steps that a frame that moves takes part in.
+        """The energy of all steps in which at least one moving frame takes part.
 
         Args:
             motion: of the window, at 30 Hz, a batch of one.

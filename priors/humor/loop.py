@@ -1,4 +1,4 @@
-"""HuMoR's decoder, step after step, with as little between two steps as can be.
+"""HuMoR's decoder unrolled over many steps, with its derivative written by hand for speed.
 
 In the loop a canonical state is 337 numbers. The horizontal place, which is zero, is left out;
 joints are seen from where the pelvis is at rest and, after a step, from where the translation
@@ -39,7 +39,7 @@ _UPRIGHT = 1e-12
 
 
 def _starts(velocity: int, spin: int, joints: int) -> list[int]:
-    """Indices at which the vectors of a state or of a raw step begin."""
+    """First index of every vector in a packed state or raw step."""
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
 
@@ -140,7 +140,10 @@ def _looped(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
 
 @dataclass(frozen=True)
 class Turn:
-    """A state's turn about the vertical to its own heading: the body's right side along +x."""
+    """The rotation of a state about the vertical into its canonical frame.
+
+    The body's right side along +x.
+    """
 
     upright: Float[Tensor, " 2"]
     quarters: Float[Tensor, "2 4"]
@@ -153,7 +156,7 @@ class Turn:
         return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
 
     def side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
-        """Horizontal part of the body's right side, not of unit length."""
+        """Horizontal part of the vector to the body's right, not normalised."""
         return self.upright - turns[..., 0, :2, 0]
 
     def right(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
@@ -250,8 +253,8 @@ class _Unroll(torch.autograd.Function):
         quarter = _quarter_turned(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # Gradients of where a step starts, of the raw step and of the turns it reaches, to which
-        # is added what comes back from the step ahead.
+        # Gradients of the start of a step, of its raw output and of its rotations, to which
+        # the gradient of the following step is added.
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()
@@ -289,7 +292,7 @@ def _root(g: Float[Tensor, "batch 198"]) -> Float[Tensor, "batch 2 3"]:
 
 @dataclass(frozen=True)
 class _Layer:
-    """Back from what a layer gives to what the layer before gave, for every step."""
+    """Backward pass of one layer, for every step."""
 
     weight: Float[Tensor, "outputs units"]
     gates: Float[Tensor, "steps batch units"]

@@ -1,4 +1,4 @@
-"""The density of initial states: a mixture of Gaussians over their independent numbers."""
+"""The density of initial states: a mixture of Gaussians over their independent features."""
 
 import math
 from dataclasses import dataclass
@@ -81,14 +81,14 @@ class Mixture(TensorStruct):
         return -(self._log_heights() - 0.5 * white.square().sum(-1)).logsumexp(-1)
 
     def rarity(self, x: Float[Tensor, "*batch numbers"]) -> Float[Tensor, "*batch"]:
-        """How far -log p(x) is above that of the highest component's mean, never below zero; nats.
+        """-log p(x) relative to the mean of the highest component, at least zero; nats.
 
         A draw of one component is about half as many above that component as it has numbers.
         """
         return (self.energy(x) + self._log_heights().max()).clamp(min=0)
 
     def _log_heights(self) -> Float[Tensor, " components"]:
-        """Logarithms of w_k N(m_k; m_k, C_k), what each component is worth at its mean."""
+        """log(w_k N(m_k; m_k, C_k)): log-density of every component at its own mean."""
         log_volume = self.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         return self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
 
@@ -98,7 +98,7 @@ class Mixture(TensorStruct):
         values: Float[Tensor, " known"],
         std: Float[Tensor, " known"],
     ) -> "Mixture":
-        """The mixture of the other numbers when some were measured: p(x_other | x_known).
+        """The mixture of the other features given measured ones: p(x_other | x_known).
 
         Each component is conditioned as a Gaussian is, and weighs as much as the measurement is
         likely under it.

@@ -109,7 +109,7 @@ class Humor(Prior[HumorVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """All frames at once by `collocation`; `rollout` moves a first state and latents."""
+        """The stages of `collocation` (all frames) or `rollout` (first state and latents)."""
         kind = imported(_METHODS[self.methods[0] if method is None else method], "method")
         humor = self if body is None else self.like(body.template)
         return kind.for_noise(humor, noise).stages(data)

@@ -86,7 +86,7 @@ one camera, of weight 0.002 (fit_rgb_demo_*.cfg), and these with depth (fit_prox
 
 @dataclass(frozen=True)
 class Schedule:
-    """Largest numbers of iterations of the phases; none is a phase that is left out."""
+    """Iteration limits of the phases; a phase with none is skipped."""
 
     first: int = 0
     """Phase of the first 15 frames, in which first state and latents move."""
@@ -166,7 +166,7 @@ class Shooting(Prior[HumorVariables]):
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
-        del noise, body, method  # its weights are chosen
+        del noise, body, method  # the weights were given to the constructor
         if self.data_weights is not None:
             data = tuple(_weighted(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))
@@ -214,7 +214,7 @@ class Shooting(Prior[HumorVariables]):
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:
-    """What the publication's first phase moves."""
+    """Names of the variables that the publication's first phase moves."""
     return variables.first(FIRST_FRAMES)
 
 
@@ -225,7 +225,7 @@ def _weighted(term: Term, weights: Mapping[str, float]) -> Term:
 
 
 def _ground_held(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """`ground_moved` for every frame, and nothing where the ground is known."""
+    """The energy `ground_moved` for every frame; zero where the ground is known."""
     frames = estimate.motion.valid.sum(-1)
     if estimate.scene.ground is None:
         return torch.zeros_like(estimate.motion.shape[..., 0])
@@ -233,5 +233,5 @@ def _ground_held(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def _per_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
-    """One count for every 15 frames, as the published scale does from the second phase on."""
+    """The energy per 15 frames, as the publication scales it from its second phase on."""
     return lambda estimate: energy(estimate) * (estimate.motion.valid.sum(-1) / FIRST_FRAMES)

@@ -173,7 +173,7 @@ def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]
 
 
 def at_tempo(motion: Motion, tempo: float) -> Motion:
-    """The motion with `REFERENCE_FPS` frames in every second of the time that the networks see.
+    """The motion resampled to `REFERENCE_FPS` frames per second of the networks' time.
 
     Read slower, its frames are as many as fill its whole length.
     """
@@ -185,7 +185,7 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
 
 
 def as_read(motion: Motion) -> Motion:
-    """A motion with `REFERENCE_FPS` frames in every second that networks see, on their clock."""
+    """A motion resampled to `REFERENCE_FPS` frames per second of the networks' time."""
     return motion.replace(fps=REFERENCE_FPS)
 
 

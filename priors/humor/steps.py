@@ -124,7 +124,7 @@ _MOVED = 207
 
 @lru_cache(maxsize=8)
 def _placed(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Shares of a frame's origin and the pelvis that vectors lose, and of the pelvis put back."""
+    """Factors with which vectors lose a frame's origin and the pelvis, and regain the pelvis."""
     about = torch.zeros(50, 2, dtype=dtype, device=device)
     back = torch.zeros(50, 1, dtype=dtype, device=device)
     about[0, 0] = 1.0
@@ -205,7 +205,7 @@ class StepCurvature(TensorStruct):
 
 
 def _turned(turn: Tensor, block: Tensor, exists: Tensor | None) -> Float[Tensor, "steps 69 n"]:
-    """The rows of a block, the first three of which are of translations, in the world."""
+    """A block with its three rows of translation turned from the canonical frame to the world."""
     block = block.expand(len(turn), *block.shape[-2:])
     found = torch.cat((turn @ block[:, :3], block[:, 3:]), 1)
     return found if exists is None else exists[:, None, None] * found
@@ -268,5 +268,5 @@ class CollocationWeights:
 
 
 def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
-    """The energy ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
+    """ρ(x) = s log(1 + x / s): like x for small x, logarithmic for large x."""
     return scale * torch.log1p(nats / scale)

@@ -132,7 +132,7 @@ def _first(humor: Any, variables: HumorVariables) -> State:
 def _latents_along(
     humor: Any, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> Float[Tensor, "clips steps 48"]:
-    """Posterior mean of every step from where the steps before have led.
+    """Posterior means of the latents, each encoded from the state reached before its step.
 
     Were each taken from the true state before, errors would add up over the roll-out.
     """

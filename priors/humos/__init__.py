@@ -1,1 +1,4 @@
-"""The HUMOS prior: stretches of motion as codes, for the body that moves."""
+"""The HUMOS prior.
+
+Windows of motion as latent codes, decoded for the shape of the body that moves.
+"""

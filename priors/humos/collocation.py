@@ -46,7 +46,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         return self.poses.encode(motion)
 
     def decode(self, variables: PoseVariables) -> Decoded:
-        """The motion and what the networks think of it.
+        """The motion and its energies under the networks.
 
         `energies` in nats: those of the pose prior, "codes" -log p of the mean codes, "error"
         ½ Σ |x - D(E(x))|² / (2 cm)² over the numbers of all frames at 20 Hz.
@@ -75,7 +75,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Root; poses, smoothly; all as one motion; feet held, too.
+        """Stages: root; smooth poses; the density of the whole motion; feet held as well.
 
         Weights were chosen on eight validation windows among thirteen settings; a calibrated
         bound would have noise² for all. Errors of neighbouring frames repeat each other, so less

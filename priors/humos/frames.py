@@ -1,4 +1,4 @@
-"""A motion in numbers that hardly know whose body it is: what the HUMOS prior encodes.
+"""A motion in features that hardly depend on the body's shape: the input of the HUMOS encoder.
 
 Per frame: which way the body faces, the orientation of every bone seen from there, the place of
 the pelvis in lengths of leg, and how high the lowest point of the body is. HUMOS has the height
@@ -40,7 +40,7 @@ _SMOOTHING = 4.0
 
 @dataclass(frozen=True)
 class BodyFrames(TensorStruct):
-    """Frames of a motion, about the place of the pelvis and the heading of the first frame."""
+    """Frames of a motion relative to the first frame's pelvis position and heading."""
 
     orientations: Float[Tensor, "*batch time 22 3 3"]
     """Orientation of every bone relative to the rest pose, in a frame that turns with the body's
@@ -157,7 +157,7 @@ def _headings(motion: Motion) -> Float[Tensor, "*batch time 2"]:
 
 
 def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]:
-    """The turn about the vertical of this cosine and sine."""
+    """The rotation about the vertical with this cosine and sine."""
     c, s = direction.unbind(-1)
     zero, one = torch.zeros_like(c), torch.ones_like(c)
     return torch.stack((c, -s, zero, s, c, zero, zero, zero, one), -1).unflatten(-1, (3, 3))
@@ -165,7 +165,7 @@ def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]
 
 @lru_cache(maxsize=1)
 def _chains() -> Float[Tensor, "22 21"]:
-    """One where the bone to joint k + 1 lies on the way from the pelvis to a joint."""
+    """Matrix with 1 where the bone to joint k + 1 is on the path from the pelvis to a joint."""
     rows = torch.zeros(BONES, BONES - 1)
     for joint in range(1, BONES):
         rows[joint] = rows[PARENTS[joint]]
@@ -175,7 +175,7 @@ def _chains() -> Float[Tensor, "22 21"]:
 
 @lru_cache(maxsize=1)
 def levers() -> Float[Tensor, " 22"]:
-    """Metres that a bone moves what hangs from it when it turns by one: its length, about.
+    """Lever of every bone: metres by which a turn of one radian moves what hangs from it, about.
 
     Of the average body; bones of the legs count half as much again, and none less than 8 cm.
     """
@@ -190,7 +190,7 @@ def levers() -> Float[Tensor, " 22"]:
 
 @lru_cache(maxsize=1)
 def _worth() -> Float[Tensor, " numbers"]:
-    """Metres that one unit of every number of a frame moves."""
+    """Metres per unit of every feature of a frame."""
     places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
     return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))
 

@@ -32,7 +32,9 @@ class WindowNetworks(nn.Module):
         self, basis: LappedBasis, latent: int, shape: int, width: int, layers: int,
         dropout: float = 0.0,
     ) -> None:  # fmt: skip
-        """Untrained: codes are the first coefficients, and decode to them.
+        """Untrained networks.
+
+        Codes are the first coefficients of the basis, which decode exactly to these.
 
         Args:
             basis: of windows; not learned.
@@ -76,7 +78,7 @@ class WindowNetworks(nn.Module):
 
 
 class _Transformer(nn.Module):
-    """Layers that see the body beside every window, and how far windows are apart."""
+    """Transformer layers with the body's shape as input, attention biased by window distance."""
 
     def __init__(
         self, inputs: int, shape: int, outputs: int, width: int, layers: int, dropout: float
@@ -134,7 +136,7 @@ CODES_OF = "windows"
 
 @dataclass(frozen=True)
 class CodeDensity(TensorStruct):
-    """The aggregate posterior of recorded motions: codes that follow each other.
+    """The aggregate posterior of recorded motions: a first-order Gaussian process of latent codes.
 
     z = mean + root u; u_0 ~ N(0, I), u_k | u_(k-1) ~ N(follow u_(k-1), rest restᵀ).
     """
@@ -161,7 +163,7 @@ class CodeDensity(TensorStruct):
     def energy(
         self, white: Float[Tensor, "*batch memory latent"], exists: Tensor
     ) -> Float[Tensor, "*batch"]:
-        """-log p of u up to a constant; codes that do not exist count nothing."""
+        """-log p of u up to a constant; windows without a frame count nothing."""
         away = white[..., 1:, :] - white[..., :-1, :] @ self.follow.mT
         away = torch.linalg.solve_triangular(self.rest, away.mT, upper=False).mT
         every = torch.cat((white[..., :1, :], away), -2).square().sum(-1)
@@ -170,7 +172,7 @@ class CodeDensity(TensorStruct):
     def drawn(
         self, clips: int, memory: int, random: torch.Generator
     ) -> Float[Tensor, "clips memory latent"]:
-        """Codes z, one after the other."""
+        """Random codes z, each drawn given the one before."""
         noise = torch.randn(clips, memory, len(self.mean), generator=random).to(self.mean)
         rows = [noise[:, 0]]
         for k in range(1, memory):

@@ -1,4 +1,4 @@
-"""HUMOS: motions as codes, and the body that performs them beside (Tripathi et al. 2024).
+"""HUMOS: motions as latent codes, decoded for a given body shape (Tripathi et al. 2024).
 
 Codes and a shape decode to frames at 20 Hz that stand on the ground whoever performs them; beside
 the codes there are details, which the codes leave out. Encoding is exact, so another shape in the
@@ -78,7 +78,10 @@ class HumosVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class Humos(Prior[HumosVariables]):
-    """The HUMOS prior: codes of 0.8 s that follow each other as recorded ones do."""
+    """The HUMOS prior.
+
+    Latent codes of windows of 0.8 s, with the density of recorded sequences.
+    """
 
     weights: HumosWeights
     body: BodyModel
@@ -119,7 +122,7 @@ class Humos(Prior[HumosVariables]):
         return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
-        """Mean codes of each clip, and as details all that they leave out: exact.
+        """Mean codes of each clip; the remainder becomes `details`, so decoding is exact.
 
         Raises:
             ValueError: when the clips are longer than networks of one code per clip know.
@@ -198,7 +201,7 @@ class Humos(Prior[HumosVariables]):
         return made.motion(shape, self.body, FPS, base)
 
     def _with_details(self, x: HumosVariables, motion: Motion) -> HumosVariables:
-        """Details with which the variables decode to a motion."""
+        """The corrections with which the variables decode to a given motion."""
         made, posed, base = self.frames(x), self.body.pose(motion), self._base(x)
         turn = base[..., None, :3, :3] @ turn_of(made.direction)
         own = (turn[..., None, :, :] @ made.orientations).mT
@@ -221,14 +224,14 @@ class Humos(Prior[HumosVariables]):
     def exists(
         self, valid: Bool[Tensor, "*batch time"], fps: float
     ) -> Bool[Tensor, "*batch windows"]:
-        """Windows that hold a frame that exists."""
+        """Mask of windows with at least one valid frame."""
         count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil().long() + 1
         return existing_windows(count, frames_at_rate(valid.shape[-1], fps))
 
 
 @lru_cache(maxsize=1)
 def _bends() -> Float[Tensor, "22 1"]:
-    """Radians that details turn every bone by, about."""
+    """Typical size of the corrections of every bone's rotation, radians."""
     return _BEND / levers()[:, None]
 
 
@@ -257,7 +260,7 @@ def spline(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse
 
 @lru_cache(maxsize=16)
 def _waves(frames: int, fps: float) -> tuple[Tensor, Tensor]:
-    """All cosines, each as large as details of its rate may be, and back; (frames, frames) each.
+    """Cosines scaled to the expected size of corrections at their frequency, and the inverse.
 
     Together they have unit variance in every frame.
     """

@@ -61,7 +61,7 @@ class PointLabels(TensorStruct):
         present: Bool[Tensor, "*batch moments points"],
         std: float = 0.01,
     ) -> "PointLabels":
-        """Labels without error, of points that simulation put at known vertices.
+        """Exact labels, for simulated points at known vertices.
 
         Args:
             body: whose vertices they are.
@@ -158,7 +158,7 @@ def longest(
         away = away - (away * across[:, None]).sum(-1, keepdim=True) * across[:, None]
     axis = torch.linalg.eigh(away.mT @ away / count).eigenvectors[..., -1]
     if across is not None:
-        # where all points lie on one line, any axis across it will do, but it must be across
+        # where all points lie on one line, any axis perpendicular to it serves
         axis = axis - (axis * across).sum(-1, keepdim=True) * across
         other = torch.eye(3).to(points)[across.abs().argmin(-1)]
         other = other - (other * across).sum(-1, keepdim=True) * across
@@ -176,7 +176,7 @@ _LATE = 0.1
 
 @dataclass(frozen=True)
 class CloudLabeller:
-    """What says of every point of a cloud which part of a body it shows, if any."""
+    """The labeller: for every point of a cloud, the part of the body that it shows, if any."""
 
     network: LabelNetwork
 
@@ -230,7 +230,7 @@ class CloudLabeller:
     def _clip(
         self, points: Tensor, present: Tensor, fps: float, eyes: Tensor | None, level: bool
     ) -> RawLabels:
-        """What the network says of one clip, some moments at a time."""
+        """Raw outputs of the network for one clip, computed a few frames at a time."""
         steps = [round(step * SPACING * fps) for step in _OFFSETS]
         reach = max(steps)
         parts = []
@@ -268,7 +268,7 @@ def around(
 
 
 def believed(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
-    """Probabilities of what the network says, left and right exchanged where that is likelier."""
+    """Probabilities from the network's outputs, sides exchanged where that is likelier."""
     there = present[..., None]
     as_said = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)

@@ -1,4 +1,4 @@
-"""The network that looks first: points to regions of the body and places on its surface.
+"""The labelling network: points of clouds to regions of the body and places on its surface.
 
 64 points far from each other look at the points around them; a transformer lets these centres look
 at each other and, through one token for each moment, at other moments; then every point takes
@@ -37,7 +37,7 @@ def kernel(
     width: float,
     present: Bool[Tensor, "moments second"] | None = None,
 ) -> Float[Tensor, "moments first second"]:
-    """Weights exp(-d² / (2 width²)) of the second cloud's points, summing to one."""
+    """Weights exp(-d² / (2 width²)) over the second cloud's points, normalised to sum one."""
     exponent = squared * (-0.5 / width**2)
     if present is not None:
         exponent = exponent.masked_fill(~present[..., None, :], _NOWHERE)
@@ -71,7 +71,7 @@ def spread_points(
 
 @dataclass(frozen=True)
 class Patch(TensorStruct):
-    """The surface around some centres, as points weighted by a kernel show it."""
+    """Local surface statistics around centres: kernel-weighted mean, covariance, normal."""
 
     mean: Float[Tensor, "moments centres 3"]
     """Mean of the points, metres."""
@@ -148,7 +148,7 @@ def from_right_to_left(
     places: Float[Tensor, "moments points 3"],
     weights: Float[Tensor, "moments points"],
 ) -> Float[Tensor, "moments 3"]:
-    """Unit direction in which points lie whose places are on the left, of every moment.
+    """Unit vector per frame from the points labelled right to those labelled left.
 
     It is that of the covariance Σ w (s - s̄) (p - p̄) of points p and the coordinate s of their
     places from right to left, at most 15 cm. With left and right of all places exchanged, it is
@@ -188,7 +188,7 @@ _LEAST_STD, _MOST_STD = -5.5, 0.0
 
 @dataclass(frozen=True)
 class SeenClouds(TensorStruct):
-    """Clouds of single moments as the network takes them; metres."""
+    """Clouds of single frames in the form of the network's input; metres."""
 
     points: Float[Tensor, "moments points 3"]
     """Positions about the median of each cloud, zero where not present."""
@@ -201,7 +201,7 @@ class SeenClouds(TensorStruct):
 
     @property
     def flags(self) -> Float[Tensor, "moments 1 2"]:
-        """What is known besides points, as numbers."""
+        """Known facts besides the points (sensor present, frame level, ...), as input numbers."""
         return torch.stack((self.level, self.has_eye), -1).to(self.points)[:, None]
 
     def view(self, places: Float[Tensor, "moments places 3"]) -> Tensor:
@@ -211,7 +211,7 @@ class SeenClouds(TensorStruct):
 
 @dataclass(frozen=True)
 class RawLabels(TensorStruct):
-    """What the network says of every point."""
+    """The network's outputs for every point."""
 
     regions: Float[Tensor, "moments points 12"]
     """Logarithms of odds of the regions."""
@@ -247,7 +247,7 @@ class Layer(nn.Module):
         tokens: Float[Tensor, "rows tokens width"],
         squared: Float[Tensor, "rows tokens tokens"],
     ) -> Float[Tensor, "rows tokens width"]:
-        """Tokens that have seen each other, near ones rather than far ones.
+        """Tokens after attention whose weights fall with distance.
 
         Args:
             tokens: of every row.
@@ -303,7 +303,7 @@ class LabelNetwork(nn.Module):
             known: whether there is such a moment.
         """
         points = clouds.points
-        # distances need single precision where the products of a training do not
+        # distances are computed in single precision even where training uses bfloat16
         with torch.no_grad(), torch.autocast(points.device.type, enabled=False):
             pick = spread_points(points, clouds.present, _CENTRES)
             centres = points.take_along_dim(pick[..., None], -2)
@@ -314,7 +314,7 @@ class LabelNetwork(nn.Module):
             around = kernel(squared, _MIDDLE, clouds.present)
             share = kernel(squared.mT, _NEAR)
             described, normals = _described(clouds, centres, near, wide)
-            # the token of the whole moment is as near to all others as they are to themselves
+            # the token of the whole frame has distance zero to all others
             between = torch.nn.functional.pad(squared_distances(centres, centres), (1, 0, 1, 0))
         flags = clouds.flags.expand(*points.shape[:-1], 2)
         own = self.point(torch.cat((points, clouds.view(points), flags), -1))
@@ -341,7 +341,7 @@ class LabelNetwork(nn.Module):
         return RawLabels(regions, on_body, places, log_std, sides, across)
 
     def _together(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
-        """Tokens of moments that have seen the moments around them."""
+        """Tokens of frames after attention to the frames around them."""
         around = tokens[:, 0][neighbours] + self.step
         unknown = torch.where(known, 0.0, _UNKNOWN)[:, None].expand(-1, STEPS, STEPS)
         seen = self.moments(around, unknown)[:, STEPS // 2]
@@ -358,7 +358,7 @@ def _described(
     rows += [angles.sin(), angles.cos()]
     for patch in (near, wide):
         facing = (patch.normal * view).sum(-1, keepdim=True)
-        # without a sensor the sign of a normal means nothing; seen from the side, little
+        # the sign of a normal is undefined without a sensor, and uncertain at grazing views
         normal = patch.normal * (_SIGN * facing).tanh()
         normals.append(normal)
         rows += [normal, facing.abs(), _SIZE * patch.covariance, 10 * patch.flatness[..., None]]

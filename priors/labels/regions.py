@@ -1,4 +1,4 @@
-"""Twelve regions of a body's surface, read off the skinning weights.
+"""Twelve regions of a body's surface, derived from the skinning weights.
 
 They are those that a network tells apart in a cloud of points. The ten parts of
 `recon.body.parts` have volumes; regions need none and divide the trunk in three.
@@ -45,7 +45,7 @@ REGION_OF_JOINT = tuple(_region_of(name) for name in JOINTS)
 
 
 def mirrored_places(places: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-    """Places on the other side of the body, metres."""
+    """Places mirrored to the other side of the body, metres."""
     return places * places.new_tensor([-1.0, 1.0, 1.0])
 
 

@@ -69,7 +69,7 @@ class PoseWeights:
     slow the motion down."""
 
     def __post_init__(self) -> None:
-        """Refuse weights that reward what they should punish."""
+        """Refuse negative weights."""
         for name in ("pose", "shape", "velocity", "acceleration"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"weight {name} must be at least 0, got {getattr(self, name)}")
@@ -160,7 +160,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
     @property
     def weighed(self) -> PoseWeights:
-        """The weights, or those for 4 cm of noise where none were chosen."""
+        """The weights, by default those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
@@ -180,7 +180,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """Steps of zero about the motion; exact."""
+        """Variables that are steps away from the motion, all zero; exact."""
         density = self.density.to(dtype=torch.float64, device=motion.translation.device)
         start = density.coordinates(motion.rotations[..., 1:, :, :].double())
         zero = torch.zeros_like(motion.translation)
@@ -286,7 +286,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
     @cached_property
     def _scales(self) -> "_Scales":
-        """Inverse square roots of the stiffness of the data, with the prior's own added."""
+        """Scales of the variables: inverse square roots of the curvature of data plus prior."""
         stiffness = self.density.stiffness.double()
         pose = stiffness[3:, 3:] + max(2 * self.weighed.pose, _SOFTEST) * torch.eye(
             COORDINATES, dtype=torch.float64, device=stiffness.device
@@ -303,7 +303,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
     def _synthesis(
         self, valid: Bool[Tensor, "*batch time"], fps: float
     ) -> Float[Tensor, "*batch time time"]:
-        """Orthonormal cosines (DCT-II) over the frames that exist, each over its stiffness's root.
+        """Orthonormal cosines (DCT-II) over valid frames, divided by the roots of their stiffness.
 
         A step that varies as cos(w t) has second differences b = 2 - 2 cos w as large, so beside
         data of stiffness one, smoothness adds velocity b + acceleration b².
@@ -325,7 +325,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
 @dataclass(frozen=True)
 class _Scales(TensorStruct):
-    """Radians, metres and other quantities that one unit of each variable stands for."""
+    """Scale of every variable: radians, metres, ... per unit."""
 
     translation: Float[Tensor, ""]
     root: Float[Tensor, "3 3"]

@@ -30,7 +30,7 @@ def estimate_given(
     up: Axis | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
-    """The estimate on a body in a world with z up, which frames there are, what was assumed.
+    """The estimate on our body in a world with z up, the mask of its frames, and what was assumed.
 
     Args:
         motion: as of `recon.refine`, and so are the others.
@@ -83,7 +83,10 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
 def _shape(
     read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
 ) -> tuple[Tensor, tuple[str, ...]]:
-    """The shape that is held: as given, the file's on a body of the user's, or the average."""
+    """The shape that the fit holds.
+
+    The given one, the file's on the user's own body, or the average.
+    """
     if given is not None:
         return given, ()
     if own_body:

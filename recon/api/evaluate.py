@@ -186,7 +186,7 @@ def _is_array(given: Any) -> bool:
 def _of_joints(
     motion: Motion, given: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
 ) -> dict[str, float | None]:
-    """Errors and accelerations of joints whose true places are known at the motion's frames."""
+    """Position and acceleration errors of joints with known true positions."""
     truth = float_tensor(given, "truth").double().cpu()
     require_shape(truth, "truth", (motion.frames, 22, 3))
     truth = truth.reshape(motion.frames, 22, 3)
@@ -215,7 +215,7 @@ def _visible_given(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"
 
 
 def _read(given: ObservationFile | Path | str | None) -> tuple[ObservationFile | None, Path]:
-    """The observation, and what it is called in messages."""
+    """The observation and its name for messages."""
     if isinstance(given, Path | str):
         return load_observation(given), Path(given)
     return given, Path("observation")
@@ -263,7 +263,7 @@ def _observed(
     path: Path,
     body: BodyModel,
 ) -> ObservedPoints | None:
-    """The observation's own points on the result and on the truth, at the result's frames."""
+    """The observation's points on the result and on the truth, at the result's frames."""
     if not isinstance(file, PositionsFile):
         return None
     adapter = positions_of(file, path, body.to(dtype=torch.float32))

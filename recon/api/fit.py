@@ -1,4 +1,4 @@
-"""`recon.fit`, `complete` and `refine`: what was observed of one clip in, its motion out."""
+"""`recon.fit`, `complete` and `refine`: from observations of one clip to its motion."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -64,7 +64,7 @@ def fit(
     checks: Sequence[Check] | None = None,
     **reading: Any,
 ) -> Result:
-    """Reconstruct the motion that explains all that was observed of one clip.
+    """Reconstruct the motion that best explains all observations of one clip.
 
     Observations of any kinds add up, any number of each; each weighs as its noise says, which is
     estimated from the data unless it is given. First guesses, the ground where it is not known,
@@ -184,7 +184,7 @@ def fit(
 def complete(
     observations: ObservationsLike, prior: str | PriorLike = "recording", **how: Any
 ) -> Result:
-    """Complete a recording of which little was seen, of any length and any motion.
+    """Complete a sparse recording of any length and any motion.
 
     Few points of every frame, a few landmarks, few frames at odd times, or all of these: a folder
     of scans (.ply, .pcd) with times.csv or a frame rate, or observations of points, 3D markers or
@@ -229,7 +229,9 @@ def refine(
     ground: GroundChoice | str = "unknown",
     **how: Any,
 ) -> Result:
-    """Refine a motion that a network told from video: feet that stand, no jitter, impacts kept.
+    """Refine a motion that a network estimated from video.
+
+    Feet that stand, no jitter, impacts kept.
 
     Networks that look at video err for seconds, by limb, and their path drifts; here residuals
     are weighed by the inverse of their covariance in time, so that fast changes are believed and
@@ -257,7 +259,7 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    # only estimates need scipy
+    # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed
 

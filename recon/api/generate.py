@@ -42,7 +42,7 @@ def sample(
     seed: int = 0,
     device: Literal["cpu", "cuda"] = "cpu",
 ) -> MotionResults:
-    """Make up motions that a prior finds likely.
+    """Draw random motions from a prior.
 
     Of HuMoR, where they begin is drawn from the mixture of first states, every step after it from
     the transition prior. Of HUMOS, the whole motion of a body of your choice is drawn at once.

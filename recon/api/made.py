@@ -30,7 +30,7 @@ class Made(MotionResult):
 
     @property
     def tables(self) -> Tables:
-        """Its most important numbers."""
+        """The most important numbers, as tables for a terminal."""
         return self.shown
 
     def report(
@@ -68,7 +68,7 @@ class MotionResults:
         return {repr(self).splitlines()[0]: rows}
 
     def __len__(self) -> int:
-        """How many they are."""
+        """The number of results."""
         return len(self.made)
 
     def __getitem__(self, index: int) -> Made:
@@ -76,7 +76,7 @@ class MotionResults:
         return self.made[index]
 
     def __iter__(self) -> Iterator[Made]:
-        """One after the other."""
+        """Iterates over the results."""
         return iter(self.made)
 
     def report(

@@ -1,4 +1,4 @@
-"""Observations of a caller as one clip: one batch axis, one precision, one frame, with names."""
+"""The caller's observations as one clip: named, one batch axis, one precision, one frame."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -24,7 +24,7 @@ GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 @dataclass(frozen=True)
 class Sighting:
-    """A clip in the frame in which it is fitted."""
+    """A clip in the frame of coordinates in which it is fitted."""
 
     clip: Clip
     T_recording_given: Float[np.ndarray, "4 4"] | None = None
@@ -123,7 +123,7 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
 
 
 def _names(seen: Sequence[Any]) -> tuple[str, ...]:
-    """Names of the observations by their kind, numbered where there are several of one kind."""
+    """A name for every observation: its kind, numbered where there are several of one kind."""
     for one in seen:
         if not isinstance(one, Sensor):
             raise _no_observation(one)

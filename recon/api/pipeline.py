@@ -1,4 +1,4 @@
-"""The steps of a fit, from what was observed of one clip to an examined motion.
+"""The steps of a fit, from the observations of one clip to a motion with checks and uncertainty.
 
 `recon.fit` says what its arguments mean, calls `observed` and `fitted`, and describes the result.
 """
@@ -55,7 +55,7 @@ def observed(
         how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane)
         given = load_clip(paths, how, body)
         if given.ground_given:
-            ground = "auto"  # the reader carried the images of a camera without pose above it
+            ground = "auto"  # the reader already placed a camera of unknown pose above the ground
     elif names := how_read.given():
         raise ReconError(
             f"{', '.join(names)}: how to read files, but the observations are read already"
@@ -77,7 +77,7 @@ def fitted(
     start: Motion | None = None,
     checks: Sequence[Check] | None = None,
 ) -> Examined:
-    """Fit one clip's observations, checked before and after.
+    """Fit one clip: check the observations, fit, check the result.
 
     Args:
         observations: sensors of one clip that share a frame; a batch axis of length one.
@@ -95,13 +95,13 @@ def fitted(
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")
     if checks is None:
-        # a fit without checks loads none
+        # imported here, as fits without checks do not need it
         from recon.diagnosis.checks import AFTER, BEFORE
 
         checks = (*BEFORE, *AFTER)
     of_data = [one for one in checks if getattr(one, "comes_before_fit", False)]
     of_fit = [one for one in checks if one not in of_data]
-    # check: what is surely wrong with the data is repaired, what is doubtful is said
+    # check the data: repair sure faults, warn of doubtful ones
     clip = CheckedClip(
         observations=tuple(observations), names=tuple(names), options=options, body=body
     )
@@ -113,11 +113,11 @@ def fitted(
             from recon.diagnosis.movement import in_room  # there are few treadmills
 
             start = in_room(start, -clip.belt)
-        # first guess: the motion that the data tell without a prior, or the caller's
+        # first guess: a motion from the data without a prior, or the caller's
         seen, guess = guessed(clip.observations, options, body, start)
         # the problem: each sensor's residuals with its noise; scene, ground, lens to be found
         problem = posed(seen, guess, options, body, watch)
-        # stages: the prior's own, minimised one after the other
+        # minimise the stages of the prior, one after the other
         fit = problem.solved()
     # examine: residuals, standard deviations, other hypotheses, laws of movement
     return checked(Examined.of(clip, fit), of_fit)

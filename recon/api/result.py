@@ -1,4 +1,4 @@
-"""The result of a fit: the motion, what is known about it, and its report."""
+"""The result of a fit: the motion, its uncertainty, findings and report."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -55,7 +55,10 @@ def describe(
 
 
 def _stage(report: StageReport) -> dict[str, Any]:
-    """A stage in plain values; of several windows the most steps and the sums of energies."""
+    """A stage in plain values.
+
+    Over several windows, the largest number of steps and summed energies.
+    """
     solution = report.solution
     energies = solution.trace[:, -1].sum(0).tolist()
     reasons = [reason for reason in Termination if reason in solution.termination]
@@ -83,7 +86,9 @@ def described(
     contact_probability: Float[Tensor, "time 22"] | None = None,
     angle_std: Float[Tensor, "time 42"] | None = None,
 ) -> MotionFile:
-    """A motion with its joints, contacts and ground; without a ground no contacts are told.
+    """A motion with its joints, contacts and ground, as a motion file.
+
+    No contacts without a ground.
 
     Where a camera's pose was found, the file has it and the root in the camera's frame besides.
     On a treadmill, contacts are told against the belt, by how far it has come.
@@ -163,7 +168,7 @@ class Result(MotionResult):
 
     @property
     def residuals(self) -> tuple[ResidualSummary, ...]:
-        """How far every observation is from the fitted body, in its own unit."""
+        """Summary of every observation's residuals from the fitted body, in its own unit."""
         return self.examined.residuals
 
     @property
@@ -173,7 +178,7 @@ class Result(MotionResult):
 
     @property
     def diagnosis(self) -> tuple[Finding, ...]:
-        """What is worth knowing but is no fault: limbs that were not seen, steps, seats."""
+        """Findings that are no fault: unobserved limbs, steps, seats."""
         return self.examined.diagnosis
 
     @property
@@ -297,7 +302,7 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach().to(device="cpu")
     first = clip.observations[0]
-    # a few scans a second are too few frames to show a motion
+    # a few scans per second are too few frames for a result, so it has the fit's own rate
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
     T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
@@ -309,7 +314,7 @@ def result_of(
         )
     T_world_camera = None
     T_recording_camera = clip.T_recording_camera
-    if found.lens_found:  # a camera of another focal length stands elsewhere
+    if found.lens_found:  # with another focal length the camera has another position
         T_recording_camera = unposed_camera(found.observations)
     if T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
@@ -345,7 +350,7 @@ def result_of(
 
 
 class Stopper:
-    """Ends a fit when the callback asks for it or its time is over.
+    """Stops a fit when the callback asks for it or its time limit is reached.
 
     A fit is several minimisations in turn, and some of them are needed to make a motion at all.
     After the first stop each of them ends at its first step, so that the estimate so far passes

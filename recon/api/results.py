@@ -1,4 +1,4 @@
-"""A motion with what is known about it: what most functions of `recon` return."""
+"""A motion with its uncertainty and findings: what most functions of `recon` return."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ def described_motion(motion: Motion, tall: float) -> str:
 
 
 def described_residuals(residuals: Sequence[ResidualSummary]) -> list[str]:
-    """How near the fit is to every observation, one line each."""
+    """One line per observation: its noise and its median residual."""
     return [_sensor(one) for one in residuals]
 
 
@@ -144,7 +144,7 @@ class MotionResult(ABC):
 
     @property
     def tables(self) -> Tables:
-        """Its most important numbers."""
+        """The most important numbers, as tables for a terminal."""
         return {}
 
     @abstractmethod
@@ -216,7 +216,10 @@ class MotionResult(ABC):
 
 
 def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The end of every report: settings and inputs where they are known, and versions."""
+    """The end of every report.
+
+    Settings, checksums of inputs where they are known, and versions.
+    """
     from recon.formats.reports import versions
 
     known = {"settings": settings, "inputs": inputs}

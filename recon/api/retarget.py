@@ -1,4 +1,4 @@
-"""`recon.retarget`: one person's motion as another body would do it."""
+"""`recon.retarget`: transfer a motion to a body of another shape."""
 
 import math
 from collections.abc import Iterator
@@ -54,7 +54,7 @@ def retarget(
     fps: float | None = None,
     ground: float | None = None,
 ) -> Made:
-    """Show a motion as another body would do it.
+    """Transfer a motion to another body.
 
     By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
     and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to
@@ -228,7 +228,7 @@ def _retargeted(
 
 
 def _physics(motion: Motion, body: BodyModel, source: PhysicsSamples) -> dict[str, float | None]:
-    """Metrics of a motion whose feet are in contact when those of the source are."""
+    """Physical metrics of a motion, with the contacts of the source motion."""
     touch = source.soles_touch
     contacts = touch | torch.nn.functional.pad(touch, (0, 0, 1, 0))[:-1]
     return physics_metrics(physics_samples(motion.resample(RATE), body, contacts))

@@ -33,7 +33,7 @@ from recon.simulation.settings import (
 
 @dataclass(frozen=True, repr=False)
 class Simulated:
-    """One observation of a known motion, or one per camera; walked through, it gives them."""
+    """Simulated observations of a known motion: one, or one per camera; iterates over them."""
 
     kind: SensorKind
     """What the sensor gives."""
@@ -62,7 +62,7 @@ class Simulated:
         return iter(self.observations)
 
     def __len__(self) -> int:
-        """How many observations there are."""
+        """The number of observations."""
         return len(self.files)
 
     def report(

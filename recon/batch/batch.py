@@ -1,4 +1,4 @@
-"""Many clips: in processes here or on a cluster; a log by which a run is resumed."""
+"""Fits of many clips in local processes or on a cluster, with a log from which a run resumes."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -40,7 +40,7 @@ class Job:
 
 
 def fit_one(job: Job) -> Record:
-    """Fit a clip unless that was done; the record says what was done, to what, with what result.
+    """Fit a clip unless the log has its result; the record holds settings, checksums and outcome.
 
     Its status is `failed` when the fit met nan or inf; the last finite estimate is written then.
 
@@ -49,7 +49,7 @@ def fit_one(job: Job) -> Record:
     """
     from recon.reading.inputs import clip_checksum, input_checksums
 
-    # before anything is read: what changes from now on is found out by the next run
+    # checksums before reading, so that the next run notices files that change from now on
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:
@@ -73,14 +73,14 @@ def fit_one(job: Job) -> Record:
 
 
 def is_done(job: Job, key: str) -> bool:
-    """Whether the log knows the same work as done, and its result is there as it was written."""
+    """Whether the log has the same work as done, and its result file is unchanged."""
     known = job.known
     same = known.get("status") == "ok" and known.get("key") == key
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
 
 
 def estimate_shape(job: Job) -> Record:
-    """The shape that one clip tells under the pose prior, unless its record has it already.
+    """The shape of one clip's person, from its record or from a fit under the pose prior.
 
     Raises:
         ValueError, OSError: for bad input.

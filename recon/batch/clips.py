@@ -58,7 +58,7 @@ def fit_clips(
 
 
 def shared_shape(shapes: Sequence[Float[Tensor, " shape"]]) -> Float[Tensor, " shape"]:
-    """The shape of a person of whom several clips tell: the median of every coefficient.
+    """The shape of a person from several clips: the median of every coefficient.
 
     Of an even number of clips it is the mean of the two in the middle.
     """

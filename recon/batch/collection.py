@@ -1,4 +1,4 @@
-"""What a folder of recordings holds: clips with names of their own, and notes of its manifests."""
+"""The recordings of a folder: clips with unique names, and what manifests note about them."""
 
 import csv
 import hashlib
@@ -57,12 +57,15 @@ class SourceClip:
 
     @property
     def flat(self) -> bool:
-        """The ground is one plane: no playground, no uneven terrain."""
+        """Whether the ground is one plane, unlike playgrounds or uneven terrain."""
         return not any(word in self.action.lower() for word in _UNEVEN)
 
     @property
     def contacts(self) -> bool:
-        """Feet stand where they should: not so where one skeleton took over others' paths."""
+        """Whether feet contacts are reliable.
+
+        They are not where motions were copied to another skeleton.
+        """
         return "one common skeleton" not in self.notes.get("skeleton", "")
 
 

@@ -1,4 +1,4 @@
-"""Whole collections at once: one shape per skeleton, clips in parallel, resumable."""
+"""Conversion of whole collections: one shape per skeleton, clips in parallel, resumable."""
 
 import hashlib
 import logging
@@ -87,7 +87,7 @@ def convert_corpus(
 
 @dataclass
 class _Corpus:
-    """A conversion on its way."""
+    """The state of a running conversion."""
 
     out: Path
     log: WorkLog
@@ -115,12 +115,12 @@ class _Corpus:
                 surveyed[content.clip.id] = found
         groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
-            # a clip that was found twice may have been surveyed and then failed
+            # a clip may have two records: surveyed first, failed later
             if clip.id in surveyed and clip.id not in self.ended:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
         waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
-        # some at a time, so that a run that is killed has not calibrated many for nothing
+        # in small groups, so that a killed run loses few calibrations
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
             self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums)
 
@@ -148,7 +148,7 @@ class _Corpus:
                 self._end(task.clip, found, task.key)
 
     def _without_culprits(self, some: list[SourceClip]) -> SubjectModel | str | Failure:
-        """A calibration without the clips that make it fail, which are found by halving."""
+        """A calibration without the clips that make it fail, found by bisection."""
         good, suspected = list[SourceClip](), [some]
         result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
         while suspected:
@@ -220,7 +220,7 @@ class _Corpus:
         self._log(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
 
     def _end(self, clip: SourceClip, found: Record, key: str) -> None:
-        """Log a clip that was worked on; one without motions is known to be of no use."""
+        """Log a clip that was converted, or that gave no motion."""
         status = "ok" if found["outputs"] else "rejected"
         self._log(clip, {"id": clip.id, "status": status, "key": key, **found})
 
@@ -239,7 +239,7 @@ class _Corpus:
             self.report()
 
     def rows(self) -> list[Row]:
-        """The report so far."""
+        """The rows of the report so far."""
         return [
             {**row, "status": record["status"]}
             for record in self.ended.values()
@@ -247,7 +247,7 @@ class _Corpus:
         ]
 
     def report(self) -> None:
-        """Write the report, and say what lies in OUT without a recording."""
+        """Write the report, and warn of files in OUT that belong to no recording."""
         write_report(self.out, self.rows())
         self.reported = time.monotonic()
         known = {clip.id for clip in self.clips}
@@ -276,7 +276,7 @@ def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:
 
 
 def config_hash(body: BodyModel) -> str:
-    """Changes whenever the same recording would give another motion."""
+    """Checksum of everything besides the recording that decides the converted motion."""
     with resources.as_file(resources.files("recon") / "assets" / "skeletons.toml") as skeletons:
         known = file_checksum(skeletons)
     settings = (

@@ -1,4 +1,4 @@
-"""What a process does for a corpus: survey recordings, calibrate a skeleton, convert clips."""
+"""The jobs of a corpus conversion: survey recordings, calibrate a skeleton, convert clips."""
 
 import contextlib
 import csv
@@ -187,7 +187,7 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
 def split(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
-    """What of a recording is whole: the runs between jumps that last a second or more."""
+    """The usable parts of a recording: runs between jumps that last a second or more."""
     jumps = glitches(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]

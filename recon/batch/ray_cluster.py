@@ -36,7 +36,7 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Ru
     Raises:
         ReconError: when Ray is not installed, or there is no cluster at the address.
     """
-    # by name: type checkers need not find an extra that few installations have
+    # imported by name, since type checkers do not find an optional package
     try:
         ray: Any = import_module("ray")
         import_module("ray.exceptions")
@@ -57,7 +57,7 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Ru
 
 
 def absolute(settings: FitSettings) -> FitSettings:
-    """Settings whose files are named from the root: processes of a cluster begin elsewhere."""
+    """The settings with absolute paths, since processes of a cluster start in another folder."""
     found: dict[str, Any] = {}
     for field in fields(settings):
         value = getattr(settings, field.name)
@@ -70,7 +70,7 @@ def absolute(settings: FitSettings) -> FitSettings:
 
 
 def _join(ray: Any, address: str, cpus: int | None) -> None:
-    # nothing is told to anyone about a cluster that is begun here
+    # no usage statistics are sent from a cluster that is started here
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"log_to_driver": False, "logging_level": "ERROR"}
     try:

@@ -107,7 +107,7 @@ def batch(
 
 @contextmanager
 def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
-    """How many processes work at a time, and what runs them."""
+    """The number of parallel processes, and the executor that runs them."""
     if ray is None:
         from recon.batch.workers import run_jobs
 
@@ -132,7 +132,7 @@ def _is_former_corpus(folder: Path) -> bool:
 
 
 def _corpus(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # what is written is no recording, so it may lie among them
+    # outputs are no recordings, so the folder of recordings may hold them
     return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
 
 

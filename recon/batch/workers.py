@@ -1,4 +1,4 @@
-"""Jobs in processes of their own: whatever becomes of one, the others go on.
+"""Jobs in separate processes: when one fails or dies, the others continue.
 
 A job that raises anything, runs out of memory or takes its process down ends as a `Failure` with
 its reason. Unlike in `concurrent.futures`, a process that dies costs its own job alone.
@@ -40,7 +40,7 @@ class Failure:
 
     @property
     def record(self) -> dict[str, str]:
-        """What a log says of it."""
+        """The failure as a record of the log."""
         said = {"status": self.kind, "error": self.reason}
         return said | ({"traceback": self.traceback} if self.traceback else {})
 
@@ -93,7 +93,7 @@ def run_jobs(
 
 
 class _Worker:
-    """A process that does one job after the other."""
+    """A worker process that runs jobs one after the other."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         # spawned: forked processes inherit locks that threads of torch hold
@@ -117,7 +117,7 @@ class _Worker:
             self._process.join()
             return Failure("crashed", _death(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
-            # what a process holds after that is not known
+            # the state of the process is unknown after that
             self.stop()
             return result, False
         return result, True
@@ -141,8 +141,8 @@ def _death(code: int) -> str:
 
 
 def _serve(function: Callable[..., Any], connection: Connection) -> None:
-    """What a process does: jobs from the connection until it closes."""
-    # Ctrl-C is for the one who waits; it tells its processes to stop
+    """The loop of a worker process: run jobs from the connection until it closes."""
+    # workers ignore Ctrl-C: the parent receives it and stops them
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -179,17 +179,17 @@ def _described(error: Exception) -> str:
 
 
 def _end_with_parent() -> None:
-    """A process whose parent was killed must not go on writing results that nobody logs."""
+    """End this process when its parent dies, so that it writes no results that nobody logs."""
     from multiprocessing import parent_process
 
     parent = parent_process()
-    assert parent is not None  # there is one in a spawned process
+    assert parent is not None  # a spawned process always has a parent
     parent.join()
     os._exit(1)
 
 
 def as_worker() -> None:
-    """Settle a process for jobs: a job per core is fastest; more threads each would fight."""
+    """Set up a worker process: one thread each, as several per job compete for cores."""
     os.environ["OMP_NUM_THREADS"] = "1"
     if "torch" in sys.modules:
         import torch

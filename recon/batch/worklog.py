@@ -38,7 +38,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such manifest")
     try:
-        # not splitlines: it would part texts at signs that JSON allows inside them
+        # not splitlines, which also splits at characters that JSON allows inside texts
         lines = path.read_text(encoding="utf-8-sig").split("\n")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected text in UTF-8, but {error}") from error

@@ -1,1 +1,1 @@
-"""A neutral benchmark: the same windows of free motions for everybody's method."""
+"""A public benchmark: every method gets the same windows of freely licensed motions."""

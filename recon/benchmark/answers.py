@@ -1,4 +1,4 @@
-"""What a method gives back for a window: a motion, or places of joints alone."""
+"""The answer of a method for a window: a motion, or joint positions alone."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

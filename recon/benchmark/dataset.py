@@ -81,7 +81,7 @@ class Splits:
         return clip.split("/" if "/" in clip else "_", 1)[0]
 
     def is_open(self, clip: str) -> bool:
-        """Weights that learned from it may go into an open package."""
+        """Whether weights trained on it may be published under an open licence."""
         return not _matches(clip, self.non_commercial)
 
     def parts(self, clips: Sequence[str]) -> dict[str, Part]:

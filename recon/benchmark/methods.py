@@ -1,4 +1,4 @@
-"""Methods that are judged: built-in ones by name, and anybody's own class."""
+"""The benchmarked methods: built-in ones by name, or a class of the user's."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -59,7 +59,7 @@ STIFFNESS = 42.2
 
 @runtime_checkable
 class BenchMethod(Protocol):
-    """A method that is judged: an object that is called with what was seen of one window.
+    """A benchmarked method: a callable that takes the observation of one window.
 
     A class "package.module:Class" is made without arguments, once, before time is taken.
     """
@@ -104,7 +104,7 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
 
 
 def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
-    """A fit under a prior with the weights for the noise that the record tells."""
+    """A fit under a prior with weights for the noise stated in the record."""
 
     def given_back(seen: PositionsFile) -> MotionFile:
         stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)

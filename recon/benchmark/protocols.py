@@ -1,4 +1,7 @@
-"""The protocols: what of a true motion is seen, with which noise, and which frames are judged."""
+"""The protocols.
+
+Which data of a true motion are given, with which noise, and which frames count.
+"""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -54,7 +57,7 @@ def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
 def occluded_points(
     truth: Motion, body: BodyModel, height: float = 0.9
 ) -> tuple[Markers3D, Float[Tensor, "clips time 43 3"]]:
-    """43 points of the skin without noise, those below `height` metres hidden; and all of them."""
+    """43 exact points of the skin without those below `height` metres, and the complete set."""
     vertices = tuple(landmark(name) for name in KEYPOINTS_43)
     points = body.pose(truth).points(torch.tensor(vertices))
     visible = points[..., 2] >= height
@@ -95,7 +98,7 @@ _GAPS: Columns = {"root_joints_all": ("pose cm", 100.0), **_FEET}
 
 @dataclass(frozen=True)
 class BenchProtocol:
-    """One way to see true motions, and what is asked of those who give them back."""
+    """A protocol: how true motions are observed, and how reconstructions are judged."""
 
     name: str
     about: str
@@ -169,7 +172,7 @@ def protocol_named(name: str) -> BenchProtocol:
 
 @dataclass(frozen=True)
 class SeenWindow:
-    """One window as a method is given it, and what is kept from the method."""
+    """One window: the data given to a method, and the truth that is withheld."""
 
     name: str
     """Clip and first second, such as `07_01@0.20`."""
@@ -191,7 +194,7 @@ class SeenWindow:
 def seen_windows(
     protocol: BenchProtocol, windows: TrueWindows, body: BodyModel
 ) -> list[SeenWindow]:
-    """What is seen of every window.
+    """The observed data of every window.
 
     Noise depends on the name of the window alone, so that it is the same whichever other windows
     there are.

@@ -29,7 +29,7 @@ class Interval:
 
     @property
     def sure(self) -> bool:
-        """Whether the interval leaves zero out; of a difference: whether it means anything."""
+        """Whether the interval excludes zero, so that a difference is significant."""
         return self.low > 0 or self.high < 0
 
 
@@ -170,7 +170,7 @@ class BenchTable:
 
     @property
     def _told(self) -> bool:
-        """Whether every subject has several clips, without which an interval says nothing."""
+        """Whether every subject has several clips, as a meaningful interval requires."""
         clips = set(zip(self.subjects, (n.rsplit("@", 1)[0] for n in self.names), strict=True))
         counts = [sum(own == subject for own, _ in clips) for subject in self.counted]
         return min(counts) > 1

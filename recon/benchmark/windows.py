@@ -151,7 +151,9 @@ def contacts_at(
 def draw_girth(
     body: BodyModel, shape: Float[Tensor, " shape"], random: np.random.Generator
 ) -> Float[Tensor, " shape"]:
-    """A shape with about the same bones: drawn from what remains possible once they are known.
+    """A random shape with about the same bone lengths.
+
+    Drawn from the conditional density of shapes.
 
     Shapes are N(0, I) before and every coordinate of a bone is known to `BONE_ERROR`, so what is
     added to the fitted shape has covariance (I + JᵀJ / error²)⁻¹ with J the bones' derivative.

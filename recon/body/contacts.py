@@ -1,4 +1,4 @@
-"""Contact labels from motion: a joint that rests near the ground carries weight."""
+"""Contact labels: a joint that is slow and near the ground counts as in contact."""
 
 import torch
 from jaxtyping import Bool, Float

@@ -152,7 +152,7 @@ def _minima(cost: Float[np.ndarray, " frames"], threshold: float) -> list[int]:
 
 
 def _distinct(found: list[Cycle]) -> tuple[Cycle, ...]:
-    """Cycles that hardly overlap: taken by least cost, each removes those it overlaps too much."""
+    """Non-overlapping cycles, chosen greedily by cost."""
     kept: list[Cycle] = []
     for cycle in sorted(found, key=lambda cycle: cycle.cost):
         if all(_overlap(cycle, other) <= _OVERLAP for other in kept):

@@ -1,4 +1,4 @@
-"""Points of the body and their derivatives by joint rotations and shape, in closed form."""
+"""Points of the body and their Jacobians by joint rotations and shape, in closed form."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -166,7 +166,7 @@ def _parts(
 
 
 def _below() -> Float[Tensor, "22 22"]:
-    """Row a: 1 for joint a and all joints that hang from it."""
+    """Matrix whose row a has 1 for joint a and its descendants."""
     below = torch.zeros(len(JOINTS), len(JOINTS))
     for joint in range(len(JOINTS)):
         below[joint, list(descendants(joint))] = 1.0

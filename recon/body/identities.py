@@ -31,7 +31,7 @@ FORMS = (
 
 
 class Lean(Enum):
-    """Whether a measure lies below or above the average."""
+    """Whether a measurement should be below or above the average."""
 
     LESS = -1
     MORE = 1
@@ -91,7 +91,7 @@ def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tenso
 
 
 def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
-    """Reasons, in words, why no adult has this shape; empty where an adult may have it."""
+    """Reasons why no adult has this shape, as sentences; empty where an adult may have it."""
     tall, odd = float(body.height(shape)), float(shape.abs().max())
     found: list[str] = []
     if not SHORTEST_BODY < tall < TALLEST_BODY:
@@ -215,7 +215,7 @@ def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
 
 
 def _sex(wish: Lean | None, body: BodyModel) -> tuple[Tensor, Tensor]:
-    """The average of a sex, and the projection that leaves what makes it one."""
+    """The mean shape of a sex, and the projection onto shape changes that keep the sex."""
     free = torch.eye(body.shape_size).to(body.male)
     if wish is None:
         return torch.zeros_like(body.male), free

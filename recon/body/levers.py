@@ -1,4 +1,4 @@
-"""Points that bones carry as matrix products, with their derivatives by turns about the joints.
+"""Points carried by bones as matrix products, with Jacobians by rotations about the joints.
 
 The pose of a frame is its affine matrix [O_j | p_j] of all bones (3 x 88): orientation and joint,
 world. A point is that matrix times a constant column, and so is a lever: the vector from a joint
@@ -47,12 +47,12 @@ def turned(
 def world_turns(
     local: Float[Tensor, "frames 22 3"], orientations: Float[Tensor, "frames 22 3 3"]
 ) -> Float[Tensor, "frames 66"]:
-    """Vectors in the frames of bones, such as gradients by R_a Exp(d_a), as step coordinates."""
+    """Vectors in bone frames, such as gradients by R_a Exp(d_a), in the coordinates of steps."""
     return (orientations @ local[..., None])[..., 0].transpose(1, 2).flatten(-2)
 
 
 def gathered(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
-    """Sums over every joint and all that hang from it."""
+    """For every joint, the sum over it and its descendants."""
     return values @ BELOW.to(values).mT
 
 

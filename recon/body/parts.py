@@ -1,4 +1,4 @@
-"""Ten parts of a body and their volumes; cuts between parts are closed by triangle fans.
+"""Volumes of ten parts of a body; cut openings are closed by triangle fans.
 
 Parts are read off the skinning weights, so any body of 22 joints has them.
 """
@@ -105,7 +105,7 @@ def group_means(
 
 
 def _corners(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> Tensor:
-    # its backward is cheaper than that of vertices[..., faces, :]
+    # its backward pass is cheaper than that of vertices[..., faces, :]
     return vertices.index_select(-2, faces.flatten()).unflatten(-2, tuple(faces.shape))
 
 
@@ -149,8 +149,9 @@ def _loops(edges: Tensor, owner: Tensor, count: int) -> tuple[Tensor, Tensor]:
     names, place = torch.unique(owner[:, None] * count + edges, return_inverse=True)
     first = torch.arange(len(names), device=edges.device)
     while True:
-        # every node takes the least name that it is joined to, and then that one's: pointer
-        # jumping, where a graph library would take longer to import than this to end
+        # connected components by pointer jumping: every node takes the least label of its
+        # neighbours;
+        # importing a graph library would take longer than this computation
         least = first[place].amin(-1)
         lower = first.clone()
         for end in range(2):

@@ -1,4 +1,4 @@
-"""Soles on the ground: their vertices, when a foot stands, and how high the ground is."""
+"""Soles: their vertices, frames in which a foot stands, and the height of the ground."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The command `recon`: its verbs are functions of Python, by a table and by entry points.
+"""The command `recon`: its verbs are Python functions, from a table and from entry points.
 
 Exit codes: 0 done, 1 the fit failed (the last finite estimate was written), 2 bad input or no
 place to write to, 130 interrupted.
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def _interrupt(_: int, __: FrameType | None) -> None:
-    """Treat a request to end like Ctrl-C: nothing half written stays."""
+    """Handle SIGTERM like Ctrl-C, so that no half-written file remains."""
     raise KeyboardInterrupt
 
 

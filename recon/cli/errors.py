@@ -1,4 +1,4 @@
-"""How a verb says that it failed."""
+"""The exception with which a verb reports a failure."""
 
 
 class Failed(Exception):

@@ -1,4 +1,4 @@
-"""Files that cannot be fitted or converted, refused before torch is loaded."""
+"""Quick refusals of files that cannot be fitted or converted, before torch is loaded."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

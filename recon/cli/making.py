@@ -79,7 +79,7 @@ def command(name: str, verb: Verb) -> Callable[..., None]:
     def run(**arguments: Any) -> None:
         running.run(verb.place, [place.parameter for place in verb.places], arguments)
 
-    for one in {run, unwrap(run)}:  # what checks types and shapes in tests has wrapped it
+    for one in {run, unwrap(run)}:  # in tests the type checker has wrapped the function
         one.__name__, one.__doc__ = name, ast.get_docstring(node)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
         vars(one)["__signature__"] = Signature(given)

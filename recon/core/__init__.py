@@ -1,1 +1,1 @@
-"""Values that everything else speaks in: motions, rotations, cameras, grounds, units."""
+"""Basic types used everywhere: motions, rotations, cameras, grounds, units."""

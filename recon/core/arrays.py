@@ -31,7 +31,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
     array = _array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
-    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+    with np.errstate(over="ignore"):  # numbers beyond float32 become infinite, and are refused
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
 
@@ -71,7 +71,7 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
 
 
 def positive(value: Any, name: str) -> float:
-    """A finite number above zero.
+    """The number, checked to be finite and above zero.
 
     Raises:
         ValueError: when it is something else.

@@ -26,7 +26,7 @@ _UNDISTORT_STEPS = 30
 
 @dataclass(frozen=True)
 class Projection(TensorStruct):
-    """Pixels of points in an image; finite also where the points are not seen."""
+    """Pixels of points in an image, finite also for points behind the camera."""
 
     pixels: Float[Tensor, "*batch points 2"]
     """u to the right, v down. Meaningless, and without gradient, where not `in_front`."""
@@ -83,7 +83,7 @@ class Camera(TensorStruct):
 
     @staticmethod
     def _different(rows: Tensor) -> list[Tensor]:
-        """Unique rows of intrinsics; most cameras never change their lens."""
+        """Unique rows of intrinsics; usually one, as lenses rarely change during a clip."""
         return list(rows.detach().cpu().double().reshape(-1, rows.shape[-1]).unique(dim=0))
 
     @classmethod

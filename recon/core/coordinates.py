@@ -96,7 +96,7 @@ def head_above_feet(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, "3"] | None:
-    """Mean vector from the feet to the head, or of what else is seen; see `along_body`.
+    """Mean vector from feet to head, or between other visible parts; see `along_body`.
 
     None when the names tell neither or no frame shows both.
     """
@@ -109,7 +109,7 @@ def along_body(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """The vector up the body in every frame that shows one, its ends found by names.
+    """Vector up the body in every frame that has its two ends, which are found by names.
 
     It goes from the feet to the head and shoulders, or to the pelvis where neither is seen. Feet
     count where more than half of their points are seen: one foot alone may be a raised one whose
@@ -179,7 +179,7 @@ def axis_of_floor(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> tuple[Axis, str] | None:
-    """The up axis of somebody who crouches or bends but moves over a floor, and the reason.
+    """The up axis by the plane of movement, for somebody who crouches or bends; and the reason.
 
     Along it, the lowest point that moves stays where the floor is. None where that is not clear.
 
@@ -211,7 +211,9 @@ def surely_up(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Up | None:
-    """The direction along which the body surely stands where a file says another; None otherwise.
+    """The body's upright direction where it surely contradicts the declared up axis.
+
+    None otherwise.
 
     The body is sure where its unit vectors of all frames have a mean of at least `_SURE` along an
     axis or against it, and `_CLEAR` times as much as along the declared one.

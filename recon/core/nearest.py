@@ -91,10 +91,10 @@ def nearest_alike(
     for some in moments.split(_AT_ONCE):
         open_ = allowed[some]
         most = int(open_.sum(-1).max())
-        # allowed ones first, in their order
+        # allowed points first, in their order
         pick = torch.argsort(~open_, dim=-1, stable=True)[:, :most]
         there = surface[some].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
-        middle = there.mean(1, keepdim=True)  # so that little is lost in rounding
+        middle = there.mean(1, keepdim=True)  # centred, to keep rounding errors small
         there, here = there - middle, points[some].detach() - middle
         size = there.square().sum(-1, keepdim=True)
         size = size.masked_fill(~open_.gather(1, pick)[..., None], 1e9)

@@ -131,7 +131,7 @@ def find_walls(
 
 @dataclass(frozen=True)
 class _Sample:
-    """Points drawn from frames that are spread evenly over a clip, about as many of each."""
+    """Points sampled from evenly spread frames of a clip, about equally many per frame."""
 
     points: Float[np.ndarray, "points 3"]
     frame: Int[np.ndarray, " points"]
@@ -179,7 +179,7 @@ def _planes(
 def _shared(
     frames: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Corners of the rectangle that points of at least half of the frames extend over.
+    """Corners of the rectangle that points of at least half of the frames cover.
 
     Three quarters of the frames begin before it along either axis, and three quarters end after.
     """
@@ -352,6 +352,6 @@ def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " poin
     normal = design.transpose(0, 2, 1) @ design + 1e-6 * np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = inverse @ (design.transpose(0, 2, 1) @ far[near][..., None])
-    # the plane at the point itself is off by the noise of its neighbours
+    # the fitted plane has an error of its own, from the noise of the neighbours
     spread = np.sqrt(1 + inverse[:, 0, 0])
     return np.abs(far - plane[:, 0, 0]) / spread

@@ -1,4 +1,4 @@
-"""Triangles to pixels on the processor: what every pixel sees of a mesh, and how far it is.
+"""A rasteriser on the CPU: the face and depth that every pixel of a picture shows of a mesh.
 
 OpenCV's rasteriser does the work. It draws what a pinhole camera sees; corners are therefore given
 to it at the places where a camera of 90 degrees sees them at the asked pixels, so that lenses with

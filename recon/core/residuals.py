@@ -1,4 +1,4 @@
-"""Residuals: what was observed less what an estimate predicts, and their standard deviation."""
+"""Residuals (observed minus predicted) and the noise of observations."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,4 +1,7 @@
-"""Unknowns of a clip that belong to no prior: ground, lens, and offsets of tracked points."""
+"""Unknowns of a clip besides the prior's variables.
+
+Ground, lens, and offsets of tracked points.
+"""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -50,7 +53,7 @@ class UnknownGround(TensorStruct):
 
     @classmethod
     def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
-        """The recording's own z = 0 for a start."""
+        """The ground at the recording's own z = 0, to begin with."""
         return cls(torch.zeros_like(pivot[..., :2]), torch.zeros_like(pivot[..., 0]), pivot)
 
     @property
@@ -87,7 +90,7 @@ class UnknownLens(TensorStruct):
 
     @classmethod
     def create(cls, distance: Float[Tensor, "*batch"]) -> "UnknownLens":
-        """The guessed focal length for a start."""
+        """The lens with the guessed focal length, to begin with."""
         return cls(torch.zeros_like(distance), distance)
 
     @property
@@ -96,7 +99,7 @@ class UnknownLens(TensorStruct):
         return (ZOOM * self.zoom).exp()
 
     def of(self, camera: Camera) -> Camera:
-        """The camera of the guessed focal length with this one, moved back as far as it must."""
+        """The camera with this focal length, moved so that the person's image keeps its size."""
         factor = self.factor[..., None]
         back = (factor - 1) * self.distance[..., None]
         longer = camera.camera_matrix[..., :2] * factor[..., None, None]
@@ -110,7 +113,7 @@ class UnknownLens(TensorStruct):
 
 @dataclass(frozen=True)
 class Scene(TensorStruct):
-    """Unknowns shared by all frames of a clip, optimised beside the prior's variables."""
+    """Unknowns shared by all frames of a clip, optimised together with the prior's variables."""
 
     offsets: Float[Tensor, "*batch offsets 3"]
     """Constant offsets of tracked points from their place on the model, metres, in the frame of

@@ -59,6 +59,6 @@ def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
 
 
 def snapped_rate(fps: float) -> float:
-    """A whole number of frames per second where rounding in the file hid one (1 / 0.0083333)."""
+    """The frame rate, a whole number where a rounded interval hid one (1 / 0.0083333)."""
     whole = round(fps)
     return float(whole) if whole > 0 and abs(fps - whole) < 2e-4 * whole else float(fps)

@@ -1,1 +1,1 @@
-"""What is wrong with a recording: checks before a fit, and what residuals say after it."""
+"""Checks of a recording before a fit, and of residuals and motion after it."""

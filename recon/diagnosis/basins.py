@@ -1,4 +1,4 @@
-"""Whether a fit to a cloud has settled in a wrong posture or heading: labels, outline, points."""
+"""Signs that a fit to a cloud is in a wrong minimum: labels, outline, uncovered surface."""
 
 import math
 
@@ -78,7 +78,7 @@ def basin_findings(
     quantiles: tuple[float, ...] | None,
     estimate: Estimate,
 ) -> list[Finding]:
-    """A warning where a fit to depth seems to have settled in a wrong posture or heading.
+    """A warning where a fit to depth seems to be in a wrong local minimum of posture or heading.
 
     Args:
         name: of the sensor, for the message.
@@ -121,7 +121,7 @@ def basin_findings(
 
 
 def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
-    """Share of the surface facing the sensor that no point of the cloud stands for.
+    """Share of the visible surface that no point of the cloud covers.
 
     Median over some moments; None without a sensor or where nothing was seen. Parts of the body
     behind an occluder count as outside, too; those beyond the image's borders do not.
@@ -162,7 +162,7 @@ def _in_image(
 def _outside(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
-    """Share of the surface whose lines of sight from the origin pass no point closely."""
+    """Share of the surface whose lines of sight from the origin pass near no point."""
     from scipy.spatial import KDTree
 
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())

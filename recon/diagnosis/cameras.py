@@ -31,7 +31,7 @@ _NEAR, _FAR = 0.7, 40.0
 
 
 def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
-    """A wrong focal length moves a body to where nobody films."""
+    """Warn of an implausible distance of the person, which a wrong focal length causes."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
     if _NEAR < distance < _FAR:
@@ -96,7 +96,7 @@ def size_is_unknown(found: ClipFit) -> bool:
 
 
 def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
-    """Deviations of a person who may be larger or smaller, as people are, and farther or nearer.
+    """Standard deviations that include the unknown size of the person, and with it the distance.
 
     Everything is scaled about the camera by a factor whose standard deviation is that of people's
     heights.
@@ -118,7 +118,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     shape = (along / along.norm()).to(deviations.shape)
     return replace(
         deviations,
-        # one of three axes, whichever it is, points along the ray
+        # the ray is one of the three axes
         joints=(deviations.joints.square() + (factor * distance).square() / 3).sqrt(),
         shape=(deviations.shape.square() + shape.square()).sqrt(),
         ground=ground,

@@ -1,4 +1,4 @@
-"""How sure a fit is of every joint, from the curvature of its objective."""
+"""Standard deviations of every joint, from the curvature of the fit's objective."""
 
 from dataclasses import asdict, replace
 from typing import Any
@@ -64,7 +64,7 @@ _UPRIGHT_ALONE = 0.09
 
 
 def certainty(found: ClipFit) -> Deviations | None:
-    """Standard deviations of a fit's joints; None where its prior has no density to bend.
+    """Standard deviations of a fit's joints; None where its prior gives no density.
 
     Clouds are thinned first: neighbouring points err alike.
     """
@@ -97,7 +97,7 @@ def certainty(found: ClipFit) -> Deviations | None:
 
 
 def _ground(found: ClipFit) -> GroundBelief | None:
-    """What is believed of the ground; None where there is none."""
+    """The assumed uncertainty of the ground; None where there is no ground."""
     if not found.grounded:
         return None
     if found.ground_known:

@@ -1,4 +1,4 @@
-"""All checks in the order of work: those of the data before a fit, then those of the fit.
+"""All checks in the order in which they run: of the data before a fit, then of the fit.
 
 A check is a function of the clip that gives the clip, put right where that is sure, and what it
 found. `recon.fit(..., checks=...)` takes any of them, and functions of your own:
@@ -118,7 +118,7 @@ _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 
 @after_fit()
 def residuals(clip: Examined) -> tuple[Examined, Findings]:
-    """Sensors whose residuals are far above their noise: model and data contradict each other."""
+    """Warnings about sensors whose residuals are far above their noise."""
     found: list[Finding] = []
     for one in clip.residuals:
         if one.median is None:
@@ -143,7 +143,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit("view")
 def distance(clip: Examined) -> tuple[Examined, Findings]:
-    """A wrong focal length moves a body to where nobody films."""
+    """Warn of an implausible distance of the person, which a wrong focal length causes."""
     from recon.diagnosis.cameras import distance_warnings
 
     sensors = zip(clip.names, clip.observations, strict=True)
@@ -171,7 +171,7 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
-    """Nobody is as large or odd as the fitted person, or floats above a known ground."""
+    """Warn of an implausible size or shape of the fitted person, or feet off a known ground."""
     return clip, body_findings(clip.fit)
 
 
@@ -186,7 +186,7 @@ _OFF_GROUND = 0.15
 
 
 def body_findings(found: ClipFit) -> Findings:
-    """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
+    """Warnings of implausible size or floating, by which wrong cameras or units show.
 
     Where no camera and no ground determines the size, the prior does, and nothing is reported.
     Points in metres that a small body fits show a child, which is no fault of the data.
@@ -245,7 +245,7 @@ def mirrored(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit()
 def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
-    """Gait, falls and balance that contradict the frame rate."""
+    """Warn of a frame rate that gait, falls or balance contradict."""
     # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
@@ -258,19 +258,19 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit()
 def other_motions(clip: Examined) -> tuple[Examined, Findings]:
-    """Another motion that explains the data nearly as well."""
+    """Warn of another motion that explains the data nearly as well."""
     return clip, Findings(warnings=undecided_findings(clip.alternatives))
 
 
 @after_fit()
 def unseen(clip: Examined) -> tuple[Examined, Findings]:
-    """Joints and frames that nothing was seen of."""
+    """Note joints and frames without data."""
     return clip, Findings(diagnosis=unseen_findings(clip.observed))
 
 
 @after_fit()
 def guessed(clip: Examined) -> tuple[Examined, Findings]:
-    """Stretches in which a large part of the body is merely guessed."""
+    """Warn of stretches in which a large part of the body is inferred with large uncertainty."""
     if clip.deviations is None:
         return clip, NOTHING
     std = clip.deviations.joints.numpy()
@@ -279,7 +279,7 @@ def guessed(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit()
 def support(clip: Examined) -> tuple[Examined, Findings]:
-    """Feet at several heights, and rests on something else than feet."""
+    """Note feet at several heights, and rests on something other than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
     return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))

@@ -30,7 +30,7 @@ _LEGS, _EXCHANGED = list(LEGS), [MIRROR[k] for k in LEGS]
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another motion that explains the data, and how much worse it does."""
+    """Another motion that explains the data, and by how much its energy is higher."""
 
     kind: str
     """What distinguishes it: "heading", "leg order" or "posture"."""
@@ -69,7 +69,7 @@ class Alternative:
 
 
 def alternatives(fit: ClipFit) -> tuple[Alternative, ...]:
-    """Motions of the first clip that its fit compared and gave up, the likeliest first.
+    """Rejected hypotheses of the first clip, the likeliest first.
 
     They are other first guesses (headings, postures) and other beginnings of a gait cycle, each as
     the quick fit that compared them had left it. Hypotheses that came to the motion that was
@@ -142,7 +142,7 @@ first guesses leave smaller differences to the fit that follows."""
 def guessed_findings(
     joint_std: Float[np.ndarray, "time 22"], observed: Bool[np.ndarray, "time 22"], fps: float
 ) -> list[Finding]:
-    """Stretches in which a large part of the body that nobody saw may be anywhere near.
+    """Warnings of stretches in which a large unobserved part of the body is very uncertain.
 
     Joints that were seen are left out: that one camera leaves their distance open is no guess.
 
@@ -173,7 +173,7 @@ def guessed_findings(
 
 
 def undecided_findings(alternatives: Sequence[Alternative]) -> list[Finding]:
-    """The likeliest other motion, where it explains the data nearly as well."""
+    """A warning of the likeliest alternative, where it explains the data nearly as well."""
     close = [
         one
         for one in alternatives
@@ -217,7 +217,7 @@ def observed_joints(
 
 
 def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
-    """Joints that were never seen, and frames in which nothing was seen, as said to the user."""
+    """Findings about joints that were never seen, and frames without any data."""
     found: list[Finding] = []
     never = chosen(JOINTS, ~np.any(observed, axis=0))
     if never:

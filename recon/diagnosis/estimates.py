@@ -1,4 +1,4 @@
-"""An estimate of a motion as something observed: what in it is to be believed, and how far."""
+"""An estimate of a motion as a measurement: which of its parts are trusted, with what noise."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ _FLIP = torch.tensor([-1.0, 1.0, 1.0])
 def exchanged_frames(
     rotations: Float[Tensor, "time joints 3 3"], mirrored: Float[Tensor, "time joints 3 3"]
 ) -> Bool[Tensor, " time"]:
-    """Frames in which limbs move more steadily when each does what the other does, mirrored.
+    """Frames in which left and right limbs seem exchanged: exchanging them makes motion smoother.
 
     The sides of every frame are chosen together so that Σ ½ |angle|² from frame to frame is
     least, plus what changes of sides and exchanged frames cost (Viterbi's algorithm).

@@ -74,7 +74,7 @@ def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedClip:
-    """What sensors saw of one clip, as far as it was checked."""
+    """The observations of one clip, and the findings of the checks so far."""
 
     observations: tuple[Sensor, ...]
     """As they should be fitted, then as they were; a batch axis of length one."""
@@ -89,7 +89,7 @@ class CheckedClip:
 
     @property
     def repairs(self) -> tuple[Finding, ...]:
-        """What was wrong with the data and was put right before the fit."""
+        """Faults of the data that were repaired before the fit."""
         return tuple(self.found.repairs)
 
     @property
@@ -99,13 +99,13 @@ class CheckedClip:
 
     @property
     def diagnosis(self) -> tuple[Finding, ...]:
-        """What is worth knowing but is no fault: limbs that were inferred, steps, seats."""
+        """Findings that are no fault: inferred limbs, steps, seats."""
         return tuple(self.found.diagnosis)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Examined(CheckedClip):
-    """A clip with its fit, and what is known about the data and the result."""
+    """A clip with its fit, uncertainty and findings."""
 
     fit: ClipFit
     estimate: Estimate
@@ -199,7 +199,7 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
 
 
 def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
-    """A check of the data, which may put them right.
+    """Decorator of a check of the data before the fit; it may repair them.
 
     Args:
         sees: properties of the sensors that it speaks of, `named`, `view` or `cloud`; the check is
@@ -209,7 +209,7 @@ def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
 
 
 def after_fit(*sees: str) -> Callable[[AfterFit], AfterFit]:
-    """A check of a fit; `sees` as of `before_fit`."""
+    """Decorator of a check of the fit; `sees` as of `before_fit`."""
     return partial(_marked, sees=sees, comes_before_fit=False)
 
 

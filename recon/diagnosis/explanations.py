@@ -1,4 +1,4 @@
-"""What may be wrong with one camera of several: each explanation undone, to see what remains."""
+"""Hypotheses of what is wrong with one camera of several, and the error after correction."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ _INLIER = 0.02
 
 @dataclass(frozen=True)
 class Explained:
-    """One view after an explanation was undone."""
+    """One view after the correction of a hypothesis, and the remaining error."""
 
     cause: Cause
     images: Images
@@ -68,7 +68,7 @@ class Odd:
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
     def explained(self, causes: tuple[Cause, ...]) -> list[Explained]:
-        """What remains after each of some explanations, the simplest first."""
+        """The view corrected under each hypothesis, simplest first, with the remaining errors."""
         undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
             "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
             "turned": self._turned,

@@ -1,4 +1,4 @@
-"""What checks found: records for reports, and the words for each cause."""
+"""Findings of checks, as records for reports and as sentences."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -80,7 +80,7 @@ Code = Literal[
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found, in words and in numbers."""
+    """One finding: a sentence and its numbers."""
 
     code: Code
     message: str
@@ -105,7 +105,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Findings:
-    """What checks found, by what a reader should do about it; sums keep the order."""
+    """Findings in three lists: diagnosis, repairs and warnings; sums keep the order."""
 
     repairs: Sequence[Finding] = ()
     """Faults of the data that were put right before the fit."""
@@ -134,7 +134,7 @@ NOTHING = Findings()
 def in_turn(
     data: Data, checks: Sequence[Callable[[Data], tuple[Data, Findings]]]
 ) -> tuple[Data, Findings]:
-    """What is left after checks that may each repair something, and all that they found."""
+    """The data after a sequence of checks that may repair them, and all findings."""
     found = NOTHING
     for check in checks:
         data, more = check(data)

@@ -1,4 +1,4 @@
-"""Gravity: nothing falls faster, nothing in the air falls slower, and who stands is balanced.
+"""Gravity as a check of the frame rate: falls, flights and balance of a motion.
 
 Accelerations grow with the square of the frame rate, so that a rate wrong by a factor shows as a
 fall at another acceleration than g, or as a body that the ground under its feet could not hold.
@@ -147,7 +147,7 @@ def _imbalance(movement: Movement, factor: float) -> float:
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
-    # a foot in the air lends its corners to the other one, which then stand for it twice
+    # corners of a foot in the air are replaced by those of the other, which then count twice
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
     return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
 
@@ -247,7 +247,9 @@ class RateRange:
 def rate_range(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> RateRange | None:
-    """What a motion's gait, falls and balance say of its frame rate; None where they say nothing.
+    """The possible frame rates by a motion's gait, falls and balance.
+
+    None where these give no bound.
 
     Args:
         motion: one clip on the ground z = 0 or any other level one, without a batch axis.

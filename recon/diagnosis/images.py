@@ -1,4 +1,4 @@
-"""What cameras saw of one clip, as arrays that checks can work on."""
+"""Keypoints and cameras of one clip as arrays, the input of the checks of images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -179,7 +179,7 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
 def _wild(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """The outliers known and those that show when the known ones are left out."""
+    """The known outliers, and those that appear once these are left out."""
     for _ in range(_MAX_ROUNDS):
         found = _away(images.without(wild), reach, least)
         if not found.any():
@@ -260,7 +260,7 @@ def order_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def _typical_way(images: Images, view: int, lag: int) -> float:
-    """Median distance at the body that it goes in some frames, all keypoints together, metres."""
+    """Median distance that the keypoints move in so many frames, metres at the body."""
     place = images.shown[view]
     way = (place[lag:] - place[:-lag]) / images.scale[view, lag:, None, None]
     way = np.linalg.norm(_median(way.swapaxes(-1, -2)), axis=-1)
@@ -296,7 +296,8 @@ def screen_views(
 def screened(images: Images) -> tuple[Images, Findings]:
     """The views of one clock and layout after all repairs, and what was found."""
     images, found = in_turn(images, (repaired_zeros, repaired_copies, repaired_held))
-    if not (disorder := order_findings(images)):  # frames out of order look like outliers
+    # frames in a wrong order would look like outliers
+    if not (disorder := order_findings(images)):
         images, more = repaired_outliers(images)
         found += more
     names = (all_mirrored, another_image, repaired_sides, repaired_pairs)

@@ -65,7 +65,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
-    """Pairs of points that lie in each other's place on the body, and when."""
+    """Pairs of points that are at each other's place on the body, and in which frames."""
     points = predicted.points
     away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
     nearer = max(_NEARER, _NOISES * noise)
@@ -120,7 +120,8 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _flips(points, [pair])
-        if flips.any() and flips.sum() % 2 == 0:  # else nobody knows on which side they began
+        # with an odd number it is unknown on which side they began
+        if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
 
@@ -153,7 +154,7 @@ def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray
 
 
 def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """True after an odd number of exchanges; nothing where they do not come in a sane number."""
+    """Mask of frames after an odd number of exchanges; empty where there are implausibly many."""
     odd = np.cumsum(flips) % 2 == 1
     return odd if flips.sum() <= max(2, len(flips) // 8) else np.zeros_like(odd)
 
@@ -191,7 +192,7 @@ _MOVED = 0.2
 
 
 def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, list[Finding]]:
-    """The points without those that are away from their place throughout, and why they are."""
+    """The points without those that are misplaced throughout, and the findings about them."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
     known, away = typical[typical > 0], predicted.away

@@ -269,7 +269,7 @@ def belt_velocity(
 
 
 def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
-    """What is said of a belt of this velocity, m/s."""
+    """The finding about a belt of this velocity, m/s."""
     speed = float(belt.norm())
     return Finding(
         "treadmill",

@@ -1,4 +1,4 @@
-"""One view at odds with the others: which one, the likeliest cause, and what can be undone.
+"""One view that contradicts the others: which one, the likeliest cause, and its correction.
 
 Points that the other views see are compared with the rays of the view. An explanation that
 brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
@@ -116,7 +116,7 @@ def another_image(images: Images) -> tuple[Images, Findings]:
 def _one_explained(
     images: Images, noise: float, causes: tuple[Cause, ...]
 ) -> tuple[Images, Findings]:
-    """The view that a cause brings back to the noise, with the others at the noise."""
+    """The view whose correction brings all views back to the level of the noise."""
     floor, best = _FLOOR * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):

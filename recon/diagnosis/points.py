@@ -77,7 +77,7 @@ def screen_points(
         steady = steady.swapped(pair, moments)
         named, more = _exchanged_back(named, pair, moments)
         found += more
-    if jumps := identity_changes(steady):  # no one body explains the points before and after
+    if jumps := identity_changes(steady):  # two different people cannot be fitted by one body
         return named.observation, found + Findings(warnings=jumps), None
     named, fitted, more = _sides(named, flips, body)
     found += more
@@ -126,7 +126,7 @@ def _sides(
 def _exchanged(
     named: NamedPoints, fitted: QuickFit, body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Two points that carry each other's name, throughout or in a stretch."""
+    """Pairs of points whose names are exchanged, throughout or for a while."""
     found = NOTHING
     if (pair := exchanged_throughout(named)) is not None:
         other, said = _exchanged_back(named, pair, np.ones(len(named.visible), dtype=bool))
@@ -137,7 +137,7 @@ def _exchanged(
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
-        # before points are blamed, the body reaches for them
+        # before points are called wrong, the fit tries to reach them
         fitted = pursued(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
@@ -179,7 +179,7 @@ def _against_a_body(
         # to be left behind by a body that was fitted wrong
         return named, None, NOTHING
     kept, wild = outliers(replace(predicted, points=kept), noise)
-    # what is left out throughout is inferred, which a user should know
+    # points left out throughout are inferred, so the user is told
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given
     if wild is not None:

@@ -1,4 +1,4 @@
-"""A quick robust fit under the pose prior, to see what contradicts a body before the real fit."""
+"""A quick robust fit under the pose prior that finds points which contradict a body."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ _HALF_WINDOW = 0.12
 
 
 def plausible(points: NamedPoints) -> NamedPoints:
-    """The points without those far from all others and those that leap out of their own path."""
+    """The points without those far from all others and those that jump off their own path."""
     away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
     return points.without(_far(points) | (np.nan_to_num(away) > _SPIKE))
 
@@ -80,7 +80,7 @@ _ITERATIONS = (12, 40)
 
 @dataclass(frozen=True)
 class QuickFit:
-    """One version of a clip's points, and how a body agrees with it."""
+    """A quick fit of one version of a clip's points: residuals and energy."""
 
     points: TrackedPoints
     estimate: Estimate
@@ -134,7 +134,7 @@ def _fitted(
 
 
 def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
-    """The better of a quick fit and of one that begins where the body reaches for every point.
+    """The better of a quick fit and one that starts from non-robust residuals.
 
     A robust fit gives up on a limb that it begins too far from, and then blames its points: a
     handspring's hands and planted feet were called misplaced. With squared residuals the limb

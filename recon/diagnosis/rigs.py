@@ -38,7 +38,7 @@ _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
 @dataclass(frozen=True)
 class Agreement:
-    """What would bring two views together."""
+    """A correction of clock or turn with which two views agree."""
 
     images: Images
     """The two views, the second one corrected."""
@@ -178,7 +178,7 @@ _SMALLEST_SHIFT = 0.01
 
 @dataclass(frozen=True)
 class Corrections:
-    """What single views must be corrected by, and whether that is decided."""
+    """Corrections of single views, and whether they are certain."""
 
     images: Images
     """All views after the corrections."""
@@ -223,7 +223,7 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
 
 
 def candidates(images: Images) -> list[Registration]:
-    """What single fixed views would be corrected by, that which leaves least first.
+    """Candidate corrections of single fixed views, sorted by the remaining error.
 
     None where every view agrees with the others.
     """
@@ -239,14 +239,14 @@ def candidates(images: Images) -> list[Registration]:
 
 
 def certain(found: Registration, fps: float) -> bool:
-    """Whether a correction leaves nothing but noise and is more than noise itself."""
+    """Whether a correction is significant and leaves only noise."""
     if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
     return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
 def _simplest(images: Images, given: Alignment) -> Registration | None:
-    """A correction of a view by no more than is needed."""
+    """The simplest correction of a view that suffices."""
     both = given.solved()
     if both is None:
         return None

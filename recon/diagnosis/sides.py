@@ -118,7 +118,7 @@ def _sides_finding(name: str, here: Bool[np.ndarray, " moments"], images: Images
 
 
 def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
-    """The views and moments that surely have left and right exchanged.
+    """Mask of views and frames whose left and right are surely exchanged.
 
     Of several views only those under whose new names all rays meet: a view that is wrong in
     another way is not put right by other names.

@@ -117,7 +117,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def _seams(points: NamedPoints) -> tuple[Finding, ...]:
-    """Whether the whole body goes on from another place many times.
+    """Whether the whole body jumps to another place many times.
 
     That is so between blocks of frames which were put together in a wrong order. Changes of
     velocity are medians over the points, divided by what the median is for normal noise of one
@@ -125,7 +125,7 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
     """
     kept = plausible(points)
     if len(kept.visible) < 4 or kept.visible.sum() < (1 - _WILD) * points.visible.sum():
-        return ()  # where many points are outliers, half of them may change together by chance
+        return ()  # with many outliers, half of the points may change together by chance
     change = velocity_changes(np.where(kept.visible[..., None], kept.positions, np.nan))
     change[np.isfinite(change).sum(1) < _SEAM_POINTS] = 0.0
     change = np.nanmedian(change, axis=1) / _MEDIAN_LENGTH

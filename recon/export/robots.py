@@ -93,7 +93,7 @@ def _arrays(motion: Motion, target: BodyModel, joints: int, gender: str) -> dict
 
 
 def _gender(path: Path) -> str | None:
-    """What the name of a body file says."""
+    """The gender in the name of a body file."""
     return next((one for one in _GENDERS if one in path.stem.lower()), None)
 
 

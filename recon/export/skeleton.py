@@ -1,4 +1,4 @@
-"""What all formats with a skeleton or a skin take from a motion and a body."""
+"""Skeleton, skin and rotations of a motion, as the exporters of all formats need them."""
 
 import numpy as np
 import torch

@@ -75,7 +75,7 @@ def _save(path: Path, motion: Motion, body: BodyModel) -> None:
     root = pxr.UsdSkel.Root.Define(stage, "/person")
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
-    # the unposed body: in the world, and every joint in its parent
+    # the rest pose: joints in the world, and relative to their parents
     skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joint_paths()))
     skeleton.CreateBindTransformsAttr(_placed(pxr, rest))
     skeleton.CreateRestTransformsAttr(_placed(pxr, rest_offsets(rest)))
@@ -85,7 +85,7 @@ def _save(path: Path, motion: Motion, body: BodyModel) -> None:
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
     _skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
-    # where the body is at some moments: viewers need not skin it to find it
+    # the body's extent at some frames, so that viewers find it without skinning
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
     extent = root.CreateExtentAttr()

@@ -1,4 +1,4 @@
-"""Clips from all their observations: first guess, weights, ground, then the method."""
+"""The fit of a clip: first guess, weights, unknown ground and lens, then the prior's stages."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -89,7 +89,7 @@ def posed(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> "ClipProblem":
-    """What is to be minimised: the data with their noise, from the likeliest first motion."""
+    """The problem to minimise: observations with noise, and the first motion."""
     noises = tuple(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
@@ -99,7 +99,10 @@ def posed(
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """Several views of one layout tell where this person's keypoints are; and how many rows."""
+    """Offsets of keypoints, which several views of one layout determine.
+
+    And their number of rows.
+    """
     views = views_of(observations)
     if len(views) < 2 or len({o.points.names for o in views}) > 1:
         return observations, 0
@@ -110,7 +113,7 @@ def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...],
 
 @dataclass(frozen=True)
 class ClipProblem:
-    """What stays the same while a clip is fitted more than once."""
+    """A clip's observations, noise, first guess and options, for one or several fits."""
 
     observations: tuple[Sensor, ...]
     guess: FirstGuess
@@ -164,24 +167,24 @@ class ClipProblem:
 
     @property
     def moved(self) -> frozenset[str]:
-        """What of the scene is found besides the motion, the ground aside."""
+        """Names of the scene's unknowns that are optimised, except the ground."""
         found = OFFSETS if self.offsets else frozenset()
         return found | LENS if self.lens_unknown else found
 
     @property
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
-        # the path of a camera that moves is of the lens that its tracker had
+        # a moving camera keeps the focal length that its tracker assumed
         return self.size_untold and not views_of(self.observations)[0].focal_known
 
     @property
     def one_view(self) -> bool:
-        """Whether one view is all there is: only standing feet tell how large the person is."""
+        """Whether there is only one view: then standing feet alone determine the person's size."""
         return len(self.observations) == len(views_of(self.observations)) == 1
 
     @property
     def size_untold(self) -> bool:
-        """Whether one view of a camera that stands at an unknown place is all there is."""
+        """Whether there is only one view, from a fixed camera of unknown pose."""
         if not self.one_view:
             return False
         (view,) = views_of(self.observations)
@@ -240,7 +243,7 @@ class ClipProblem:
         """
         run = solve
         if self.long:
-            # most recordings last a few seconds
+            # imported here: most recordings are short
             from recon.fitting.long import fit_long
 
             run = fit_long
@@ -259,7 +262,7 @@ class ClipProblem:
         )
 
     def on_known_ground(self) -> Motion:
-        """A first motion under the pose prior, as far from the one camera as its soles are low.
+        """A first motion under the pose prior, scaled about the camera to stand on the ground.
 
         What a camera sees does not change when everything is farther and larger by one factor.
         """
@@ -289,7 +292,7 @@ class ClipProblem:
         return self.fit(self.rough, self.scene(start), start, frozenset()).motion
 
     def paced(self) -> "ClipProblem":
-        """The clips with the unit of the camera's path told by the feet of a first motion."""
+        """The problem with the scale of the camera's path, by the feet of a first motion."""
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
@@ -299,7 +302,7 @@ class ClipProblem:
         there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
             return self
-        # a carried camera alone has a path
+        # imported here: only a moving camera has a path
         from observations.camera_paths import with_unit
 
         seen = view.camera.to_camera(there).detach().double().cpu().numpy()
@@ -315,7 +318,8 @@ class ClipProblem:
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 
         start = self.guess.motion
-        if frame_is_level(self.observations):  # z is up, only heights are not known
+        # z is up and only the height of the ground is unknown
+        if frame_is_level(self.observations):
             start, unknown = self.free(), HEIGHT
             ground = ground_below(start, self.body)
         elif self.ground_seen:
@@ -329,7 +333,7 @@ class ClipProblem:
 
     def first_seconds(self) -> "ClipProblem":
         """The clip cut off after a window's length."""
-        from recon.fitting.long import WINDOW  # of long recordings alone
+        from recon.fitting.long import WINDOW  # needed for long recordings only
 
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends

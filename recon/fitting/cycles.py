@@ -1,4 +1,4 @@
-"""Cycles from sparse scans, landmarks or few frames: many beginnings, the best fit of all."""
+"""Gait cycles from sparse scans, landmarks or few frames: the best fit from many starts."""
 
 import math
 from collections.abc import Sequence
@@ -55,12 +55,12 @@ def on_fast_clock(one: Sensor) -> Sensor:
 
 
 def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Those that give places in space, metres."""
+    """The observations that measure positions in space."""
     return tuple(one for one in observations if one.places is not None)
 
 
 def moments_per_second(observations: Sequence[Sensor]) -> float:
-    """Moments that show anything, per second of the time in which they lie: of all sensors."""
+    """Frames with data per second, over all sensors."""
     times = torch.cat([seen_times(one) for one in observations]).unique()
     if len(times) < 2:
         return 0.0
@@ -68,7 +68,7 @@ def moments_per_second(observations: Sequence[Sensor]) -> float:
 
 
 def seen_times(one: Sensor) -> Float[Tensor, " moments"]:
-    """Times of the moments that show anything in any clip, seconds, to the millisecond."""
+    """Times of frames with data in any clip, seconds, rounded to milliseconds."""
     there = one.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
     return (one.start_time + there.double() / one.fps).mul(1000).round().div(1000)
 
@@ -79,7 +79,7 @@ HEADINGS = 8
 
 @dataclass(frozen=True)
 class CycleClock:
-    """The moments at which cycles are decoded."""
+    """The clock on which cycles are decoded."""
 
     valid: Bool[Tensor, "clips time"]
     fps: float
@@ -125,7 +125,7 @@ def typical_cycles(
     shape: Float[Tensor, " shape"],
     offsets: int,
 ) -> Hypotheses[Any]:
-    """Every typical cycle of a prior in every heading, along the path that is seen.
+    """First hypotheses: every typical cycle under several headings, along the observed path.
 
     Args:
         prior: of cycles.
@@ -166,7 +166,7 @@ def typical_cycles(
 def _seen_path(
     observations: Sequence[Sensor], clock: CycleClock
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
-    """The middle of what is seen at the clock's moments, and where anything is."""
+    """The centroid of the data at the clock's frames, and which frames have data."""
     clips, moments = clock.valid.shape
     total = observations[0].values.new_zeros(clips, moments, 3)
     count = total.new_zeros(clips, moments, 1)
@@ -258,7 +258,7 @@ def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[A
 
 @dataclass(frozen=True)
 class _Completion:
-    """The stages that lead from typical cycles to the one of every clip."""
+    """The stages from first hypotheses to one cycle for every clip."""
 
     observations: tuple[Sensor, ...]
     noises: tuple[Noise, ...]
@@ -323,7 +323,7 @@ def _keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]
 
 
 def _thinned(variables: Any, step: int) -> Any:
-    """A cycle on a clock of fewer moments: a code moves all moments together."""
+    """The cycle decoded at fewer frames, which suffice to optimise a latent code."""
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
 
@@ -338,7 +338,7 @@ def _fullest(cloud: PointCloud) -> int:
 
 
 def cycle_noise(one: Sensor, told: float | None) -> Noise:
-    """A frame's cloud is worth some points that know their place; few frames count one each.
+    """Noise for a cycle: a frame's cloud counts like some named points.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
     """
@@ -357,7 +357,7 @@ def cycle_noise(one: Sensor, told: float | None) -> Noise:
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """Markers stand off the skin: rows of their offsets, and how many."""
+    """The observations with unknown offsets of markers from the skin, and the number of these."""
     changed: list[Sensor] = []
     count = 0
     for one in observations:

@@ -1,4 +1,4 @@
-"""What a fit of a clip gives: the reconstruction, and what was assumed and compared on the way."""
+"""The result of a clip's fit: reconstruction, assumptions, and hypotheses compared."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from recon.method.stages import Compared
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of a recording, and by what it was completed."""
+    """A part of a recording, and the prior that completed it."""
 
     start: float
     """Seconds of the recording's clock."""
@@ -43,7 +43,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ClipFit:
-    """What came out, and what was assumed."""
+    """The reconstruction of a clip and the assumptions it rests on."""
 
     result: Reconstruction
     """The fit in the world, where z = 0 is the ground."""

@@ -1,4 +1,4 @@
-"""Gait in a first fit: its cycles completed one by one, and what they say together."""
+"""Gait cycles found in a first fit, completed one by one and combined."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ _COUNTED = 0.5
 
 @dataclass(frozen=True)
 class CompletedCycle:
-    """A cycle of gait as its prior completes it from the data."""
+    """A gait cycle completed by its prior from the data."""
 
     cycle: Cycle
     motion: Motion
@@ -50,7 +50,7 @@ class CompletedCycle:
 
     @property
     def explains(self) -> bool:
-        """Whether it explains the data as well as the first fit, to within their noise."""
+        """Whether the cycle explains the data as well as the first fit, within the noise."""
         return self.energy <= self.first + self.noise
 
 
@@ -67,7 +67,7 @@ def stretches(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
 
 @dataclass(frozen=True)
 class CycleData:
-    """What cycles of a first fit are completed from."""
+    """The observations and first fit from which cycles are completed."""
 
     prior: CyclePrior[Any]
     observations: Sequence[Sensor]
@@ -75,7 +75,9 @@ class CycleData:
     body: BodyModel
 
     def completed(self, motion: Motion, cycle: Cycle) -> CompletedCycle | None:
-        """One cycle from where the first fit has it, with its shape; None without data in it.
+        """One cycle fitted from its place in the first fit, with the same shape.
+
+        None without data.
 
         Args:
             motion: the first fit, without a batch axis.
@@ -106,7 +108,7 @@ class CycleData:
         return CompletedCycle(cycle, made, *energies, noise=self._noise(parts))
 
     def _noise(self, parts: Sequence[Sensor]) -> float:
-        """Half the number of coordinates seen in a cycle, neighbours that err alike as one."""
+        """Half the number of independent measured coordinates in a cycle."""
         total = 0.0
         for part, noise in zip(parts, self.noises, strict=True):
             coordinates = 1 if not part.point_names(self.body) else part.values.shape[-1]
@@ -116,7 +118,7 @@ class CycleData:
 
 
 def told_by_cycles(cycles: Sequence[CompletedCycle], motion: Motion, body: BodyModel) -> Joints3D:
-    """Joints at the moments of a first fit as completed cycles have them, to join the data.
+    """Joint positions from completed cycles, as further observations of the first fit's frames.
 
     Every cycle counts as sin² of its phase, so that those which overlap fade into each other, and
     the ends of a stretch of gait fade out: standard deviations grow there.

@@ -1,4 +1,4 @@
-"""An unknown ground: its first guess from how people stand, or from where a camera is above it.
+"""First guesses of an unknown ground, from standing people or from the camera's height.
 
 `recon.fitting.clip` decides whether the ground is unknown at all, and optimises the guess beside
 the motion (`recon.core.scene.UnknownGround`).

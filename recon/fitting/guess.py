@@ -1,4 +1,4 @@
-"""The motion with which a fit begins: what the data tell without a prior, or the caller's."""
+"""The first guess of a fit: from the data without a prior, or the caller's motion."""
 
 from collections.abc import Sequence
 

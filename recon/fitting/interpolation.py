@@ -1,4 +1,4 @@
-"""What lies between two cycles of motion: codes and shapes mixed, and decoded."""
+"""Interpolation between two cycles of motion in the latent space."""
 
 import math
 
@@ -98,7 +98,7 @@ def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batc
 def agreement(
     a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
 ) -> Float[Tensor, "first second"]:
-    """Correlation of two sets of courses about zero, -1 to 1."""
+    """Uncentred correlation of two sets of curves, -1 to 1."""
     unit = [x / x.norm(dim=-1, keepdim=True).clamp(min=1e-9) for x in (a, b)]
     return unit[0] @ unit[1].mT
 

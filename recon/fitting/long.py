@@ -1,4 +1,4 @@
-"""Recordings of any length: overlapping windows of one shape, tied where they overlap."""
+"""Recordings of any length: overlapping windows with one shape, consistent where they overlap."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ TIE = 1.0
 
 @dataclass(frozen=True)
 class LongReconstruction(Reconstruction):
-    """One clip given back from its windows, and what happened on the way.
+    """The reconstruction of a long clip, joined from its windows, and their reports.
 
     A report has a row for every window that was fitted alike: some for their `shape`, then every
     other window `apart`, then those between, `tied` to their neighbours.
@@ -122,11 +122,11 @@ class _Fitted:
 
     @property
     def fps(self) -> float:
-        """The fewest frames per second of a result: a prior may read fast windows at more."""
+        """The lowest frame rate among the windows; fast motions may be fitted at a higher one."""
         return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
     def beside(self, row: int) -> list[Motion]:
-        """The neighbours of a window, without those that failed."""
+        """The neighbouring windows, without those that failed."""
         sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
         return [self.motions[k] for k in sound]
 
@@ -139,7 +139,7 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class _Job:
-    """What stays the same while windows are fitted batch after batch."""
+    """The data shared by all batches of windows."""
 
     recording: LongRecording
     body: BodyModel

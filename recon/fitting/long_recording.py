@@ -1,4 +1,4 @@
-"""One long recording as windows: what each sees, where it starts, what its neighbours say."""
+"""One long recording cut into windows: data, first guess and neighbours of each."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -70,7 +70,7 @@ class Overlap(TensorStruct):
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
-        """The joints on a body of some shape."""
+        """The joints as points of a body of a given shape."""
         del offsets
         return CarriedPoints.joints(body, shape)
 
@@ -149,7 +149,7 @@ class LongRecording:
             yield from (alike[k : k + size] for k in range(0, len(alike), size))
 
     def tie(self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel) -> Overlap:
-        """What finished neighbours of a window, at their frames per second, say about it."""
+        """The terms that keep a window near its finished neighbours where they overlap."""
         (start, stop), like = self.span(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps

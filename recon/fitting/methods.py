@@ -1,4 +1,4 @@
-"""The options of a fit, and the door where its prior is found and loaded."""
+"""The options of a fit, and how its prior is found by name and loaded."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""What was observed of one clip: the sensors, their names, and the stretch of time to fit."""
+"""The observations of one clip, with names and the notes of their reading."""
 
 from dataclasses import dataclass, replace
 
@@ -48,6 +48,6 @@ def window(clip: Clip, start: float, stop: float) -> Clip:
 
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
-    """Times at which one clip's observation shows anything, seconds."""
+    """Times of the frames of an observation that have data, seconds."""
     moments = observation.shown[0].any(-1).nonzero()[:, 0].cpu().numpy()
     return observation.start_time + moments / observation.fps

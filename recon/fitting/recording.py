@@ -1,4 +1,4 @@
-"""Whole recordings of which little was seen: any motion first, then gait by its cycles.
+"""Sparse recordings of any length: a fit of any motion first, then gait by its cycles.
 
 A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
 moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
@@ -52,7 +52,7 @@ _LEAST = 0.05
 
 @dataclass(frozen=True)
 class WholeRecording:
-    """What completes a recording: a prior of any motion, and one of cycles of gait."""
+    """The two priors that complete a recording: one of any motion, one of gait cycles."""
 
     completes: ClassVar[bool] = True
     steps: str = "humor"
@@ -162,7 +162,7 @@ def _one_cycle(
 
 
 def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
-    """The noise of an observation as its energies need it; None where the data tell it.
+    """The noise to state for an observation; None where it is estimated from the data.
 
     Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
@@ -199,7 +199,7 @@ def _stretches(
     motion: Motion,
     prior: WholeRecording,
 ) -> tuple[Stretch, ...]:
-    """All of the recording, stretches of gait and what is between them."""
+    """Partition of the recording into stretches of gait and the rest."""
     times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
 
     def moments(start: float, stop: float) -> int:

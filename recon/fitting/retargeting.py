@@ -77,7 +77,7 @@ def flies(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
 
 @dataclass(frozen=True)
 class NearTo(TensorStruct):
-    """How far joints are from given places, and their accelerations from given ones."""
+    """Energy of the distance of joints from given positions and accelerations."""
 
     places: Float[Tensor, "*batch time 22 3"]
     moving: Float[Tensor, "*batch time 22 3"]
@@ -101,7 +101,7 @@ SHORTEST_MOTION = 1.0
 
 
 def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
-    """What a body of another shape does when it does the same.
+    """The same motion performed by a body of another shape.
 
     The prior proposes a motion; the nearest one to it that obeys physics is the result.
 
@@ -134,7 +134,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
     Arguments, result and errors are those of `retarget`.
     """
     motion, shape = _checked(motion, shape, body)
-    # the path of the whole clip grows about its start, so each window brings its part of it
+    # the path is scaled about the start of the whole clip, of which the window has a part
     grown = with_shape(motion, body, shape)
 
     def one(window: Motion) -> Motion:
@@ -147,7 +147,10 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
 def _proposed(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:
-    """One window, whose place is scaled by the legs about the place where the clip starts."""
+    """The proposal for one window.
+
+    Its path scaled by leg length about the clip's first position.
+    """
     with torch.no_grad():
         found = prior.encode(window[None])
         grown = leg_length(prior.body, shape) / leg_length(prior.body, window.shape)
@@ -157,8 +160,8 @@ def _proposed(
         shift = found.shift * found.shift.new_tensor([1.0, 1.0, 0.0])
         other = found.replace(shape=shape[None], base=base, shift=shift)
         made = prior.decode(other).motion[0]
-    # put on the ground in every frame of a fast recording, it would tremble: 20 Hz tell where
-    # the ground is, and the frames between rise and fall as the scaled copy does
+    # corrections in every frame of a fast recording would cause jitter: they are found at 20 Hz,
+    # and the frames between follow the scaled copy
     scaled = with_shape(window, prior.body, shape)
     away = at_rate(made).translation - at_rate(scaled).translation
     height = scaled.translation + _between(made) @ away
@@ -166,7 +169,7 @@ def _proposed(
 
 
 def _standing(made: Motion, window: Motion, body: BodyModel) -> Motion:
-    """A proposal, changed as its frames at 20 Hz have to be; it moves as the scaled copy does.
+    """A proposal corrected at 20 Hz; between, it follows the scaled copy.
 
     A network's proposal stands on the ground in every frame, by which its height may tremble.
 

@@ -1,4 +1,4 @@
-"""The options of reading and of fitting, each described once; light to import."""
+"""The options of reading and fitting, each described once; imports nothing heavy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

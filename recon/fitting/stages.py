@@ -1,4 +1,4 @@
-"""The stages of a prior, rewritten for what is known of a clip: functions of a tuple of stages."""
+"""The stages of a prior, rewritten for the unknowns of a clip."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ PHYSICS_ITERATIONS = 40
 
 
 def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
-    """What gives the prior's stages for data that are off by about `noise` metres.
+    """A function that gives the prior's stages for data with a noise of `noise` metres.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -32,7 +32,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     prior = loaded(options.prior, options.weights, body)
     physics: tuple[Term, ...] = ()
     if options.physics != 0:
-        # most fits have none
+        # needed by few fits
         from recon.physics.energies import physics_terms
 
         physics = physics_terms(noise, options.physics)
@@ -66,7 +66,7 @@ def until_shape(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """Stages that hold the shape which the first of them that moves it has found.
+    """The stages, with the shape moved in the first stage that moves it and held afterwards.
 
     One view does not tell whether somebody is large and far or small and near, but for the feet
     that stand on a ground that is known. A prior over steps does not either, yet it finds the
@@ -87,7 +87,7 @@ def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 def with_shape_terms(
     stages: Sequence[Stage[Any]], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """The stages; those that move the shape have further terms."""
+    """The stages with further terms in those that move the shape."""
     return tuple(
         replace(one, terms=(*one.terms, *terms)) if "shape" in one.free else one for one in stages
     )
@@ -96,7 +96,7 @@ def with_shape_terms(
 def with_scene(
     stages: Sequence[Stage[Any]], moved: frozenset[str], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """The stages, which find something of the scene as well, once there is a first motion.
+    """The stages with unknowns of the scene, which move once there is a first motion.
 
     Args:
         stages: of a prior; the first that moves poses leaves the scene alone if others follow.
@@ -115,7 +115,7 @@ def with_scene(
 def with_physics(
     stages: Sequence[Stage[Any]], terms: tuple[Term, ...], iterations: int = PHYSICS_ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """The stages and one more, in which the body stands on the ground z = 0 as well.
+    """The stages and a last one with the physics of a body on the ground z = 0.
 
     It is the last one again, with all that it moves and minimises, and these terms, which take
     the place of those of the same name. It comes last and is short because an iteration takes

@@ -1,1 +1,1 @@
-"""What files hold: motions, observations, and a room for each kind of other."""
+"""Readers and writers of files: motions, observations, and a folder for each kind of producer."""

@@ -33,7 +33,7 @@ def read_toml(path: Path) -> dict[str, CameraFields]:
     try:
         tables = tomllib.loads(decode(read_bytes(path, TABLE)))
     except (ValueError, RecursionError) as error:
-        # besides damage, numbers of more digits than Python converts
+        # ValueError is also raised by numbers with more digits than Python converts
         raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error
     cameras: dict[str, CameraFields] = {}
     for key, table in tables.items():

@@ -24,7 +24,7 @@ USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)
 
 @dataclass(frozen=True)
 class CameraPath:
-    """How a camera was carried, in the world of a tracker that knows nothing of the ground."""
+    """The path of a moving camera, in the world of a tracker that knows no ground."""
 
     T_world_camera: Float[np.ndarray, "time 4 4"]
     """A pose for every frame, in the tracker's unit."""
@@ -59,7 +59,7 @@ class CameraArrays:
 
 @dataclass(frozen=True)
 class CameraFields:
-    """What a file says about a camera, unchecked."""
+    """The values of a file about a camera, not yet checked."""
 
     name: str
     matrix: Any
@@ -167,14 +167,14 @@ def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
         rotation = turn[None]
     out = np.tile(np.eye(4), (len(rotation), 1, 1))
     out[:, :3, :3] = rotation
-    # a translation may still be in millimetres: its range is checked when its unit is known
+    # the range of a translation is checked once its unit is known
     check_pose(out, where, "rotation from world to camera")
     out[:, :3, 3] = translation
     return out
 
 
 def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
-    """A phone's camera with images of this size: 75 degrees across, its centre in the middle.
+    """A phone's camera for images of this size: 75 degrees across, principal point in the middle.
 
     Its focal length is marked as not known, so that a fit corrects it.
     """

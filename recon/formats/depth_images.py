@@ -144,7 +144,7 @@ def back_projected(
 
 
 def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Pixels beside others that lie elsewhere, farther or nearer by more than a hand's width."""
+    """Pixels at depth edges: next to pixels farther or nearer by more than a hand's width."""
     edge = np.zeros(depth.shape, np.bool_)
     for axis in (0, 1):
         a, b = (np.moveaxis(depth, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))

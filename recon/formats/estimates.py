@@ -1,4 +1,4 @@
-"""Per-frame parameters of SMPL-like bodies, as networks that look at video write them.
+"""Per-frame parameters of SMPL-like bodies, as video networks write them.
 
 Read are dictionaries of arrays, nested or not, in .npz, .pt and .pkl files: GVHMR
 (`smpl_params_global`), WHAM (`pose_world`, `trans_world` for every person), SLAHMR
@@ -142,7 +142,7 @@ def _tree(path: Path) -> Tree:
 
 
 def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
-    """Every dictionary inside that holds one body for every frame, with its place."""
+    """Every nested dictionary with one body per frame, and its path of keys."""
     names = {key for key in tree if isinstance(key, str)}
     turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
     if turned and names & set(_PLACE):
@@ -233,7 +233,7 @@ def _array(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
 
 
 def _numbers(value: Any) -> np.ndarray:
-    """An array of what is one; an empty one of anything else."""
+    """The value as a numeric array; an empty array where it is none."""
     if isinstance(value, np.ndarray):
         return value
     if hasattr(value, "numpy"):
@@ -251,7 +251,7 @@ def _on_clock(
     translation: np.ndarray,
     known: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames in their place, where a person was not found in all; unknown ones hold the last."""
+    """The estimate on an even clock: frames without the person repeat the last one."""
     frames = np.arange(len(known))
     if "frame_ids" in arrays:
         ids = np.asarray(arrays["frame_ids"]).ravel()

@@ -1,4 +1,4 @@
-"""Files that no sensor's reader takes, refused at a look, before anything heavy is loaded."""
+"""Quick refusals of files that no reader takes, before anything heavy is loaded."""
 
 import zipfile
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ _ELSEWHERE = {
 
 
 def refuse_foreign(paths: Sequence[Path]) -> None:
-    """Refuse observations that cannot be any, by their endings and first bytes.
+    """Refuse files that cannot be observations, by suffix and first bytes.
 
     Raises:
         ValueError: says what was seen and what would fit.
@@ -54,7 +54,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
 
 
 def is_estimate(paths: Sequence[Path]) -> bool:
-    """Whether this is one file of body parameters that a network told from video, at a look.
+    """Whether the file seems to hold body parameters of a video network; reads little of it.
 
     Motion files of recon, which name their body by its checksum, are none.
     """

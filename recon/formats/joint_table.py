@@ -1,4 +1,4 @@
-"""How sure a motion is of its joints, and a table of them."""
+"""Standard deviations of a motion's joints in short, and a CSV table of joints."""
 
 import csv
 from dataclasses import dataclass

@@ -36,7 +36,7 @@ def read_json(path: Path) -> Any:
     except ValueError as error:
         if str(path) in str(error):
             raise
-        # a number of more digits than Python converts
+        # a number with more digits than Python converts
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
 
 

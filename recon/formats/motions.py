@@ -1,4 +1,4 @@
-"""Motion files: AMASS .npz, with what a reconstruction knows besides the motion.
+"""Motion files: AMASS .npz with the additional arrays of a reconstruction.
 
 Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22 (hands, jaw,
 eyes), which are left out; a file may give `root_orient` and `pose_body` instead.
@@ -27,7 +27,7 @@ _GENDERS = ("neutral", "male", "female")
 
 @dataclass(frozen=True)
 class MotionFile:
-    """One motion and what is known about it; None where a file does not say."""
+    """One motion and its additional data; None where a file does not have them."""
 
     motion: Motion
     """One clip, no batch axis; padded frames are not written."""

@@ -1,4 +1,4 @@
-"""Places where a verb may write, checked before it works: not over inputs or others' files.
+"""Checks of a verb's outputs before it starts.
 
 recon's own files are those whose checksum stands in the report beside them
 (`recon.formats.reports`).
@@ -16,7 +16,7 @@ from recon.formats.reports import read_report
 
 
 class Kind(Enum):
-    """What a verb writes, and where the report is that tells it as recon's own."""
+    """The kind of an output, which decides where its report is."""
 
     FILE = "a file with its report beside it, OUT.json"
     REPORT = "a JSON file that is its own report"
@@ -114,7 +114,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
                 )
-        # the name of a link lies in its own folder, whatever it leads to
+        # a link is judged by the folder it is in, not by its target
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
         if output.is_folder and any(name.is_relative_to(output.real) for name in names):
             raise ValueError(
@@ -154,7 +154,7 @@ def refuse_place(output: Output) -> None:
         )
     for beside in (real, folder / real.name):
         clear_leftovers(beside)
-    # permissions alone tell little: file systems are read-only, and root may do anything else
+    # writing is tried: permissions do not tell of read-only file systems, and root has all
     trial = part_of(folder / (real.name + ".json"))
     try:
         trial.touch()

@@ -94,7 +94,7 @@ def _columns(
 
 
 def _decompressed(body: bytes, expected: int) -> bytes:
-    """LZF: runs of literal bytes and references to what was written before."""
+    """LZF decompression: runs of literal bytes and references to earlier output."""
     packed, size = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
     if size < expected:
         raise FormatError(f"{expected} bytes of points are announced, {size} were compressed")
@@ -116,7 +116,7 @@ def _decompressed(body: bytes, expected: int) -> bytes:
         place += 1
         if back < 0 or len(out) > size:
             raise FormatError("the compressed data is damaged")
-        # a reference may reach into what it writes itself: a pattern, repeated
+        # a reference may overlap its own output, which repeats a pattern
         pattern = out[back : back + length + 2]
         out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:

@@ -1,4 +1,4 @@
-"""Project folders of Pose2Sim and OpenCap: which of their files a fit needs, and what they state.
+"""Project folders of Pose2Sim and OpenCap: the files that a fit needs, and their settings.
 
 Pose2Sim keeps a trial as `Config.toml`, `pose*/CAMERA_json/*.json`, `pose-3d/*.trc` and `videos`;
 what a trial's Config.toml does not say, that of the participant or session above it does, and the
@@ -75,14 +75,15 @@ def project_at(folder: Path) -> Project | None:
 def _pose2sim(folder: Path) -> Project | None:
     levels = [folder, *folder.resolve().parents][:_LEVELS]
     configs = [level / _CONFIG for level in levels if (level / _CONFIG).is_file()]
-    # what lies beside a folder is of its project only where a configuration says that it is one
+    # neighbouring folders belong to the project only where a configuration file says so
     calibration = _calibration(levels if configs else levels[:1])
     detections = next((folder / name for name in _POSES if (folder / name).is_dir()), None)
     points = _points(folder)
     if not configs and calibration is None and points is None:
-        return None  # a folder of detections and no more
+        return None  # only a folder of detections, no project
     stated: dict[str, Any] = {}
-    for config in reversed(configs):  # the trial's own comes last and counts
+    # the trial's own configuration overrides those of the levels above
+    for config in reversed(configs):
         stated |= _project_table(config)
     said = [f"Pose2Sim project: {folder}"]
     if calibration is not None:

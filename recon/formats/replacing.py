@@ -1,4 +1,4 @@
-"""Files that are replaced in one step, and what killed processes leave of them."""
+"""Atomic replacement of files, and removal of what killed processes left."""
 
 import contextlib
 import glob
@@ -62,7 +62,7 @@ def clear_leftovers(path: Path) -> None:
 def _runs(process: int) -> bool:
     """Whether there is a process of this number."""
     if os.name == "nt":
-        return True  # there, asking with signal 0 would end it
+        return True  # on Windows os.kill would end the process
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):

@@ -1,4 +1,4 @@
-"""Reports beside results: what was done, and by which files can be told as recon's own.
+"""Reports of results, which also identify files as written by recon.
 
 A report is a JSON object. Beside what a verb has to say it holds
 
@@ -26,7 +26,7 @@ _LARGEST = 1 << 28
 
 @dataclass(frozen=True)
 class Report:
-    """A report that is as recon wrote it."""
+    """A report that is unchanged since recon wrote it."""
 
     outputs: Mapping[str, str]
     """SHA-256 by name of file, relative to the report's folder."""
@@ -72,7 +72,7 @@ def report_text(
     whole = {**report, _OUTPUTS: dict(outputs)}
     if len(replaces) > 0:
         whole[_REPLACES] = dict(replaces)
-    # as a reader will see it: keys are text, tuples are lists
+    # normalised as JSON reads it: keys are text, tuples are lists
     whole = json.loads(json.dumps(whole, default=str))
     return json.dumps({**whole, _SEAL: value_checksum(whole)}, indent=1) + "\n"
 

@@ -41,7 +41,7 @@ class Timed:
 
 
 def timed(path: Path, files: list[Path]) -> Timed:
-    """Files with the times of a table; those it names may be in any order.
+    """Files with their times from a table; named files may be in any order.
 
     Raises:
         ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
@@ -139,7 +139,7 @@ def crowded(frames: int, seen: int) -> bool:
 def uneven(
     times: Float[np.ndarray, " files"], frames: Int[np.ndarray, " files"], fps: float
 ) -> list[str]:
-    """A sentence about a clock on which most frames are empty."""
+    """A note about a clock on which most frames are empty."""
     if 2 * len(frames) > int(frames[-1]) + 1:
         return []
     off = float(np.abs(times - times[0] - frames / fps).max())
@@ -160,7 +160,7 @@ def _apart(times: Float[np.ndarray, " files"], count: int) -> bool:
 
 
 def _off(times: Float[np.ndarray, " files"], count: int) -> float:
-    """Most steps that any time is away from the nearest."""
+    """The largest distance of a time from the even clock, in steps."""
     place = (times - times[0]) / (times[-1] - times[0]) * count
     return float(np.abs(place - place.round()).max())
 

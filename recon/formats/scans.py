@@ -49,7 +49,7 @@ def check_counts(path: Path) -> None:
             count = int(line[2][:20])
             CLOUD.check(count, path, f"element {line[1][:20]}")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # a list has its length at least; a number of a text file a digit and a space
+            # a list takes at least its length's bytes; a number in text two characters
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -309,7 +309,7 @@ def thinned(
 def is_outlier(
     cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
 ) -> np.ndarray:
-    """Points whose mean distance to their neighbours is that of no surface (Rusu et al. 2008)."""
+    """Outliers: points whose mean distance to neighbours is too large for a surface."""
     from scipy.spatial import KDTree
 
     if len(cloud) <= neighbours:

@@ -61,7 +61,7 @@ def _array(value: object, name: str, path: Path) -> np.ndarray:
 
 
 class _Inert:
-    """Stands for an object of a library that is not needed; keeps its state and does nothing."""
+    """Placeholder for a pickled object of any library: keeps its state and runs nothing."""
 
     state: Mapping[str, Any]
 
@@ -120,14 +120,17 @@ def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
 
 
 def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
-    """What numpy begins an array with, which is of size zero; a larger one only takes memory."""
+    """Replacement for the function with which numpy's pickles begin an array.
+
+    Only size zero is allowed.
+    """
     if kind is not np.ndarray or tuple(shape) != (0,):
         raise TypeError(f"unexpected array of shape {shape}, {code!r:.20}")
     return np.ndarray.__new__(np.ndarray, (0,), "b")
 
 
 def _some_bytes(value: object = b"", *encoding: str) -> bytes:
-    """Bytes of bytes or text; of a number they would only take memory."""
+    """Replacement for `bytes` that refuses numbers, which would allocate memory."""
     if isinstance(value, str):
         return _latin_bytes(value, *encoding)
     if not isinstance(value, bytes | bytearray | list | tuple):

@@ -1,4 +1,4 @@
-"""How a camera was carried: what trackers write, as poses of a camera with OpenCV's axes.
+"""Camera paths as trackers write them, converted to poses with OpenCV's axes.
 
 * COLMAP, `images.txt` (a folder with it) and `cameras.txt`: quaternion first, world to camera,
   axes x right, y down, z forward; any world, any unit (https://colmap.github.io/format.html).

@@ -1,4 +1,4 @@
-"""Results and their reports put in place together: the report first, the result last."""
+"""Atomic writing of results with their reports: the report first, the result last."""
 
 import os
 import shutil
@@ -44,7 +44,7 @@ def writing(
         stages = [stack.enter_context(_staged(output)) for output in outputs]
         with _named_as_asked(stages):
             yield tuple(stage.path for stage in stages)
-        # asked again: hours may have passed
+        # checked again, since the computation may have taken hours
         former = [own_files(output, overwrite=overwrite) for output in outputs]
         for stage, own in zip(stages, former, strict=True):
             stage.add_report(report, own)
@@ -72,7 +72,7 @@ def write_report(path: Path, report: Mapping[str, Any], *, overwrite: bool = Fal
 
 @dataclass(frozen=True)
 class _Stage:
-    """An output while it is written."""
+    """An output while it is being written to a temporary place."""
 
     output: Output
     folder: Path
@@ -90,7 +90,7 @@ class _Stage:
         return self.folder / self.output.report.relative_to(self.output.real.parent)
 
     def files(self) -> dict[str, Path]:
-        """What was written, by its name in the report."""
+        """Checksums of the written files, by their names in the report."""
         found = [self.path]
         if self.output.is_folder:
             found = [path for path in sorted(self.path.rglob("*")) if path.is_file()]
@@ -98,7 +98,7 @@ class _Stage:
         return {p.relative_to(base).as_posix(): p for p in found if p != self.report}
 
     def add_report(self, report: Mapping[str, Any], own: Mapping[str, str]) -> None:
-        """Write the report, and what was written down to the disk."""
+        """Write the report, and flush everything to the disk."""
         files = self.files()
         found = {name: file_checksum(path) for name, path in files.items()}
         self.report.write_text(report_text(report, found, own), encoding="utf-8")
@@ -129,7 +129,7 @@ class _Stage:
 @contextmanager
 def _staged(output: Output) -> Iterator[_Stage]:
     real = output.real
-    # a folder that exists may be a file system of its own, on which nothing comes in one step
+    # an existing folder may be a mount point, which cannot be replaced at once
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
     stage = _Stage(output, part_of(beside))
@@ -145,7 +145,7 @@ def _staged(output: Output) -> Iterator[_Stage]:
 
 @contextmanager
 def _named_as_asked(stages: Sequence[_Stage]) -> Iterator[None]:
-    """Let messages of what is refused name the output, not where it was prepared."""
+    """Errors name the output instead of its temporary path."""
     try:
         yield
     except ValueError as error:

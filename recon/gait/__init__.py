@@ -1,1 +1,1 @@
-"""Gait as laboratories read it: events, cycles, joint angles and their report."""
+"""Gait analysis as laboratories do it: events, cycles, joint angles and their report."""

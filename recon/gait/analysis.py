@@ -143,7 +143,7 @@ def _place(feet: Feet, side: int, strike: int, period: int) -> Float[np.ndarray,
 
 @dataclass(frozen=True)
 class GaitFigure:
-    """One number of gait, over the cycles of one side or of both."""
+    """A gait parameter, such as cadence, with mean and standard deviation over cycles."""
 
     name: str
     unit: str
@@ -205,7 +205,7 @@ class GaitCurve:
         return f"{self.name}_{side[0]}" if self.sided else self.name
 
     def seen_joints(self, side: Side) -> list[int]:
-        """Numbers of the joints that the angle of a side is told from."""
+        """Joint numbers from which the angle of a side is computed."""
         return [joint_index(f"{side}_{name}") for name in self.joints]
 
 
@@ -275,7 +275,7 @@ class Gait:
     def curve_std(
         self, curve: GaitCurve, side: Side
     ) -> Float[np.ndarray, "cycles percent"] | None:
-        """Standard deviation with which a curve is known, degrees; None where it is not."""
+        """Standard deviation of the estimate of a curve, degrees."""
         known = self.angle_std.get(curve.angle(side))
         if known is None or len(self.cycles_of(side)) == 0:
             return None

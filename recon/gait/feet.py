@@ -1,4 +1,4 @@
-"""Heels, toes and pelvis of a motion over time, as gait is told from them."""
+"""Heels, toes and pelvis of a motion over time, the input of gait analysis."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -135,7 +135,7 @@ BEFORE_S, AFTER_S = 0.03, 0.12
 
 @dataclass(frozen=True)
 class GaitStance:
-    """A foot on the ground from its strike to the moment at which it leaves."""
+    """One stance of a foot, from strike to toe-off."""
 
     side: Side
     strike: int | None
@@ -195,7 +195,9 @@ def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " 
 
 
 def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of strikes: the foot falls fastest near the moment of the heel farthest ahead.
+    """Frames of strikes.
+
+    Near the frame with the heel farthest ahead, where the foot falls fastest.
 
     The foot must have swung before: a heel may be farthest ahead while the person still stands.
     """
@@ -213,7 +215,7 @@ def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int
 
 
 def _left(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of toes that leave: the last moment before they are behind at which they rest.
+    """Frames of toe-off: the last frame in which the toes rest before they are farthest behind.
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.
     """

@@ -165,7 +165,7 @@ def outputs_of(page: Path) -> tuple[Output, Output]:
 
 
 def _box(inside: str) -> str:
-    """What should be read before any figure is used."""
+    """The box with the findings that matter for the interpretation."""
     return f'<div class="warnings">{inside}</div>'
 
 

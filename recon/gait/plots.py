@@ -125,7 +125,7 @@ def _along_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
     for side in SIDES if curve.sided else SIDES[:1]:
         colour = COLOURS[side] if curve.sided else "black"
         axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
-    # the sign is that of the angle's name, not that of a side
+    # signs follow the name of the angle and are equal for both sides
     title = curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
     axes.set_title(title, loc="left")
 

@@ -31,7 +31,9 @@ def report(
     mapping: str | Path | None = None,
     body: BodyLike = None,
 ) -> LaboratoryReport:
-    """Gait events and cycles, joint angles, figures of time and distance, and what to trust.
+    """Analyse gait.
+
+    Events, cycles, joint angles, spatio-temporal parameters, and how reliable they are.
 
     A recording is converted first, as `recon.convert` does. Of a motion file, the residuals and
     findings are those of the report beside it (FILE.json), of a result those that it has. On a

@@ -1,4 +1,4 @@
-"""`recon report`: a trial as a gait laboratory reads it."""
+"""`recon report`: the gait report of a trial."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Any mocap recording becomes a motion of our body: skeletons, markers, whole collections."""
+"""Conversion of mocap recordings (skeletons, markers) to motions of our body."""
 
 from recon.ingest.conversion import Conversion as Conversion
 from recon.ingest.single import convert as convert

@@ -1,4 +1,4 @@
-"""One recording becomes a motion of our body, with what was decided and how well it went."""
+"""The conversion of one recording to our body, with its residuals, findings and decisions."""
 
 import dataclasses
 import math
@@ -240,7 +240,7 @@ def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
 
 
 def glitches(recording: SkeletonRecording) -> tuple[int, ...]:
-    """Frames after which a joint is elsewhere: it would have to be faster than 20 m/s.
+    """Frames after which a joint jumps: it would have to be faster than 20 m/s.
 
     Joints below the wrists and tips of bones are not asked.
     """

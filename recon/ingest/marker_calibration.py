@@ -25,7 +25,7 @@ _DAMPING = 1e-2
 
 @dataclass(frozen=True)
 class Calibrated(TensorStruct):
-    """Poses of frames, and what they share."""
+    """Poses of frames with their shared shape and marker offsets."""
 
     poses: Poses
     shape: Float[Tensor, " shape"]
@@ -35,7 +35,7 @@ class Calibrated(TensorStruct):
 
 @dataclass(frozen=True)
 class SubjectEnergies(Problem[Calibrated]):
-    """Energies of poses, shape and offsets together.
+    """Joint energies of poses, shape and marker offsets.
 
     They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
     the squared distances of offsets from expected ones, each with a weight.

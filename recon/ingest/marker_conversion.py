@@ -71,7 +71,7 @@ def convert_markers(
 
 @dataclass(frozen=True)
 class FittedMarkers:
-    """Markers whose labels fit a body, and the body that was moved to meet them."""
+    """Markers with corrected labels, and the body fitted to them."""
 
     recording: MarkerRecording
     """The known markers under labels that fit, from the first to the last frame that places a
@@ -88,7 +88,7 @@ class FittedMarkers:
 def fitted_markers(
     recording: MarkerRecording, body: BodyModel, markers: MarkerSet
 ) -> FittedMarkers:
-    """The markers of a recording with labels put right, and the body that meets them.
+    """Correct the labels of a recording and fit the body to its markers.
 
     Markers that the body misses by more than `FAR` in most of their frames are left out, and it is
     fitted again: they are virtual points, or not what their labels say.

@@ -1,4 +1,4 @@
-"""Markers that carry each other's label: from some frame on, or throughout.
+"""Pairs of markers with exchanged labels, from some frame on or throughout.
 
 A label that changes over shows twice: two markers jump to each other's places within a frame, and
 the markers lie where the body has the other one.
@@ -25,7 +25,7 @@ _BETTER = 0.5
 
 
 def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
-    """The recording with labels that stay with their markers, and where they did not.
+    """The recording with exchanges of labels undone, and the findings about them.
 
     Between two exchanges of the same pair the shorter part is taken for the wrong one; of one
     exchange, the shorter of the parts before and after it.
@@ -174,7 +174,7 @@ def mirrored(label: str) -> str | None:
 
 
 def pair_finding(labels: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Finding:
-    """What is said where labels were exchanged throughout."""
+    """The finding about labels that were exchanged throughout."""
     names = tuple(labels[k] for pair in pairs for k in pair)
     what = listed([f"{labels[a]} with {labels[b]}" for a, b in pairs])
     return Finding(

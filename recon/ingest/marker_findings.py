@@ -1,4 +1,4 @@
-"""What the distances of markers from the fitted body say about the recording."""
+"""Findings about markers, from their distances to the fitted body."""
 
 from collections.abc import Mapping
 
@@ -106,7 +106,7 @@ def _share(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
 
 
 def _constant(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
-    """Markers that stay within millimetres of one place while the body takes theirs along."""
+    """Markers that stay within millimetres while their place on the body moves."""
     still = np.zeros(len(recording.marker_names), dtype=bool)
     for marker in range(len(still)):
         seen = recording.visible[:, marker]

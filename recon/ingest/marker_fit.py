@@ -1,4 +1,4 @@
-"""Markers on the skin become a motion, with constant offsets of each marker (MoSh's idea).
+"""The marker fit: a motion with constant marker offsets from the skin (the idea of MoSh).
 
 Loper, Mahmood and Black, MoSh, 2014: a marker sits a little off the skin and not quite where its
 name says; where exactly is found together with the body's shape from a few frames, and held.

@@ -111,7 +111,7 @@ def mended_frames(
         return unmade_steps(joints(motion), positions, visible, bones, limit)
 
     def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-        # first everything counts alike: limbs that were turned over are no outliers
+        # first without a robust kernel: wrongly turned limbs are no outliers
         plain = replace(energies, sigma=None)
         start = _solved(plain, frames, start, _settings(energies, _NEAR))
         return _solved(energies, frames, start, _settings(energies, _EXACT))

@@ -1,4 +1,4 @@
-"""What no marker showed: frames and limbs that are inferred from their neighbours in time.
+"""Gaps: frames and limbs without markers, filled from neighbouring frames.
 
 Frames before the first and after the last that place a body are left out, not invented. A limb
 without markers keeps the pose in which it was last seen and goes over into the one in which it is
@@ -73,7 +73,7 @@ def observed_joints(
     vertices: tuple[int, ...],
     body: BodyModel,
 ) -> Bool[Tensor, "time 22"]:
-    """Joints whose place a visible marker shows: one near the joint, or on a bone beyond it.
+    """Joints that a visible marker locates: one near the joint, or on a bone below it in the tree.
 
     All bones lie beyond the pelvis, of which a marker on the head tells little: its place is
     shown by those near it, on it, on thighs and on the lowest spine.
@@ -91,7 +91,7 @@ def observed_joints(
 def turned_joints(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, "time 22"]:
-    """Joints whose rotation a visible marker shows: it sits on their bone or beyond it."""
+    """Joints whose rotation a visible marker determines: on their bone or below it in the tree."""
     shows = torch.tensor(
         [[bone in descendants(joint) for bone in bones] for joint in range(len(JOINTS))]
     )

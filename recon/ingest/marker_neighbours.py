@@ -1,4 +1,4 @@
-"""What hidden markers leave open, told by the frames before and after that show them.
+"""Smoothing across gaps: poses of frames with hidden markers, constrained by their neighbours.
 
 Every joint's rotation is a Gaussian process in time (Matérn 3/2) about its mean. What the markers
 of a frame say of a joint is a datum with its information: a frame in which the joint's markers are
@@ -117,7 +117,7 @@ def joined_in_time(
 def _drawn(
     energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
 ) -> PoseEnergies:
-    """The energies, drawn to what the neighbours in time of every pose suggest."""
+    """The energies with ties to the poses that neighbouring frames suggest."""
     natural = _suggested(
         energies, energies.begun(motion.translation, motion.rotations), moments, step
     )
@@ -158,7 +158,7 @@ def _suggested(
 
 
 def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
-    """What markers say of every joint's rotation vector from the natural pose, metres² / radian².
+    """Information (inverse covariance) of markers about every joint's rotation, m² / radian².
 
     The other joints are free: two joints that only turn against each other unseen are not known.
     """

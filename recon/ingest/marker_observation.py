@@ -1,4 +1,4 @@
-"""A recording of markers as an observation, so that a fit under a prior fills what it lacks.
+"""A recording of markers as an observation for a fit under a prior.
 
 The body that meets the markers, as a conversion finds it, tells where each marker sits on the
 skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.

@@ -1,4 +1,4 @@
-"""The energies of poses that are to meet markers, with their first and second derivatives."""
+"""Energies of poses given markers, with gradients and Gauss-Newton Hessians."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -143,7 +143,7 @@ class SkinPoints(TensorStruct):
 
 @cache
 def natural_pose() -> Float[Tensor, "21 3 3"]:
-    """How people stand on average, arms hanging: what joints take that no marker ever shows.
+    """A relaxed standing pose, used for joints that no marker determines.
 
     It is the mean rotation of every body joint over the motions that the bundled pose prior
     learned.

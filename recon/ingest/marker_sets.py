@@ -61,7 +61,7 @@ def keypoint_places(
 
 
 def keypoint_finding(labels: Sequence[str]) -> Finding:
-    """What is said of such recordings."""
+    """The finding about recordings whose markers are keypoints."""
     return Finding(
         "joint centres",
         f"the points are joint centres by their names ({listed(labels)}), as detectors of "
@@ -190,7 +190,7 @@ def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
     return MarkerSet(
         labels=known,
         vertices=vertices,
-        # what detectors call a joint is some centimetres off the body's own joint
+        # detectors place joints some centimetres off the body's own joints
         loose=(True,) * len(known),
         nominal=nominal,
         bones=_bones(vertices, body),

@@ -1,4 +1,4 @@
-"""All frames of recordings of one calibrated skeleton, with its shape and offsets held."""
+"""The skeleton fit: poses of all frames, with the calibrated shape and offsets held."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What recordings of one skeleton have in common with our body: shape, offsets, alignments."""
+"""Calibration of a recorded skeleton to our body: shape, joint offsets, bone alignments."""
 
 import logging
 from collections.abc import Sequence
@@ -227,7 +227,7 @@ def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
 def _hold(
     frames: Frames, alignments: Tensor, skeleton: SkeletonMap, weight: float
 ) -> tuple[Term, ...]:
-    """Bones as recorded; a little of the rest pose shares out turns of bones without a record."""
+    """Terms that keep bones as recorded, with a weak rest pose for bones without a record."""
     targets = (frames.orientations @ alignments)[None]
     return (
         Term("bones", BoneOrientations(targets, skeleton.bones), weight),

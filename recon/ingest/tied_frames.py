@@ -153,8 +153,8 @@ def minimise_frames(
         tried = energies.moved(state, rows, steps)
         values, slopes = energies.look(tried, rows)
         ends, pulls = energies.tied(tried)
-        # what a step does to the ties as the model foresees it, so that a frame answers for its
-        # own step and not for those of its neighbours
+        # the predicted effect of a step on the ties, so that a frame is judged by its
+        # own step and not by those of its neighbours
         drawn = pull[rows] + energies.stiffness * steps - 0.5 * ties.drawn(steps)
         change = values - value[rows] + (drawn * steps).sum(-1)
         good = change <= rounding * scale  # false for nan

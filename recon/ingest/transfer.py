@@ -1,4 +1,4 @@
-"""A motion of one body on another mesh, whose surface then lies where the first one does."""
+"""Transfer of a motion to another body model, with matching surfaces."""
 
 from dataclasses import dataclass
 
@@ -111,7 +111,7 @@ class _Pairs:
 
 @dataclass(frozen=True)
 class _Met:
-    """The surface that is met."""
+    """The surface to be matched."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -267,7 +267,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
     asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
     positions = torch.einsum("pc,tpcd->tdp", shares, asked)
     local, translation = carried(motion, body, target, rest)
-    # what at rest is far from the other surface is a part that only one body has
+    # vertices far from the other surface at rest are parts that only one body has
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
         rest=target.rest_joints(rest.shape),

@@ -1,1 +1,1 @@
-"""A person while being recorded: fixed-lag smoothing, frame by frame."""
+"""Live reconstruction: fixed-lag smoothing, frame by frame."""

@@ -1,4 +1,4 @@
-"""Moments as lines of JSON in, estimates as lines of JSON out, while a person is recorded."""
+"""`recon stream`: frames as lines of JSON in, estimates as lines of JSON out."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator

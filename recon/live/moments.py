@@ -1,4 +1,4 @@
-"""What is pushed into a stream: one moment of each sensor, always of the same kind and points."""
+"""Frames pushed into a stream: one frame of each sensor, always with the same points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

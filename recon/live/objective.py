@@ -32,7 +32,7 @@ VARIABLES = 69
 
 @dataclass(frozen=True)
 class Window(TensorStruct):
-    """A stretch of motion; `step` moves it."""
+    """The window of motion that is optimised."""
 
     translation: Float[Tensor, "time 3"]
     """SMPL translation, metres."""
@@ -137,7 +137,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Objective:
-    """What does not change while a window is moved."""
+    """The constants of a window's objective."""
 
     body: BodyModel
     density: PoseDensity
@@ -258,7 +258,7 @@ class Objective:
         )
 
     def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
-        """What a prior says of the steps, and its slope by the variables of the active frames."""
+        """The prior's energy of the steps, and its gradient by the active frames' variables."""
         assert self.steps is not None
         with torch.enable_grad():
             zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)

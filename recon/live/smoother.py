@@ -16,7 +16,7 @@ from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 @dataclass(frozen=True)
 class ShapeKnowledge:
-    """A quadratic energy ½ bᵀ Λ b - ηᵀ b about the shape b: all that past frames say of it."""
+    """The information of past frames about the shape b: the energy ½ bᵀ Λ b - ηᵀ b."""
 
     information: Float[Tensor, "shape shape"]
     """Λ."""
@@ -52,7 +52,7 @@ class ShapeKnowledge:
         """
         border, gradient = equations.border[0], equations.gradient_alone[0]
         factor, failed = torch.linalg.cholesky_ex(equations.alone[0])
-        if int(failed) != 0:  # nothing was seen, so the frame says nothing
+        if int(failed) != 0:  # a singular system: the frame had no data and adds no information
             return self
         solved = torch.cholesky_solve(torch.cat((border, gradient[:, None]), -1), factor)
         said = equations.corner[0] - border.mT @ solved[:, :-1]
@@ -99,7 +99,7 @@ class Smoothed:
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(moments(one, count - most, count) for one in data)
-            # as many are held where they are, so that motion goes on without a seam
+            # as many frames are held fixed, so that the motion continues smoothly
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective

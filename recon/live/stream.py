@@ -1,4 +1,4 @@
-"""`recon.Stream`: one moment in, the body at the moment `lag` frames before out."""
+"""`recon.Stream`: takes one frame at a time, returns the body `lag` frames earlier."""
 
 import math
 from collections.abc import Sequence
@@ -149,7 +149,7 @@ class Stream:
         return self._followed([*between, moment], door)
 
     def _followed(self, moments: list[Moment], door: Door) -> LiveEstimate | None:
-        """What is final after moments that follow the last."""
+        """The estimates that become final after frames that follow the last one."""
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:

@@ -1,4 +1,4 @@
-"""One person in sight: moments gathered for a first motion, then smoothed one by one."""
+"""Tracking of one person: frames collected for a first motion, then smoothed one by one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -82,7 +82,7 @@ class _FirstPoses(PosePrior):
 
 @dataclass(frozen=True)
 class Person:
-    """What is known of the person before a motion begins."""
+    """What is known of the person's shape before tracking begins."""
 
     shape: Float[Tensor, " shape"] | None = None
     """Shape coefficients; None is anybody."""
@@ -163,7 +163,7 @@ _LEARNED = 300
 
 @dataclass
 class Tracking:
-    """What a stream remembers while somebody is in sight."""
+    """The state of a stream while a person is visible."""
 
     door: Door
     lag: int
@@ -299,7 +299,7 @@ class Tracking:
         self.smoothed = replace(after, seen=rows)
 
     def _believed(self, after: Smoothed, moment: Moment) -> tuple[tuple[Tracker, ...], float]:
-        """The moment without points that are impossibly far off, and the share of those."""
+        """The frame without outliers, and the share of outliers."""
         if moment.empty:
             return moment.seen, 0.0
         _, orientations, joints = after.objective.posed(after.window[-1:])
@@ -315,7 +315,7 @@ class Tracking:
         return (self.door.nothing if share > 0.5 else tuple(kept)), share
 
     def _elsewhere(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """The person is where the points have been for a while: end here and begin there."""
+        """Restart tracking where the points have been for a while."""
         there = self.gathered
         self.since_seen = len(there)
         done = self.finish(findings)

@@ -1,4 +1,4 @@
-"""How a fit is put together and run; all that a prior or sensor of your own needs comes from here.
+"""How a fit is assembled and run; own priors and sensors import from here.
 
 A `Prior` changes variables into a motion with energies (`Decoded`), and is fitted by stages: each
 `Stage` minimises the sum of weighted energies (`Term`) of an `Estimate`.

@@ -32,12 +32,12 @@ class CyclePrior(Prior[S]):
     @property
     @abstractmethod
     def code_size(self) -> int:
-        """Numbers in a code."""
+        """Dimension of a latent code."""
 
     @property
     @abstractmethod
     def typical(self) -> Float[Tensor, "typical code"]:
-        """Codes of a few cycles that are unlike each other, to begin with."""
+        """Latent codes of a few different cycles, as first hypotheses."""
 
     @abstractmethod
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
@@ -57,7 +57,7 @@ class CyclePrior(Prior[S]):
 
     @abstractmethod
     def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """A quick fit that tells good beginnings from bad ones."""
+        """Stages of a quick fit that ranks first hypotheses."""
 
     @abstractmethod
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
@@ -65,4 +65,4 @@ class CyclePrior(Prior[S]):
 
     @abstractmethod
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages for what no code of the prior has; for data that are dense enough to tell it."""
+        """Stages for corrections that no latent code can express, for dense data."""

@@ -1,4 +1,4 @@
-"""Derivatives of joints, poses and residuals by the coordinates of a motion of one clip.
+"""Jacobians of joints, poses and residuals by the coordinates of a clip's motion.
 
 Columns are the 69 coordinates of a frame (the translation, then the rotation step of every joint),
 the coefficients of the shape, and coordinates of the ground. Joints and the points that bones
@@ -36,7 +36,7 @@ _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
 
 @dataclass(frozen=True)
 class GroundBelief:
-    """How far the grounds of clips are from where people's feet and posture put them."""
+    """The assumed uncertainty of a ground that was found from feet and posture."""
 
     stance: float
     """Standard deviation of the mean height of a clip's standing feet above the ground, metres."""
@@ -84,7 +84,7 @@ def add_stance(
     joints: Float[Tensor, "time 66 coordinates"],
     belief: GroundBelief,
 ) -> bool:
-    """Add what standing feet and upright postures tell; whether any foot stands at all.
+    """Add the information of standing feet and upright posture; returns whether any foot stands.
 
     All moments of a clip together tell as much as one whose standard deviation is that of clips:
     a person who leans or whose shoes are thick does so all the time.
@@ -137,7 +137,7 @@ _AXES = 3
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """A motion of one clip, and what is asked about motions near it."""
+    """A motion of one clip and Jacobians about it."""
 
     motion: Motion
     """A leading axis of length one."""

@@ -115,7 +115,7 @@ def deviations(
             measured[first + skip : stop] = part.measures[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
     told = [part.ground for part in parts if part.ground is not None]
-    # windows of a long recording share one ground, which the surest of them tells best
+    # windows of a long recording share one ground: the most certain window counts
     surest = min(told, key=lambda one: one.height) if told else None
     return Deviations(joints, root, least, surest, measured)
 
@@ -138,7 +138,7 @@ def _of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    # what was seen in the rest of a long recording costs nothing
+    # data outside the window need not be computed
     sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
     moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)

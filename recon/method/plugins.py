@@ -1,4 +1,7 @@
-"""What other packages add, by entry points or by the place of a class; light to import."""
+"""Plug-ins of other packages, found by entry points or by "module:Class".
+
+Imports nothing heavy.
+"""
 
 import tomllib
 from collections.abc import Mapping

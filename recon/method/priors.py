@@ -1,4 +1,4 @@
-"""A prior: what motions are likely, in variables of its own, and how it is fitted to data."""
+"""The base class of priors: a density over motions, its variables, and the stages of a fit."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -35,7 +35,7 @@ SMOOTHNESS = 9400.0
 
 @dataclass(frozen=True)
 class Density:
-    """What a prior believes of a motion without data, as residuals of unit variance.
+    """A prior's density of a motion as residuals of unit variance.
 
     -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
     sums over frames at 30 Hz.
@@ -174,7 +174,7 @@ with `stages(data)`, or with `stages(data)` itself."""
 
 @dataclass(frozen=True)
 class Traits:
-    """What priors of version 0.2 said of themselves; class variables of `Prior` now."""
+    """Traits of priors of version 0.2, now class variables of `Prior`."""
 
     knows_gravity: bool = True
     completes: bool = False
@@ -235,7 +235,7 @@ class _FormerPrior(Prior[TensorStruct]):
         if hasattr(given, "method"):
             given = given.method(noise, body, *(() if method is None else (method,)))
         made = given.stages(data)
-        # stages of one prior object go on from its variables
+        # consecutive stages of one prior object keep its variables
         priors = {id(stage.prior): stage.prior for stage in made}
         own = {key: as_prior(prior) for key, prior in priors.items()}
         return tuple(replace(stage, prior=own[id(stage.prior)]) for stage in made)

@@ -1,4 +1,4 @@
-"""The seams: what an estimate, an energy and an observation are to the rest of the library."""
+"""The interfaces of estimates and energies."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ REFERENCE_FPS = 30.0
 
 @dataclass(frozen=True)
 class Decoded:
-    """The motion that a prior decodes from its variables, and its energies."""
+    """A prior's decoded motion, and the parts of -log p."""
 
     motion: Motion
     energies: Mapping[str, Float[Tensor, "*batch"]] = field(default_factory=dict)

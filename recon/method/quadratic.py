@@ -1,4 +1,4 @@
-"""What a second-order method asks of priors and of observations: models of their energies.
+"""Second-order models of energies, which Gauss-Newton stages ask of priors and sensors.
 
 Every frame has 69 steps: of the translation in metres, of the root's rotation R Exp(w) in
 radians, and 63 numbers for the other joints, which the prior chooses.

@@ -1,4 +1,4 @@
-"""The entry point: observations in, a motion and the reasons for it out."""
+"""`solve`: runs the stages of a prior on observations and returns the reconstruction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ from recon.solver.lbfgs import Termination
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """A batch of clips given back, and what happened on the way."""
+    """The reconstruction of a batch of clips, with a report of every stage."""
 
     estimate: Estimate
     reports: tuple[StageReport, ...]
@@ -100,7 +100,7 @@ def solve(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """The raw core of a fit: the stages of a prior, from a start, with the weights given.
+    """Run the stages of a prior from a first guess, with given weights of the data.
 
     `recon.fit` estimates noise, weights, the first guess and the ground and then calls this; here
     they are the caller's: residuals in pixels and in metres are added as they are weighted.

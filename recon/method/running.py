@@ -31,7 +31,7 @@ change are not worth more."""
 
 @dataclass(frozen=True)
 class Hypotheses(Generic[S]):
-    """Variables to begin from, one row or several for each clip."""
+    """Variables of one or several hypotheses per clip, one row each."""
 
     prior: Prior[S]
     unknowns: Unknowns[S]
@@ -96,7 +96,7 @@ class Hypotheses(Generic[S]):
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> Compared:
-        """All of them as they are told apart by their values, some of which are kept."""
+        """A record of the compared hypotheses, with their values and which were kept."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
@@ -179,7 +179,7 @@ def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> 
 def _solved(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
-    """What a stage found, and how it ended."""
+    """The result of a stage, and its report."""
     if not stage.matches:
         return _minimised(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _ITERATION_SHARE)

@@ -1,4 +1,4 @@
-"""A sensor: its data, what it would have measured of a posed body, and what a fit asks of both."""
+"""The base class of sensors: data, prediction from a posed body, and the energy."""
 
 import dataclasses
 import math
@@ -88,7 +88,7 @@ class Sensor(TensorStruct):
         )
 
     def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points dims"]:
-        """The values of an estimate with what its scene says of the sensor, in the world."""
+        """The predicted values of an estimate in the world, with the scene's unknowns."""
         return self.predict(estimate.body)
 
     def expected(
@@ -235,11 +235,14 @@ class Sensor(TensorStruct):
         return ()
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
-        """Share of the frames in which the place of each joint is told; None if it knows none."""
+        """Share of the frames in which the sensor locates each joint.
+
+        None where that is unknown.
+        """
         del body
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
-        """Joints of the first clip whose place the sensor tells, in every frame of the data."""
+        """Joints of the first clip that the sensor locates, in every frame of the data."""
         return np.zeros((self.moments, estimate.body.joints.shape[-2]), dtype=bool)
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
@@ -253,7 +256,7 @@ class Sensor(TensorStruct):
         return standing(body, self.clips, self.moments, fps=self.fps, start_time=self.start_time)
 
     def settled(self: R, scene: Scene) -> R:
-        """The sensor as it is in a scene, of which it then asks no more."""
+        """The sensor with the scene's unknowns (offsets, lens, ...) inserted as known."""
         del scene
         return self
 

@@ -1,4 +1,4 @@
-"""What is known of a person's shape before a fit, as energies beside the data."""
+"""Prior knowledge of a person's shape, as energy terms."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A fit is a tuple of stages: one minimisation each, and what happens around it."""
+"""Stages: a fit is a tuple of minimisations, each with its terms and variables."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -101,7 +101,7 @@ Stages = Callable[[tuple[Term, ...]], tuple[Stage[Any], ...]]
 
 @dataclass(frozen=True)
 class Compared:
-    """Hypotheses of clips that a stage compared at its end, and left some of out."""
+    """The hypotheses that a stage compared at its end, and which of them were kept."""
 
     clip: Int[Tensor, " rows"]
     """The clip of every hypothesis."""

@@ -1,4 +1,4 @@
-"""A first guess that the caller gives: brought to the body's precision, or refused."""
+"""The caller's first guess, checked and converted to the body's precision."""
 
 from collections.abc import Sequence
 

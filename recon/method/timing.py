@@ -1,4 +1,4 @@
-"""Clocks of observations: the times at which the estimate is compared with the data."""
+"""Frame times of observations, and estimates interpolated to them."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Everything a stage may move: the prior's variables and the scene, as records and as a matrix."""
+"""All unknowns of a stage: the prior's variables and the scene, as records and as a matrix."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

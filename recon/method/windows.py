@@ -97,7 +97,7 @@ def join(motions: Sequence[Motion]) -> Motion:
 
 
 def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
-    """The motion at the frames of a clock that began at `origin`, and its first one's number."""
+    """The motion resampled to the clock from `origin` on, and its first frame's number."""
     place = (motion.start_time - origin) * motion.fps
     first = math.ceil(place - _SAME_MOMENT)
     last = math.floor(place + motion.frames - 1 + _SAME_MOMENT)

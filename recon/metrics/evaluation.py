@@ -25,7 +25,7 @@ _FEET = ((7, 10), (8, 11))
 
 @dataclass(frozen=True)
 class ObservedPoints(TensorStruct):
-    """The points a sensor looked at (markers, joints), at the times it looked; world, metres."""
+    """The points that a sensor measures (markers, joints), at its frame times; world, metres."""
 
     predicted: Float[Tensor, "moments points 3"]
     truth: Float[Tensor, "moments points 3"]

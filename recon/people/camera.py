@@ -1,4 +1,4 @@
-"""The one camera that saw several people: its ground and lens from a quick fit of each."""
+"""The camera that saw several people: one ground and lens, from quick fits of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class SharedCamera:
 
 @dataclass(frozen=True)
 class _Alone:
-    """What the quick fit of one person says, in the frame of the camera."""
+    """The result of a quick fit of one person, in the camera's frame."""
 
     result: Result
     focal: float
@@ -149,7 +149,7 @@ def _moved(
     factor: float,
     places: Float[np.ndarray, "places 3"],
 ) -> Motion:
-    """A person's first motion where the shared camera sees it."""
+    """A person's first motion in the world of the shared camera."""
     assert one.result.T_world_camera is not None
     shift = np.eye(4)
     shift[:3, 3] = (0.0, 0.0, (focal / one.focal - 1) * one.depth)

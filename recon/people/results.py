@@ -16,7 +16,7 @@ from recon.formats.writing import writing
 
 @dataclass(frozen=True, repr=False)
 class People:
-    """A result for every person; indexed, counted and walked through as a tuple is."""
+    """Results for all people, as a sequence."""
 
     results: tuple[Result, ...]
     numbers: tuple[int, ...]
@@ -27,15 +27,15 @@ class People:
     """What was decided about files, people and the camera."""
 
     def __len__(self) -> int:
-        """How many they are."""
+        """The number of results."""
         return len(self.results)
 
     def __getitem__(self, index: int) -> Result:
-        """One of them, in their order, not by number."""
+        """The result at a position of the sequence (not by person number)."""
         return self.results[index]
 
     def __iter__(self) -> Iterator[Result]:
-        """One after the other."""
+        """Iterates over the results."""
         return iter(self.results)
 
     @property

@@ -148,7 +148,7 @@ def fit_files(
     people, notes = people_in(paths_given(observations), FitSettings.of(reading), model)
     if isinstance(noise, Mapping):
         noise = noise.get("pixels")
-    # the reader knows the plane
+    # a plane is applied by the reader
     told = "auto" if plane is not None else ground
     return fit_people(people, body=model, notes=notes, noise=noise, ground=told, **how)
 
@@ -182,7 +182,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
 
 
 def _before(clip: Clip, shared: SharedCamera) -> Clip:
-    """The clip as the shared camera saw it, whose pose is known from here on."""
+    """The clip with the shared camera's pose as known."""
     (view,) = views_of(clip.observations)
     camera = view.camera.derived(
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],

@@ -1,4 +1,4 @@
-"""Energies of a body that stands on the ground z = 0: penetration, float, slide, balance.
+"""Energies of a body on the ground z = 0.
 
 Sums over frames are taken at 30 Hz, as in `recon.method.terms`. Heights are those of a few hundred
 vertices (`SampledSurface`), dynamics those of all. Every energy is continuous with its gradient.
@@ -183,7 +183,7 @@ distance from the centre of pressure to the zero moment point. Chosen on validat
 
 
 def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
-    """What holds a body to the ground z = 0, beside an observation of weight one.
+    """Terms of physics on the ground z = 0, for an observation of weight one.
 
     Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
 

@@ -1,4 +1,4 @@
-"""Support: a body that does not fall is held by feet that rest on the ground below it.
+"""Support: a body that does not fall must have a foot at rest on the ground.
 
 From the body alone, and so for every step of a minimisation. It says of legs that nobody saw what
 no prior of motion can be trusted with on a stranger: legs that glide above the ground are easy to
@@ -44,7 +44,7 @@ _FIRST, _SECOND = zip(*combinations_with_replacement(range(len(FEET)), 2), stric
 
 @dataclass(frozen=True)
 class Support(TensorStruct):
-    """Energy of feet that nobody saw, which must carry the body."""
+    """Energy of unobserved feet, one of which must support the body."""
 
     unseen: Bool[Tensor, "*batch"]
     """Clips whose legs nobody saw; the others have an energy of zero."""

@@ -155,7 +155,7 @@ def centre_of_pressure(
     however high the body is: gate it.
     """
     heights = points[..., 2]
-    # a body in the air is let down first: all its weights change by one factor
+    # a body in the air is lowered first, which multiplies all weights by one factor
     floor = heights.detach().amin(-1, keepdim=True).clamp(min=0)
     weights = pressure(heights - floor) * areas
     return (weights[..., None] * points[..., :2]).sum(-2) / weights.sum(-1, keepdim=True)

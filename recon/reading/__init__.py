@@ -1,1 +1,1 @@
-"""What was recorded, from files of any kind: observations of one clip, or a motion."""
+"""Reading of files of any kind: observations of one clip, or a motion."""

@@ -1,4 +1,4 @@
-"""Everything that was recorded of one clip, from files of any kind, in one frame."""
+"""Reads all files of one clip into observations with one frame of coordinates."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -262,7 +262,7 @@ def _of_one(
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """As `together`; a plane says nothing of how sensors are carried whose poses are all known."""
+    """As `together`; a given plane is ignored where all sensors' poses are known."""
     if all(_has_pose(file) for _, file in files):
         settings = replace(settings, ground=None)
     return together(files, notes, settings, body)

@@ -1,4 +1,4 @@
-"""Observations from files of points: the recording's frame, the person alone, thinned."""
+"""Observations from point clouds: frame of coordinates, person cut out, thinned."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ _OFTEN = 0.1
 
 @dataclass(frozen=True)
 class _Frame:
-    """The things of one frame that may be the person, the largest first."""
+    """The clusters of one frame that may be the person, the largest first."""
 
     label: Int[np.ndarray, " points"]
     middles: Float[np.ndarray, "things 3"]
@@ -124,7 +124,7 @@ _LOOKED_AT = 50
 
 @dataclass(frozen=True)
 class LoadedCloud:
-    """An observation and what was found out on the way."""
+    """An observation and the decisions of its reading."""
 
     cloud: PointCloud
     """Axes (1, moments, points)."""
@@ -242,7 +242,7 @@ def cloud_of(
 
 
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    """The clouds of frames in which somebody is in sight, others emptied.
+    """The clouds with frames emptied in which only noise of the ground is seen.
 
     What is flat and has few points beside the frames in which something rises is noise, and so is
     something that rises in hardly any frame.

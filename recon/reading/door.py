@@ -1,4 +1,4 @@
-"""`recon.read`: what a file holds, observations of one clip or a motion."""
+"""`recon.read`: files to observations of one clip or to a motion."""
 
 import logging
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def load_observation(
     seed: int = 0,
     mapping: Path | str | None = None,
 ) -> Sensor | list[Sensor]:
-    """What `recon fit` takes: one observation, or a list where there are several views or paths.
+    """Read observations as `recon fit` does: one, or a list where there are several.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
     folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of

@@ -1,4 +1,4 @@
-"""2D keypoint files as an energy: lens distortion taken out, confidences kept."""
+"""2D keypoint files as observations: lens distortion removed, confidences kept."""
 
 import numpy as np
 import torch

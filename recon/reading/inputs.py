@@ -69,7 +69,7 @@ def observation_input(path: Path) -> Input:
             return Input(path, _of_views(path))
         views = () if project.detections is None else _of_views(project.detections)
     except (ValueError, OSError):
-        return Input(path, ())  # nothing of it can be read: the fit refuses it and says why
+        return Input(path, ())  # unreadable: the fit refuses it with the reason
     points = [] if project.points is None else [project.points]
     every = tuple(one.resolve() for one in (*project.read, *points, *views))
     return Input(path, every, Path(commonpath([path.resolve(), *every])))

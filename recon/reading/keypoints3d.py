@@ -1,4 +1,4 @@
-"""3D keypoints of a file at the door: which they are, unit, up, ground, place in the world.
+"""3D keypoints of a file, settled: names, unit, up axis, ground, and place in the world.
 
 Everything that is guessed is said, and what cannot be right is refused with what would fit.
 """

@@ -1,4 +1,4 @@
-"""Detections of many frames linked to people: the likeliest of several assignments is kept.
+"""Linking of detections to people over frames, following several assignments at once.
 
 Somebody is expected where a constant velocity carries them. Where people overlap, several
 assignments of detections to people are followed side by side, each with the sum of its costs (half
@@ -77,7 +77,7 @@ class Links:
 
 @dataclass(frozen=True)
 class _Person:
-    """Somebody as they were last seen."""
+    """A person's last detection and motion."""
 
     label: int
     rows: tuple[int, ...]
@@ -114,7 +114,7 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """One way to link all detections so far."""
+    """One hypothesis of all links so far."""
 
     people: tuple[_Person, ...]
     cost: float
@@ -126,7 +126,10 @@ class _Assignment:
 
     @property
     def nameless(self) -> frozenset[tuple[int, ...]]:
-        """The last detections of everybody, without names."""
+        """The last detections of everybody, without identities.
+
+        Equal for assignments that differ in names.
+        """
         return frozenset(person.rows for person in self.people)
 
 
@@ -153,7 +156,7 @@ def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> Links:
 
 
 class _Linking:
-    """Assignments that are followed side by side."""
+    """The assignments followed in parallel."""
 
     def __init__(self, detections: Detections, rows: Int[np.ndarray, " rows"]) -> None:
         self.seen = detections
@@ -337,7 +340,7 @@ class _Linking:
 
 
 def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
-    """The best, with a doubt where another is about as good and calls people otherwise."""
+    """The best assignment, marked as doubtful where another one is about as good."""
     if other.cost - best.cost >= CERTAIN:
         return best
     names = {person.rows[-1]: person.label for person in other.people}

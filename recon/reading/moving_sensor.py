@@ -1,4 +1,4 @@
-"""Whether a depth sensor taken for fixed moves: ground and walls that it sees then move, too."""
+"""Whether a depth sensor declared fixed moves, by the ground and walls that it sees."""
 
 import math
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def movement(
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
-            # what agrees best counts, since the person may hide one of two walls for a while
+            # the best match counts, since the person may hide one of two walls for a while
             pairs = [_apart(a, b, middle) for a in planes for b in others]
             if pairs:
                 least = min(pairs, key=lambda pair: pair[0] / _SAID[0] + pair[1] / _SAID[1])
@@ -74,7 +74,7 @@ Plane = tuple[Float[np.ndarray, "3"], float]
 
 @dataclass(frozen=True)
 class _Stretch:
-    """What of the room is seen in a part of the clip."""
+    """The ground and walls seen in a part of the clip."""
 
     grounds: tuple[Plane, ...]
     """One, or none."""

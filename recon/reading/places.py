@@ -1,4 +1,4 @@
-"""Sizes, distances and doubles of detections in an image."""
+"""Sizes, distances and duplicates of detections in an image."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -63,7 +63,7 @@ def gap(detections: Detections, a: int, b: int) -> float:
 
 
 def reshaping(detections: Detections, a: int, b: int) -> float:
-    """Change of the pose: the gap without what the ways of all keypoints have in common."""
+    """Change of the pose: the gap after removing the common displacement of all keypoints."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")

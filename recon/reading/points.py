@@ -1,4 +1,4 @@
-"""Observation files at the door: checked for size, axis and names before anything is fitted."""
+"""Observation files of points, checked for size, axes and names before a fit."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -177,7 +177,7 @@ class Lengths:
 def bone_lengths(
     positions: Float[np.ndarray, "time points 3"], points: BodyPoints, body: BodyModel
 ) -> Lengths | None:
-    """How points agree with a body of any size; None where too few distances are seen."""
+    """Agreement of points with a body of any size; None where too few distances are visible."""
     rest = points.at_rest(body, body.template.new_zeros(body.shape_size)).double().numpy()
     some = positions[:: max(len(positions) // _MOMENTS, 1)]
     ratios: list[float] = []

@@ -184,7 +184,7 @@ class _Pairs:
         }
 
     def check_others(self, group: Mapping[int, tuple[int, ...]]) -> None:
-        """Refuse to leave out a view for anything but that it sees other people.
+        """Check that a view that is left out shows other people, else refuse.
 
         Raises:
             ValueError: when it shows somebody, as completely as the others show the person, who
@@ -244,7 +244,7 @@ class _Pairs:
 
 
 def _fitting(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
-    """The best track and those that continue it; short ones about equally good are left out.
+    """The best track and its continuations; short ones of similar error are left out.
 
     Raises:
         ValueError: when another that overlaps the best is about as good.

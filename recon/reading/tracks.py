@@ -1,4 +1,4 @@
-"""Following people from frame to frame in one view, and choosing one: never a mixture."""
+"""Tracks of people in one view, and the choice of one of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -123,7 +123,7 @@ def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
 
 
 def _stands_beside(other: Track, mover: Track) -> bool:
-    """Whether somebody stands by while another one moves."""
+    """Whether a person stands still while another one moves."""
     return other.movement < _STANDS and mover.movement > _MOVES * max(other.movement, _STANDS / 3)
 
 

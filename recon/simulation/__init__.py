@@ -1,1 +1,1 @@
-"""Known motions as sensors would have seen them."""
+"""Simulated observations of known motions."""

@@ -1,4 +1,4 @@
-"""A known motion as a depth sensor would have seen it: noise, holes, things around it.
+"""Simulated depth sensors: noise, holes, furniture around a known motion.
 
 Depths come from the rasteriser that draws our pictures, so what hides what is exact to a pixel.
 """
@@ -156,7 +156,7 @@ def depth_points(
 
 
 def without_pose(file: PointsFile) -> PointsFile:
-    """What a fixed sensor that does not know its place tells: points in its own frame.
+    """Points in the frame of a fixed sensor of unknown pose.
 
     Raises:
         ValueError: when it has no pose, or moves.

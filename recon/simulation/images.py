@@ -1,4 +1,4 @@
-"""A known motion as cameras would have seen it: keypoints with noise, occluded and missing."""
+"""Simulated keypoints of cameras: noise, occlusion and misses of a known motion."""
 
 import math
 from dataclasses import replace

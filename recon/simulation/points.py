@@ -1,4 +1,4 @@
-"""A known motion as a sensor would have seen it: for tests, benchmarks and users' own checks."""
+"""Simulated joints, markers and scans of a known motion."""
 
 import math
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Corruption:
-    """What stands between the truth and the sensor."""
+    """How simulated data are degraded: noise, outliers, hidden stretches."""
 
     noise: float = 0.0
     """Standard deviation of every coordinate, metres; pixels in images."""
@@ -111,7 +111,7 @@ def markers3d(
     truth = posed.points(torch.tensor(vertices))
     if skin_offset > 0:
         bones = body.weights[list(vertices)].argmax(-1)
-        # a stream of its own, so that noise of the same seed is not the offsets again
+        # a separate random stream, so that offsets and noise of one seed are independent
         generator = Generator().manual_seed(seed ^ 0x5EED)
         away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
         truth = truth + (posed.orientations[:, bones] @ away.to(truth)[..., None])[..., 0]

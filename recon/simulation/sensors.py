@@ -1,4 +1,4 @@
-"""What a sensor of any kind would have seen of a known motion, as observation files hold it."""
+"""Simulated observation files of any kind of sensor for a known motion."""
 
 import math
 from dataclasses import replace

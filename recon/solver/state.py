@@ -1,4 +1,4 @@
-"""Books of a batched solve: the elements still being worked on, and what is known of all."""
+"""Bookkeeping of a batched solve: active elements, and the state of all."""
 
 from dataclasses import dataclass, fields
 

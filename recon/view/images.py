@@ -1,4 +1,4 @@
-"""What a camera saw, drawn as its image: bodies, scan, detected points and those of the fit."""
+"""Drawings of a camera's image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is shown: bodies, points and contacts as values; `html` and `frames` draw them."""
+"""The content of a picture: bodies, points and contacts; `html` and `frames` draw it."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""The corpus as cycles of gait, varied as drawn: shifted, mirrored, on other bodies."""
+"""The corpus as cycles of gait, augmented: shifted, mirrored, on other bodies."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _MIRRORED = [POSED.index(MIRROR[joint]) for joint in POSED]
 
 @dataclass(frozen=True)
 class CycleVariation:
-    """Random variations of cycles in training; zeros leave them as recorded."""
+    """Settings of the augmentation of cycles; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""

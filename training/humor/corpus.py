@@ -1,4 +1,4 @@
-"""The corpus as HuMoR's training windows: states at 30 Hz, cut at any moment, varied as drawn.
+"""The corpus as HuMoR's training windows: states at 30 Hz, cut at random times, augmented.
 
 All recordings stay in memory as rotations at 120 Hz. A window is taken at any of their frames,
 mirrored, played faster or slower, and put on another body, and only then turned into joints and
@@ -74,7 +74,7 @@ _MIRRORED_CONTACTS = [CONTACT_JOINTS.index(MIRROR[j]) for j in CONTACT_JOINTS]
 
 @dataclass(frozen=True)
 class StateWindows(TensorStruct):
-    """Consecutive states at 30 Hz in the world, and what is known of them."""
+    """Windows of consecutive states at 30 Hz in the world, with contacts and shapes."""
 
     states: State
     """Axes (windows, frames)."""

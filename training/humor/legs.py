@@ -166,7 +166,7 @@ def bent(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tenso
 
 
 def _half(chance: Chance, moments: Moments) -> Tensor:
-    """Waves between a half and one: a displacement that lasts, and changes."""
+    """Random factors between a half and one over time: a lasting, varying displacement."""
     return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
 
 
@@ -265,7 +265,7 @@ def _stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
 
 
 def _moved(moments: Moments, change: Tensor, right: Tensor) -> Bool[Tensor, "windows frames 9"]:
-    """Labels of the raised leg that end, for it has left its place, or is leaving it."""
+    """Mask of contact labels that are removed because the leg is raised."""
     gone = at_frames(change).norm(dim=-1) > _TOUCH
     gone = gone | (speeds(moments.seconds, change) > _LEAVING)
     found = torch.zeros(*gone.shape[:2], len(CHANNELS), dtype=torch.bool, device=gone.device)

@@ -1,4 +1,4 @@
-"""HuMoR's networks while they learn: the same functions, in inputs and outputs of unit size.
+"""HuMoR's networks in training: the same functions with normalised inputs and outputs.
 
 A state mixes rotation entries that hardly move with velocities that move a lot, and a step is a
 hundred times smaller than a state. Scaled, all of them are learned at the same pace; the scales

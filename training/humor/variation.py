@@ -1,4 +1,4 @@
-"""How windows are varied in training: the settings, edits of arms, jumps, and their order."""
+"""Augmentation of windows: settings, edits of arms, jumps, and their order."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from training.humor.moments import (
 
 @dataclass(frozen=True)
 class Variation:
-    """Random variations of windows in training; zeros leave them as recorded."""
+    """Settings of the augmentation of windows; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""
@@ -177,7 +177,10 @@ _CARRIERS = (0, 4, 5, 20, 21)
 
 
 def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Windows that hands, knees and pelvis do not carry, and that hardly rise or fall faster."""
+    """Mask of windows that may become flights.
+
+    No support by hands, knees or pelvis, little vertical acceleration.
+    """
     rising = moments.translation[..., 2].diff(dim=1) / moments.seconds.diff(dim=1)
     steady = rising.amax(1) - rising.amin(1) < _STEADY
     return steady & ~moments.ever(*_CARRIERS)

@@ -1,4 +1,4 @@
-"""The corpus as windows at 20 Hz, varied as drawn: begun anywhere, mirrored, on other bodies."""
+"""The corpus as windows at 20 Hz, augmented: random starts, mirrored, on other bodies."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ _SHORTEST_S = 1.5
 
 @dataclass(frozen=True)
 class BodyVariation:
-    """Random variations of windows in training; zeros leave them as recorded."""
+    """Settings of the augmentation of windows; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""
@@ -45,7 +45,7 @@ AS_RECORDED = BodyVariation(mirror=0.0, shape=0.0, unseen=0.0)
 
 @dataclass(frozen=True)
 class BodyBatch(TensorStruct):
-    """Windows, who performs them, and somebody else."""
+    """Windows, the shapes of their performers, and other shapes to transfer to."""
 
     frames: BodyFrames
     height: Float[Tensor, "windows time"]
@@ -57,7 +57,7 @@ class BodyBatch(TensorStruct):
 
     @property
     def windows(self) -> Bool[Tensor, "windows codes"]:
-        """Codes that have a frame of their own."""
+        """Mask of windows with at least one valid frame."""
         return existing_windows(self.valid.sum(-1, keepdim=True), self.valid.shape[-1])
 
 

@@ -51,8 +51,9 @@ def fitted_codes(
             torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
             for p in pairs
         )
-        # u has unit variance, so the covariance of neighbours is the regression itself; held
-        # below one, it forgets, and no clip grows however long it is
+        # u has unit variance, so the covariance of neighbours is the regression matrix; with
+        # singular
+        # values below one the process is stationary, whatever the length of the clip
         left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
         follow = (left * lengths.clamp(max=_MEMORY)) @ right
         rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)

@@ -82,7 +82,7 @@ def divergence(codes: Codes, exists: Bool[Tensor, "clips windows"]) -> Float[Ten
 
 @dataclass(frozen=True)
 class PhysicsLosses:
-    """Energies of a motion that nobody recorded, per frame and in the units of the others."""
+    """Physics energies of generated motions, per frame, in the units of the other losses."""
 
     ground: Float[Tensor, ""]
     """Penetration and float."""

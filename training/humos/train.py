@@ -78,7 +78,7 @@ class HumosTraining(TrainingSettings):
     """Every clip is learned at each."""
 
     def __post_init__(self) -> None:
-        """Refuse what has no meaning, before a corpus is read."""
+        """Check the settings before a corpus is read."""
         if self.latent > self.basis:
             raise ValueError(
                 f"codes of {self.latent} numbers begin as as many of {self.basis} principal "
@@ -112,7 +112,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
 
     def untrained(self, state: Mapping[str, Any] | None) -> WindowNetworks:
-        """Networks about principal directions of varied windows, or those of the checkpoint."""
+        """Networks initialised by principal directions of windows, or those of the checkpoint."""
         basis = self._basis() if state is None else LappedBasis(**state["basis"])
         return networks_of(self.settings, basis, self.learned)
 

@@ -1,4 +1,4 @@
-"""Labelled clouds on disk and in memory, and the random variations they are learned with."""
+"""Labelled clouds on disk and in memory, and their augmentation."""
 
 import math
 from dataclasses import dataclass, fields
@@ -52,7 +52,7 @@ class LabelledClouds(TensorStruct):
 
 @dataclass(frozen=True)
 class CloudVariation:
-    """Random variations of windows, besides any heading and mirror images."""
+    """Settings of the augmentation of windows, besides headings and mirror images."""
 
     tilted: float = 0.25
     """Share of windows that are turned in any way, so that nothing is known of gravity."""
@@ -116,7 +116,7 @@ class CloudCorpus:
         """Some windows as they are, of each moment at most `rows` points; None: all moments."""
         every = self.clouds
         moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
-        # points come in random order, so that those from anywhere on are drawn at random
+        # points are in random order, so a consecutive run is a random sample
         count = every.present[windows[:, None], moments].sum(-1)
         first = torch.zeros_like(count)
         if random is not None:
@@ -134,7 +134,7 @@ class CloudCorpus:
 
 
 def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator) -> LabelledClouds:
-    """Clouds turned, mirrored, partly hidden and of other sizes."""
+    """Augmented clouds: turned, mirrored, partly hidden, rescaled."""
     windows = len(clouds.points)
 
     def chance(share: float) -> Bool[Tensor, " windows"]:
@@ -147,7 +147,7 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
     blind = chance(variation.blind)
     present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
     present &= ~_lost(clouds, chance(variation.lost_limb), random)
-    # a window of which little remains is left whole
+    # a window that would keep few points is left whole
     enough = present.flatten(1).sum(-1) >= 0.25 * clouds.present.flatten(1).sum(-1)
     present = torch.where(enough[:, None, None], present, clouds.present)
     return clouds.replace(

@@ -29,7 +29,7 @@ def seen_of(clouds: LabelledClouds) -> SeenClouds:
 
 
 def said_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
-    """What a network says of windows of so many moments each."""
+    """The network's outputs for windows of so many frames each."""
     windows = len(seen.points) // moments
     asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
     inside = (asked >= 0) & (asked < moments)
@@ -80,7 +80,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
 def _costs(
     raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """What every point costs by its region and by its place; zero off the body."""
+    """The loss of every point by region and by place; zero off the body."""
     found = cross_entropy(
         raw.regions.mT, regions, ignore_index=-1, reduction="none", label_smoothing=0.01
     )

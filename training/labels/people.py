@@ -1,4 +1,4 @@
-"""People that nobody is: bodies of drawn shapes in drawn clothes and hair."""
+"""Random people: bodies of random shapes with random clothes and hair."""
 
 import math
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def with_hair(body: BodyModel, seed: int) -> BodyModel:
 
 
 def drawn_shape(body: BodyModel, random: np.random.Generator) -> Float[Tensor, " shape"]:
-    """Coefficients of a shape, beyond what people differ by."""
+    """Random shape coefficients, more extreme than real ones."""
     drawn = random.normal(0.0, _WIDE, body.shape_size).clip(-_WIDEST, _WIDEST)
     return torch.from_numpy(drawn).to(body.template)
 
@@ -118,7 +118,7 @@ class Postures:
 
 
 def made_up(moments: int, random: np.random.Generator) -> Float[np.ndarray, "moments 22 3 3"]:
-    """A posture of limbs bent at random within about what joints allow, which changes slowly.
+    """A random slow motion of limbs, roughly within joint limits.
 
     Elbows and knees bend one way only; hips are mostly flexed, so that many of these sit, squat or
     kick. The root is left as it is.

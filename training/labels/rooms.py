@@ -1,4 +1,4 @@
-"""Rooms in which a person is seen: furniture, a floor, walls, and where the sensor stands."""
+"""Random rooms for simulated depth: furniture, floor, walls and the sensor's position."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ of the noise, belongs to none."""
 
 @dataclass(frozen=True)
 class Glimpse:
-    """What one depth image tells of a person, and what is true of it."""
+    """Points of one depth image of a person, and their true labels."""
 
     points: Float[np.ndarray, "points 3"]
     """World frame, metres."""
@@ -199,7 +199,7 @@ def _world(camera: Camera, row: np.ndarray, column: np.ndarray, depth: np.ndarra
 
 
 def _blotches(random: np.random.Generator) -> Float[np.ndarray, "height width"]:
-    """Noise that pixels within about ten of each other share."""
+    """Spatially correlated noise with a range of about ten pixels."""
     import cv2
 
     coarse = random.standard_normal((SIZE[1] // 10, SIZE[0] // 10)).astype(np.float32)
@@ -219,7 +219,7 @@ def _piece(middle: np.ndarray, height: float, random: np.random.Generator) -> Fu
         case 2:
             piece = box(random.uniform(0.1, 0.8, 3).tolist())
         case _:
-            # a board or a wall's corner that hides part of the person
+            # a board or corner of a wall that hides part of the person
             size = (random.uniform(0.1, 1.0), 0.05, random.uniform(0.3, max(height, 0.5)))
             piece = box(size, random.choice([0.0, random.uniform(0, 1.0)]))
     return piece.placed((*place[:2], 0.0), heading)

@@ -1,1 +1,1 @@
-"""2D keypoints as detectors write them; `reader` tells by what a file holds."""
+"""2D keypoints as detectors write them; `reader` chooses the format by a file's content."""

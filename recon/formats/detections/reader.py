@@ -1,4 +1,4 @@
-"""2D keypoints of one camera, whoever wrote them: the reader is chosen by what the file holds."""
+"""Reads 2D keypoints of one camera; the format is recognised by the file's content."""
 
 from pathlib import Path
 

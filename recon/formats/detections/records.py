@@ -1,4 +1,4 @@
-"""What a 2D detector found in the images of one camera: any number of people per frame."""
+"""Detections of a 2D detector in the images of one camera: any number of people per frame."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ _AGREEMENT = 0.8
 def settle_layout(
     points: Float[np.ndarray, "rows points 3"], layout: str | None, name: str
 ) -> tuple[str, Float[np.ndarray, "rows known 3"], str]:
-    """The layout, the points in its order, and the reason.
+    """The layout of the keypoints, the keypoints in its order, and how it was recognised.
 
     25 keypoints may be OpenPose's BODY_25 or BODY_25B: read the wrong way, arms and legs join
     points far apart, so the reading in which the bones are shorter is right. 18 are OpenPose's
@@ -186,7 +186,7 @@ def gather(
 
 
 def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:
-    """Refuse numbers that no detector gives, before arrays are made of them.
+    """Refuse impossible frame or person numbers before arrays are allocated for them.
 
     Raises:
         ValueError: naming file, quantity and what came.

@@ -82,7 +82,7 @@ def normalised(part: str) -> str:
 
 
 def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
-    """The layout and the parts it does not have."""
+    """The layout that has most of the parts, and the parts that it does not have."""
     words = {normalised(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}
     found = {key: len(words.keys() & set(LAYOUTS[key])) for key in candidates}

@@ -1,1 +1,1 @@
-"""3D keypoints as producers write them; `reader` tells by what a file holds."""
+"""3D keypoints as producers write them; `reader` chooses the format by a file's content."""

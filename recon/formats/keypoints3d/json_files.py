@@ -73,7 +73,7 @@ def _names(value: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _world(value: Any, name: str, person: int | None) -> Points3D:
-    """Metres about the middle of the hips; x right, y down, z away, as the camera sees."""
+    """Metres relative to the middle of the hips; x right, y down, z away from the camera."""
     frames = listed_frames(_entries(value), name)
     first, last = frames[0][0], frames[-1][0]
     FRAMES.check(last - first + 1, name)

@@ -1,4 +1,4 @@
-"""Names of 3D keypoints as producers spell them, and the keypoints of our table that they mean."""
+"""Labels of 3D keypoints as producers spell them, mapped to keypoints of our table."""
 
 import re
 from collections.abc import Sequence

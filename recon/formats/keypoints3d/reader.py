@@ -1,4 +1,4 @@
-"""3D keypoints of one person, whoever wrote them: the reader is chosen by what the file holds."""
+"""Reads 3D keypoints of one person; the format is recognised by the file's content."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -103,7 +103,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         if holds_detections(path):
             return False
         arrays = load_arrays(path)
-        # motions have `joints` besides, which are a result and nothing that was seen
+        # motion files have `joints`, too, which are results and no observation
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
     if ending == ".csv":
@@ -209,7 +209,7 @@ def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:
 
 
 def with_rate(points: Points3D, fps: float | None) -> Points3D:
-    """The points at a rate that the caller gives, where he does.
+    """The points with the frame rate that the caller gave, if any.
 
     Raises:
         ValueError: when neither he nor the file tells one.

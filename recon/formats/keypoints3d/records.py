@@ -1,4 +1,4 @@
-"""3D keypoints as a file holds them: its own unit and axes, and its own names, if it has any."""
+"""3D keypoints in a file's own unit, axes and names."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ _LARGEST = 1e7
 
 @dataclass(frozen=True)
 class Points3D:
-    """Points in space over time, before it is known what they measure."""
+    """Points in space over time, as read, before their names, unit and axes are settled."""
 
     name: str
     positions: Float[np.ndarray, "time points 3"]
@@ -62,7 +62,7 @@ class Points3D:
         return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
 
     def checked(self) -> "Points3D":
-        """The points, once there are any, and as NaN what stands for a missing one.
+        """The points with missing ones as NaN; refused where there are none at all.
 
         Exact zeros in all three coordinates and infinity are missing points too, unless they are
         the same point in all frames: the origin of what is relative to it.
@@ -96,7 +96,7 @@ _APART = 0.35
 
 
 def followed(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
-    """Everybody's place in the lists of the frames, by the frame, from the first seen on.
+    """For every person, their index in the lists of the frames, from the first frame on.
 
     A person goes on in that pose of the next frame which is nearest, all people together. Poses
     that are given about the hips say nothing of where somebody is; with what they are seen at in
@@ -123,7 +123,7 @@ def followed(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
 def taken(
     counts: Sequence[int], frames: int, person: int | None, name: str
 ) -> tuple[int, tuple[str, ...]]:
-    """Whom to take of several people, and what is said about it.
+    """The person to take of several, and the note about the choice.
 
     Args:
         counts: frames in which each of them is seen.

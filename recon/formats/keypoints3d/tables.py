@@ -37,7 +37,7 @@ def is_table_3d(header: Sequence[Sequence[str]]) -> bool:
 
 
 def read_table(path: Path) -> Points3D:
-    """Read a table; which kind it is, its header tells.
+    """Read a table, wide or long as its header says.
 
     Wide ones have columns such as left_hip_x (DeepLabCut's and Anipose's header rows are joined to
     such), long ones a row for every frame and keypoint.

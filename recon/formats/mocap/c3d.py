@@ -86,7 +86,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         else:
             raw = _markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
-        # an offset in the file leads out of it
+        # an offset that points beyond the end of the file
         raise FormatError(f"{path}: damaged C3D file, it ends where more was promised") from error
     point = groups.get("POINT", {})
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
@@ -211,7 +211,7 @@ def _read_header(data: bytes, path: Path) -> _Header:
 
 def _floats(data: bytes, processor: int) -> np.ndarray:
     """Four-byte numbers of the three processors, as double precision."""
-    # NaN of the signalling kind, which damage may make, is no reason for a warning
+    # damaged files may have signalling NaNs, which need no warning
     with np.errstate(invalid="ignore"):
         if processor != _DEC:
             return np.frombuffer(data, ">f4" if processor == _MIPS else "<f4").astype(np.float64)

@@ -1,4 +1,4 @@
-"""Raw recordings: joints or markers as a file holds them, in metres, z up, not yet on our body."""
+"""Recordings of joints or markers in metres with z up, not yet on our body."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ LEAD_IN_FRAMES = 8
 
 @dataclass(frozen=True)
 class SkeletonRecording:
-    """A moving skeleton of any make; parents come before their children.
+    """A recorded skeleton of any producer; parents come before their children.
 
     positions[child] = positions[parent] + orientations[parent] @ rest_offsets[child], except
     where the recording itself moves a joint within its parent. Tips of the last bones (BVH end
