@@ -8,6 +8,8 @@
 # make dist: wheel and sdist in dist/, tried in empty environments of Python 3.11 to 3.13.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
+# make clients: our files in Blender, three.js, OpenSim, OpenUSD and glTF's validator (1 GB of them),
+# and the page in Chromium where there is one.
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
 BIN := .venv/bin
@@ -16,7 +18,7 @@ CI := $(BIN)/python -m scripts.ci
 OUT ?= out
 BASE ?= origin/main
 
-.PHONY: demo test test-slow frozen frozen-reference figures changelog dist docs mutants tables bench clean
+.PHONY: demo test test-slow frozen frozen-reference figures changelog dist docs mutants tables clients bench clean
 
 demo: .venv/installed
 	$(CI) demo
@@ -50,6 +52,18 @@ mutants: .venv/developed
 
 tables: .venv/developed
 	$(BIN)/python -m benchmarks.tables
+
+clients: .venv/developed
+	$(PIP) --editable '.[usd]'
+	$(PYTHON) -m venv $(OUT)/clients/opensim
+	$(OUT)/clients/opensim/bin/pip install --quiet opensim==4.6 usd-core==26.11
+	$(PYTHON) -m venv $(OUT)/clients/blender
+	$(OUT)/clients/blender/bin/pip install --quiet bpy==5.0.1
+	npm install --silent --prefix $(OUT)/clients/node three@0.187.0 gltf-validator@2.0.0-dev.3.10
+	$(BIN)/python -m benchmarks.clients --python $(OUT)/clients/opensim/bin/python \
+		--blender $(OUT)/clients/blender/bin/python --node $(OUT)/clients/node/node_modules \
+		--out benchmarks/results
+	$(BIN)/pytest -q -rs tests/view/test_page.py
 
 bench: .venv/developed
 	mkdir -p $(OUT)

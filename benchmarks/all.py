@@ -5,7 +5,7 @@
 
 Converts the corpus first (resumable; about half an hour on two cores). Every benchmark writes its
 tables into --out; what is copied from there into benchmarks/results is what `make tables` writes
-into the documents. `mutants` has a command of its own in the Makefile.
+into the documents. `clients` and `mutants` have commands of their own in the Makefile.
 """
 
 import argparse
@@ -23,7 +23,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "depth": (*_CLOUDS, "depth"),
     "depth_mixed": (*_CLOUDS, *_MIXED, "--only", "12"),
     "depth_walks": (*_CLOUDS, "walks"),
+    "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
     "real": ("real", "OBSERVATIONS"),
+    "strangers": ("strangers", "CORPUS", "FOLDS"),
     "generation": ("generation", "CORPUS", "--weights", "open", "nc"),
     "uncertainty": ("uncertainty", "CORPUS"),
     "slips": ("slips", "CORPUS", "OBSERVATIONS", "--good", "300"),
@@ -51,6 +53,9 @@ def main() -> None:
     places = {"CORPUS": out / "corpus", "OBSERVATIONS": data / "observations", "DATA": data}
     run("recon", "convert", "--all", str(data / "mocap"), str(places["CORPUS"]))
     run("benchmarks.free_recordings", str(data), str(places["CORPUS"]))
+    places["PEOPLE"] = out / "people.npz"
+    if "labels" in given.only and not places["PEOPLE"].is_file():
+        run("benchmarks.people", str(places["PEOPLE"]))
     for name in given.only:
         module, *arguments = (placed(word, places, out) for word in COMMANDS[name])
         run(f"benchmarks.{module}", *arguments, "--out", str(out))

@@ -200,6 +200,7 @@ _FOLDERS = {
     "corpus": "folder of all converted motions",
     "observations": "folder of real recordings (RECON_DATA/observations)",
     "data": "folder of all real data (RECON_DATA)",
+    "folds": "folder where weights and fits of the folds are kept",
 }
 
 

@@ -4,8 +4,8 @@
 
 Left points are found on the mean body in its rest pose (y up, z forward, x to the body's left,
 palms down) and mirrored. A point is the vertex nearest to where a ray from inside the body leaves
-it: "lateral side of the knee" is the ray from the knee joint outwards. The result
-holds for that mesh only.
+it: "lateral side of the knee" is the ray from the knee joint outwards. Run it after
+`build_body.py`; the result holds for that mesh only.
 """
 
 import argparse

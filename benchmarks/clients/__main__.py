@@ -1,0 +1,245 @@
+"""Our files in the programs they are for: Blender, three.js, OpenSim, OpenUSD and validators.
+
+    python -m benchmarks.clients --python CLIENTS/bin/python --blender BLENDER/bin/python
+        --node CLIENTS/node_modules --out benchmarks/results
+
+`make clients` installs them and runs this. Every client runs in a process of its own, without
+recon, and says where it puts the joints, the skin or the segments of the bundled clip; the errors
+against our own body are written with the versions of the clients. Exit code 1 where one is above
+its limit.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import recon
+from benchmarks.clients.bodies import marker_sizes, segment_sizes, turned_segments
+from benchmarks.protocol import ROOT, Cell, Table, parser, tell
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.core.units import to_z_up
+from recon.export.motion import export_file
+from recon.export.tables import markers_of
+from recon.formats.motions import load_motion
+
+HERE = ROOT / "scripts" / "clients"
+DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
+MILLIMETRE = 1e-3
+LIMITS = {
+    "bvh_blender_mm": 0.1, "bvh_three_mm": 0.1, "gltf_blender_mm": 0.1, "gltf_three_mm": 0.1,
+    "fbx_blender_mm": 0.1, "usd_mm": 0.1, "usd_skin_mm": 0.1, "opensim_three_axes_deg": 0.01,
+    "opensim_trc_mm": 0.01, "gltf_issues": 0, "usd_messages": 0, "opensim_unknown_coordinates": 2,
+}  # fmt: skip
+"""The largest value of every figure that has one; patellae are two coordinates that a skeleton
+without muscles does not have."""
+
+
+def main() -> None:
+    """Export, ask every client, compare, print and write."""
+    asks = parser(__doc__)
+    asks.add_argument("--python", type=Path, required=True, help="has opensim and usd-core")
+    asks.add_argument("--blender", type=Path, required=True, help="has bpy")
+    asks.add_argument("--node", type=Path, required=True, help="has three and gltf-validator")
+    given = asks.parse_args()
+    motion, body = load_motion(DEMO, torch.float64).motion, BodyModel.load()
+    body = body.to(dtype=torch.float64)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        files = {name: out / f"m.{name}" for name in ("bvh", "glb", "usd", "trc", "mot")}
+        export_file(
+            DEMO, bvh=files["bvh"], glb=files["glb"], usd=files["usd"], trc=files["trc"],
+            mot=files["mot"], markers="bsm", unit="m",
+        )  # fmt: skip
+        found: dict[str, Any] = {}
+        found |= three(given.node, files, motion, body)
+        found |= validated(given.node, files["glb"])
+        found |= blender(given.blender, files, out, motion, body)
+        found |= usd(given.python, files["usd"], out, motion, body)
+        found |= opensim(given.python, files, out, motion, body)
+    rows: list[list[Cell]] = [
+        [name, _told(value), LIMITS.get(name)] for name, value in found.items()
+    ]
+    columns = (("figure", None), ("value", 6), ("largest allowed", 2))
+    tell(given.out, None, {}, {"clients": Table(columns, rows)})
+    above = [name for name, limit in LIMITS.items() if not found[name] <= limit]
+    if above:
+        sys.exit(f"above its limit: {', '.join(above)}")
+
+
+def _told(value: Any) -> Cell:
+    """Numbers as they are; the rest as text."""
+    return value if isinstance(value, int | float) else str(value)
+
+
+def asked(*command: str | Path) -> dict[str, Any]:
+    """What a client says: JSON in the last line that it writes."""
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(words)}\n{done.stdout[-2000:]}{done.stderr[-4000:]}")
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def joints_of(motion: Motion, body: BodyModel) -> np.ndarray:
+    return body.pose(motion).joints.numpy()
+
+
+def farthest(found: np.ndarray, truth: np.ndarray) -> float:
+    """Millimetres."""
+    return float(np.linalg.norm(found - truth, axis=-1).max() / MILLIMETRE)
+
+
+def three(node: Path, files: dict[str, Path], motion: Motion, body: BodyModel) -> dict[str, Any]:
+    said = asked(
+        "node", HERE / "in_three.mjs", node.resolve(), files["bvh"], files["glb"],
+        str(motion.frames), str(motion.fps),
+    )  # fmt: skip
+    truth, turn = joints_of(motion, body), to_z_up("y")
+    in_bvh = np.stack([said["bvh"][name] for name in JOINTS], 1) / 100 @ turn.T
+    in_gltf = np.stack([said["gltf"][name] for name in JOINTS], 1) @ turn.T
+    skin = np.array(said["skin"]) @ turn.T
+    every = np.linalg.norm(skin - body.pose(motion).vertices.numpy()[::10], axis=-1) / MILLIMETRE
+    return {
+        "three": said["version"],
+        "bvh_three_mm": farthest(in_bvh, truth),
+        "gltf_three_mm": farthest(in_gltf, truth),
+        "gltf_three_skin_median_mm": float(np.median(every)),
+        "gltf_three_skin_max_mm": float(every.max()),
+        "bvh_three_seconds": said["bvh_seconds"],
+        "gltf_three_seconds": said["gltf_seconds"],
+    }
+
+
+def validated(node: Path, glb: Path) -> dict[str, Any]:
+    said = asked("node", HERE / "in_validator.mjs", node.resolve(), glb)
+    return {
+        "gltf_validator": said["version"],
+        "gltf_issues": len(said["issues"]["messages"]),
+        "gltf_messages": [one["message"] for one in said["issues"]["messages"]][:5],
+    }
+
+
+def blender(
+    python: Path, files: dict[str, Path], out: Path, motion: Motion, body: BodyModel
+) -> dict[str, Any]:
+    said = asked(
+        python, HERE / "in_blender.py", files["bvh"], files["glb"], out / "blender.npz",
+        out / "m.fbx", str(motion.frames), str(motion.fps),
+    )  # fmt: skip
+    parents = {JOINTS[k]: None if p < 0 else JOINTS[p] for k, p in enumerate(PARENTS)}
+    if said["parents"] != parents:
+        sys.exit(f"Blender has another hierarchy: {said['parents']}")
+    with np.load(out / "blender.npz") as arrays:
+        found = {
+            kind: np.stack([arrays[f"{kind} {name}"] for name in JOINTS], 1)
+            for kind in ("bvh", "gltf", "fbx")
+        }
+        skin = arrays["gltf skin"]
+    truth = joints_of(motion, body)
+    every = np.linalg.norm(skin - body.pose(motion).vertices.numpy()[::10], axis=-1) / MILLIMETRE
+    return {
+        "blender": said["version"],
+        "bvh_blender_mm": farthest(found["bvh"], truth),
+        "gltf_blender_mm": farthest(found["gltf"], truth),
+        "fbx_blender_mm": farthest(found["fbx"], truth),
+        "gltf_blender_skin_median_mm": float(np.median(every)),
+        "gltf_blender_skin_max_mm": float(every.max()),
+    }
+
+
+def usd(python: Path, path: Path, out: Path, motion: Motion, body: BodyModel) -> dict[str, Any]:
+    said = asked(python, HERE / "in_usd.py", path, out / "usd.npz", str(motion.frames))
+    with np.load(out / "usd.npz") as arrays:
+        joints, skin = arrays["joints"], arrays["skin"]
+    return {
+        "usd": said["version"],
+        "usd_mm": farthest(joints, joints_of(motion, body)),
+        "usd_skin_mm": farthest(skin, body.pose(motion).vertices.numpy()[::10]),
+        "usd_validators": said["validators"],
+        "usd_messages": len(said["messages"]),
+        "usd_time_codes": said["time_codes"],
+    }
+
+
+def opensim(
+    python: Path, files: dict[str, Path], out: Path, motion: Motion, body: BodyModel
+) -> dict[str, Any]:
+    frames = list(range(0, motion.frames, 5))
+    sizes = {
+        "frames": frames,
+        "places": segment_sizes(motion, body),
+        "markers": marker_sizes(motion, body),
+    }
+    (out / "sizes.json").write_text(json.dumps(sizes))
+    said = asked(
+        python, HERE / "in_opensim.py", files["mot"], files["trc"], out / "sizes.json",
+        out / "opensim.npz",
+    )  # fmt: skip
+    truth = turned_segments(motion, body)
+    columns = dict(zip(said["coordinates"], read_mot(files["mot"])[frames].T[1:], strict=True))
+    with np.load(out / "opensim.npz") as arrays:
+        apart = {
+            name: angle_between(arrays[f"body {theirs}"], truth[ours][frames])
+            for name, (theirs, ours) in SEGMENTS.items()
+        }
+        follow = {
+            name.removeprefix("ik "): np.abs(arrays[name] - columns[name.removeprefix("ik ")])
+            for name in arrays.files
+            if name.startswith(("ik hip", "ik knee", "ik ankle", "ik pelvis_t", "ik pelvis_l"))
+            and not name.startswith(("ik pelvis_tx", "ik pelvis_ty", "ik pelvis_tz"))
+        }
+        markers = arrays["markers"]
+    own = markers_of(motion, body, "bsm", "m")
+    heights = own.positions[frames] @ to_z_up("y")
+    return {
+        "opensim": said["version"],
+        "opensim_three_axes_deg": max(
+            float(apart[name].max()) for name in ("pelvis", "torso", "femur_r", "femur_l")
+        ),
+        "opensim_segments_deg": {k: round(float(np.median(v)), 2) for k, v in apart.items()},
+        "opensim_ik_deg": {k: round(float(np.median(v)), 2) for k, v in follow.items()},
+        "opensim_trc_mm": farthest(markers, heights),
+        "opensim_unknown_coordinates": len(said["unknown coordinates"]),
+        "opensim_frames": said["frames"],
+        "opensim_first_time": said["first_time"],
+        "opensim_markers": len(said["markers"]),
+    }
+
+
+SEGMENTS = {
+    "pelvis": ("pelvis", "pelvis"),
+    "torso": ("torso", "thorax"),
+    **{
+        f"{theirs}_{end}": (f"{theirs}_{end}", f"{ours}_{end}")
+        for end in "rl"
+        for theirs, ours in {
+            "femur": "femur", "tibia": "tibia", "calcn": "foot", "toes": "toes",
+            "humerus": "humerus", "radius": "forearm", "hand": "hand",
+        }.items()
+    },
+}  # fmt: skip
+"""Bodies of the model, and our segments."""
+
+
+def read_mot(path: Path) -> np.ndarray:
+    lines = path.read_text().splitlines()
+    start = lines.index("endheader") + 2
+    return np.array([line.split("\t") for line in lines[start:]], dtype=float)
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Degrees."""
+    sine = np.linalg.norm(a - b, axis=(-2, -1)) * 0.5**1.5
+    return np.rad2deg(2 * np.arcsin(np.clip(sine, 0, 1)))
+
+
+if __name__ == "__main__":
+    main()

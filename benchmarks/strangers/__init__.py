@@ -1,0 +1,1 @@
+"""Leave-one-person-out: what the priors are worth to people whom they never saw."""

@@ -1,0 +1,86 @@
+"""The number to choose by: priors on people whom neither they nor their pose density ever saw.
+
+    python -m benchmarks.strangers CORPUS FOLDS --out FOLDER
+    python -m benchmarks.strangers CORPUS FOLDS --only 35 60 --steps 1500
+
+Leave-one-person-out over all people outside test. In every fold HuMoR and the pose density learn
+from everybody else, by a short schedule and from scratch; then at least eight windows of the
+person are fitted by collocation and under the pose prior alone, both with the fold's weights.
+Test people are in no fold and in no training. Clips of unknown people are held out in no fold; the
+ones that move like a fold's people (`benchmarks.strangers.folds`) are not learned from either.
+
+FOLDS is a folder where weights, checkpoints and fits are kept. A fold that is trained is not
+trained again, a training that was interrupted goes on, and a fold that this commit has fitted is
+not fitted again.
+"""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.protocol import ROOT, commit, corpus_source, parser, tell
+from benchmarks.strangers.choice import FRAMES, RUN_FRAMES, chosen
+from benchmarks.strangers.fits import RUNS, SEED, WHOLE, fits
+from benchmarks.strangers.folds import Fold, corpus_folds
+from benchmarks.strangers.tables import tables
+from benchmarks.strangers.training import Schedule, trained
+from recon import BodyModel
+from recon.benchmark.dataset import SPLITS, Splits, clip_files
+from recon.formats.opening import replacing
+
+
+def main() -> None:
+    """Train, fit, print and write, fold by fold."""
+    arguments = parser(__doc__, "corpus", "folds")
+    arguments.add_argument("--only", nargs="+", default=None, help="names of folds, in this order")
+    arguments.add_argument("--steps", type=int, default=Schedule.steps, help="of HuMoR's training")
+    arguments.add_argument("--batch", type=int, default=Schedule.windows, help="windows per step")
+    arguments.add_argument("--width", type=int, default=Schedule.width, help="of HuMoR's networks")
+    arguments.add_argument("--windows", type=int, default=8, help="fitted of every fold")
+    arguments.add_argument("--splits", type=Path, default=SPLITS)
+    given = arguments.parse_args()
+    torch.set_num_threads(1)
+    schedule = Schedule(given.steps, given.batch, given.width)
+    corpus, body, found = given.corpus, BodyModel.load(), dict[str, dict[str, Any]]()
+    splits = Splits.load(given.splits)
+    files = clip_files(corpus)
+    read = [files[c] for c, part in splits.parts(list(files)).items()
+            if part in ("train", "validation") and splits.is_open(c)]  # fmt: skip
+    note = (f"HuMoR of width {schedule.width}, {schedule.steps} steps of {schedule.windows} "
+            "windows from scratch.")  # fmt: skip
+    for fold in corpus_folds(corpus, splits, body, given.only):
+        found[fold.name] = measured(fold, corpus, given.folds, schedule, given.windows, body)
+        tell(given.out, SEED, corpus_source(corpus, read), tables(found, note))
+
+
+def measured(
+    fold: Fold, corpus: Path, folder: Path, schedule: Schedule, count: int, body: BodyModel
+) -> dict[str, Any]:
+    """What is known of a fold: as this commit found it earlier, or measured now."""
+    priors = trained(fold, corpus, folder, schedule)
+    own = commit(ROOT)
+    identity = {"commit": own, "windows": count, "weights": priors.checksums}
+    kept = folder / fold.name / "fits.json"
+    if kept.is_file() and own is not None and not own.endswith("+"):
+        earlier = json.loads(kept.read_text(encoding="utf-8"))
+        if earlier["identity"] == identity:
+            return earlier["found"]
+    rows = []
+    for frames, protocols, kind in ((FRAMES, WHOLE, None), (RUN_FRAMES, RUNS, "run")):
+        windows = chosen(fold, corpus, body, frames, count, kind)
+        if windows is not None:
+            rows += [asdict(row) for row in fits(windows, protocols, priors, body)]
+    found = {"people": fold.people, "excluded": fold.splits.excluded, "drift": priors.drift,
+             "rows": rows}  # fmt: skip
+    # as JSON gives it back, so that what is shown now is what is shown later
+    text = json.dumps({"identity": identity, "found": found}, indent=1)
+    with replacing(kept) as beside:
+        beside.write_text(text, encoding="utf-8")
+    return json.loads(text)["found"]
+
+
+if __name__ == "__main__":
+    main()

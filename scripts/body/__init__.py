@@ -1,0 +1,1 @@
+"""Steps of `scripts/build_body.py`: from MakeHuman's adults to the bundled linear body."""
