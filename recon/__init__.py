@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
-from recon.core.lazy import lazy
+from recon.core.lazy import lazy as _lazy
 
 __version__ = "0.2.0"
 __distribution__ = "motion-recon"
@@ -106,7 +106,7 @@ _FORMER = {
 """Names that were here until 0.2.0, with the modules where they are now."""
 
 
-_named, __dir__ = lazy(__name__, _HOMES)
+_named, __dir__ = _lazy(__name__, _HOMES)
 
 
 def __getattr__(name: str) -> Any:
