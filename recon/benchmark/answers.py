@@ -28,6 +28,7 @@ from recon.metrics.evaluation import (
     smoothness,
     sole_heights,
 )
+from recon.metrics.world import world_errors
 
 Row = dict[str, float | None]
 """Values by metric of one window, in SI units; None where it has none."""
@@ -181,6 +182,7 @@ def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: Bo
         **joint_errors(own, actual, None),
         "joints_legs": metrics.mean(errors[:, list(LEGS)]),
         **smoothness(own, actual, truth.fps),
+        **world_errors(own, actual, truth.fps),
         **observed_errors(observed),
         "slip_speed": metrics.slip_speed(own, touching, truth.fps),
     }

@@ -33,7 +33,7 @@ _NOT_WRITTEN = ("decisions", "focal_known", "path", "camera")
 class _File:
     """What an observation of any kind may have besides its data."""
 
-    truth_visible: Bool[np.ndarray, "time 22"] | None = None
+    truth_visible: Bool[np.ndarray, "truth 22"] | None = None
     """Body joints that a simulated sensor could see; fits never read it."""
     truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
     """True pose of a simulated camera whose pose was left out, metres; fits never read it."""

@@ -73,6 +73,7 @@ def test_joints_alone_and_points_beside_them_are_judged():
     assert found.mean == pytest.approx(0.01 * 3**0.5, rel=1e-4)
     assert joints.feet["own"] is None
     assert joints.rows()["own"]["joints cm"] == "1.73"  # no interval: it is one clip
+    assert {"w_mpjpe", "wa_mpjpe", "rte", "jitter", "foot_sliding"} <= set(joints.values["own"])
     points = bench("hidden-points", {"own": Knows("hidden-points", "points")})
     hidden = points.mean("own", "observed_hidden")
     assert hidden is not None
