@@ -7,6 +7,7 @@ checked ones (`TensorStruct.map`, indexing, `derived`) are not checked again.
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -52,10 +53,12 @@ def checked_positions(
     Raises:
         ValueError: for other shapes, NaN or infinity where visible, and what are no metres.
     """
+    hidden = _masked(positions)
     positions = float_tensor(positions, f"{kind}.{name}")
     require_shape(positions, f"{kind}.{name}", ("moments", "points", 3))
     visible = bool_tensor(mask, f"{kind}.{mask_name}").to(positions.device)
     _same_points(kind, name, positions, mask_name, visible)
+    visible = visible & ~hidden
     positions = _seen_and_finite(kind, name, positions, mask_name, visible)
     POSITION.check(positions.detach().cpu(), kind, name)
     _refuse_other_units(kind, name, positions.detach(), visible)
@@ -106,14 +109,23 @@ def checked_pixels(
         ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
             numbers that are no pixels or no confidences.
     """
+    hidden = _masked(pixels)
     pixels = float_tensor(pixels, f"{kind}.pixels")
     require_shape(pixels, f"{kind}.pixels", ("moments", "points", 2))
     confidence = float_tensor(confidence, f"{kind}.confidence").to(pixels)
     _same_points(kind, "pixels", pixels, "confidence", confidence)
+    confidence = confidence.where(~hidden, 0.0)
     CONFIDENCE.check(confidence.detach().cpu(), kind, "confidence")
     pixels = _seen_and_finite(kind, "pixels", pixels, "confidence", confidence > 0)
     PIXEL.check(pixels.detach().cpu(), kind, "pixels")
     return pixels, confidence
+
+
+def _masked(values: Any) -> Tensor:
+    """Points of which `numpy.ma` masks a coordinate; one false for other arrays."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return torch.tensor(False)
+    return torch.from_numpy(np.ma.getmaskarray(values).any(-1))
 
 
 def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:

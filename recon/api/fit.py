@@ -24,7 +24,7 @@ from recon.api.observations import GroundChoice, ObservationsLike, Sighting
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive
+from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
@@ -125,6 +125,8 @@ def fit(
         ReconError: for what cannot be fitted or understood; the message says what to do.
         FileNotFoundError: when there is no such file, body, weights or start.
     """
+    if torch.is_inference_mode_enabled():
+        raise ReconError("a fit needs derivatives: call it outside of torch.inference_mode()")
     if isinstance(observations, Iterator):
         observations = tuple(observations)
     paths = paths_given(observations)
@@ -138,7 +140,7 @@ def fit(
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
-    model = body_given(body).to(device=device, dtype=torch.float32)
+    model = body_given(body).to(device=device_at_hand(device), dtype=torch.float32)
     sighting = observed(
         observations, model, how_read, ground=ground, between=between, robust=robust
     )

@@ -21,7 +21,7 @@ from recon.api.made import Made, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive
+from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import MotionFile
@@ -210,8 +210,8 @@ def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
 
 def _humor(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
     if isinstance(prior, Humor):
-        return prior.to(device=device)
-    return Humor.load(weights, body_given(body)).to(device=device)
+        return prior.to(device=device_at_hand(device))
+    return Humor.load(weights, body_given(body)).to(device=device_at_hand(device))
 
 
 def _humos(weights: str, body: BodyModel) -> Humos:

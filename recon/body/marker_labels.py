@@ -4,7 +4,6 @@ Labels map to landmarks through `assets/markers.toml`; a marker's own distance f
 part of it.
 """
 
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,6 +16,8 @@ from typing import cast
 
 from recon.body.landmarks import landmark, landmarks
 from recon.core.errors import ReconError
+from recon.formats.json_files import read_json
+from recon.formats.toml_files import read_toml
 
 FEWEST_MARKERS = 10
 """Markers of known places without which no recording is put on a body."""
@@ -87,9 +88,8 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
             f"no marker map at {path}; expected a JSON or TOML file, label = landmark"
         )
     try:
-        text = path.read_text(encoding="utf-8")
-        entries = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
+        entries = read_json(path) if path.suffix.lower() == ".json" else read_toml(path)
+    except ValueError as error:
         raise ReconError(
             f"{path} is not TOML or JSON ({error}); write one line per marker, like "
             '"LASI" = "left_asis" (TOML) or {"LASI": "left_asis"} (JSON)'

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 
 from recon import __distribution__, __version__
+from recon.core.visible import visible
 
 if __distribution__ != "motion-recon":
     raise ImportError("this `recon` is not motion-recon's; reinstall motion-recon")
@@ -62,14 +63,14 @@ def run_command(command: Callable[[], object]) -> int:
         command()
         sys.stdout.flush()
     except Failed as failure:
-        sys.stderr.write(f"recon: {failure}\n")
+        sys.stderr.write(f"recon: {visible(failure)}\n")
         return FAILED
     except BrokenPipeError:
         # the pipe was closed by its reader, as `head` does; Python must not flush into it either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except (ValueError, OSError) as error:
-        sys.stderr.write(f"recon: {error}\n")
+        sys.stderr.write(f"recon: {visible(error)}\n")
         return BAD_INPUT
     return OK
 

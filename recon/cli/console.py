@@ -9,6 +9,8 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
+from recon.core.visible import visible
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -86,13 +88,16 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
 def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text  # not read as markup
 
-    shown = Table(title=title, title_justify="left")
+    shown = Table(title=Text(visible(title)), title_justify="left")
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))
     for column in ("", *columns):
-        shown.add_column(column, justify="right" if column else "left", overflow="fold")
+        justify = "right" if column else "left"
+        shown.add_column(Text(visible(column)), justify=justify, overflow="fold")
     for name, row in rows.items():
-        shown.add_row(name, *(_cell(row.get(column)) for column in columns))
+        cells = (name, *(_cell(row.get(column)) for column in columns))
+        shown.add_row(*(Text(visible(cell)) for cell in cells))
     Console(stderr=stderr).print(shown)
 
 
@@ -131,7 +136,8 @@ def _stage_bars() -> "Progress":
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
     steps = TextColumn("{task.completed} steps")
-    return progress(TextColumn("{task.description}"), BarColumn(), steps, TimeElapsedColumn())
+    name = TextColumn("{task.description}", markup=False)
+    return progress(name, BarColumn(), steps, TimeElapsedColumn())
 
 
 def progress(*columns: Any) -> "Progress":
@@ -144,4 +150,5 @@ def progress(*columns: Any) -> "Progress":
 
 def _line(message: str, colour: str = "") -> None:
     coloured = colour and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
-    sys.stderr.write(f"{colour}{message}{_PLAIN}\n" if coloured else f"{message}\n")
+    shown = visible(message)
+    sys.stderr.write(f"{colour}{shown}{_PLAIN}\n" if coloured else f"{shown}\n")

@@ -10,6 +10,7 @@ from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hint
 
 from recon.cli import listing
 from recon.cli.examples import EXAMPLES
+from recon.core.visible import visible
 
 BAD_USAGE = 2
 
@@ -144,5 +145,5 @@ def _did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def _refuse(message: str) -> NoReturn:
-    sys.stderr.write(f"recon: {message}\n")
+    sys.stderr.write(f"recon: {visible(message)}\n")
     raise SystemExit(BAD_USAGE)

@@ -16,18 +16,22 @@ Numbers = Tensor | np.ndarray | Sequence[Any]
 def float_tensor(values: Any, name: str) -> Tensor:
     """Numbers as a floating point tensor.
 
-    Arrays and lists become single precision. Tensors keep their device and, where it is single or
-    double, their precision.
+    Arrays and lists become single precision, and NaN where an array of `numpy.ma` is masked.
+    Tensors keep their device and, where it is single or double, their precision; derivatives do
+    not go through them.
 
     Raises:
         ValueError: when these are no real numbers.
     """
     if isinstance(values, Tensor):
+        values = values.detach().clone() if values.is_inference() else values.detach()
         if values.dtype in (torch.float32, torch.float64):
             return values
         if values.is_complex():
             raise ReconError(f"{name}: expected real numbers, got {values.dtype}")
         return values.float()
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(float), np.nan)
     array = _array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
@@ -68,6 +72,19 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
             f"{name}: expected a row of whole numbers from 0 on, got {_described(values, array)}"
         )
     return tuple(int(number) for number in array)
+
+
+def device_at_hand(name: str) -> torch.device:
+    """A device by its name.
+
+    Raises:
+        ReconError: when there is none of this name, or torch cannot use it.
+    """
+    try:
+        return torch.empty(0, device=name).device
+    except (RuntimeError, AssertionError, TypeError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise ReconError(f"device: {name!r} cannot be used here ({reason}); take 'cpu'") from error
 
 
 def positive(value: Any, name: str) -> float:

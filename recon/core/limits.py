@@ -222,6 +222,22 @@ BINARY = Limit(
     "size of the file", 0.0, float(1 << 30), "bytes",
     "more does not fit into 2 GB while it is read: cut the recording",
 )  # fmt: skip
+NUMBERS = Limit(
+    "number of numbers in an array", 0.0, 5e7, "",
+    "each takes eight bytes while it is read, whatever it took in the file: cut the recording",
+)  # fmt: skip
+ENTRIES = Limit(
+    "number of entries of nested lists and dictionaries", 0.0, 2e6, "",
+    "entries that several containers share are counted for each: save plain arrays",
+)  # fmt: skip
+DEPTH = Limit(
+    "depth of nested lists and dictionaries", 0.0, 64.0, "",
+    "poses of many people in many frames are nested five deep: save plain arrays",
+)  # fmt: skip
+CALIBRATION = Limit(
+    "size of a calibration's file", 0.0, float(1 << 20), "bytes",
+    "a hundred cameras take 60 kB; poses of a camera that moves for long belong in .npz",
+)  # fmt: skip
 IMAGE = Limit(
     "number of pixels", 1.0, 1.5e8, "",
     "more than a 16K image has: no mask and no depth image is that large",

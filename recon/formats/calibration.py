@@ -5,7 +5,6 @@ Read are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap'
 in OpenCV's axes.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,26 +14,23 @@ from typing import Literal
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import TABLE, check_pose
+from recon.core.limits import CALIBRATION, check_pose
 from recon.core.units import METRES, Axis, to_z_up
 from recon.formats.cameras import CameraArrays, CameraFields, settle_camera
 from recon.formats.json_files import read_json
 from recon.formats.opencv_yaml import read_opencv_yaml
-from recon.formats.opening import decode, existing, load_arrays, read_bytes
+from recon.formats.opening import existing, load_arrays
+from recon.formats.toml_files import read_toml
 
 
-def read_toml(path: Path) -> dict[str, CameraFields]:
+def toml_cameras(path: Path) -> dict[str, CameraFields]:
     """The cameras of a TOML file by name.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, two cameras have one name, or a lens is a fisheye.
     """
-    try:
-        tables = tomllib.loads(decode(read_bytes(path, TABLE)))
-    except (ValueError, RecursionError) as error:
-        # ValueError is also raised by numbers with more digits than Python converts
-        raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error
+    tables = read_toml(path)
     cameras: dict[str, CameraFields] = {}
     for key, table in tables.items():
         if not isinstance(table, dict) or "matrix" not in table:
@@ -131,7 +127,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[st
         files = sorted(one for one in path.iterdir() if one.suffix.lower() in _IN_FOLDER)
         tables = sorted(path.glob("*.toml"))
         if len(tables) == 1:
-            return read_toml(tables[0]), ()
+            return toml_cameras(tables[0]), ()
         if len(files) == 0:
             raise FormatError(
                 f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
@@ -141,7 +137,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[st
     existing(path)
     match path.suffix.lower():
         case ".toml":
-            return read_toml(path), ()
+            return toml_cameras(path), ()
         case ".yml" | ".yaml":
             return read_opencv_yaml(path), ()
         case ".json":
@@ -152,7 +148,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[st
 
 
 def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
-    TABLE.check(existing(path).stat().st_size, path)
+    CALIBRATION.check(existing(path).stat().st_size, path)
     value = read_json(path)
     if not isinstance(value, dict) or "camera_mtx" not in value:
         raise FormatError(

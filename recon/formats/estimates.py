@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZIP_STORED, BadZipFile, ZipFile, is_zipfile
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from recon.core import limits
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY
+from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Axis
-from recon.formats.opening import existing, load_arrays
+from recon.formats.opening import check_tree, existing, load_arrays
 from recon.formats.smpl import read_tree
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl")
@@ -128,6 +128,12 @@ def _tree(path: Path) -> Tree:
     import torch
 
     BINARY.check(path.stat().st_size, path)
+    if is_zipfile(path):
+        with ZipFile(path) as archive:
+            if any(one.compress_type != ZIP_STORED for one in archive.infolist()):
+                raise FormatError(
+                    f"{path}: expected an archive that torch saved, whose parts are not compressed"
+                )
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
@@ -138,6 +144,7 @@ def _tree(path: Path) -> Tree:
         raise FormatError(
             f"{path}: expected a dictionary of tensors, got {type(content).__name__}"
         )
+    check_tree(content, path)
     return content
 
 
@@ -225,6 +232,7 @@ def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 
 def _array(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
     key = next(name for name in names if name in arrays)
     value = _numbers(arrays[key])
+    NUMBERS.check(value.size, path, key)
     if value.dtype.kind not in "fiu" or value.ndim < 2 or len(value) == 0:
         raise FormatError(
             f"{path}: expected numbers for every frame in {key}, got {value.dtype} {value.shape}"
@@ -237,6 +245,11 @@ def _numbers(value: Any) -> np.ndarray:
     if isinstance(value, np.ndarray):
         return value
     if hasattr(value, "numpy"):
+        if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+            raise FormatError(
+                f"expected tensors that hold their numbers, got one of {tuple(value.shape)} that "
+                "repeats fewer; save tensor.contiguous()"
+            )
         return value.float().numpy()
     try:
         return np.asarray(value)
@@ -258,8 +271,9 @@ def _on_clock(
         if ids.dtype.kind not in "iu" or len(ids) != len(known) or (np.diff(ids) <= 0).any():
             raise FormatError(f"{path}: expected frame_ids that grow, one for every frame")
         frames = ids - ids[0]
-    limits.FRAMES.check(int(frames[-1]) + 1, path, "frame_ids")
     count = int(frames[-1]) + 1
+    limits.FRAMES.check(count, path, "frame_ids")
+    NUMBERS.check(count * rotations[0].size, path, "frame_ids")
     there = np.zeros(count, bool)
     there[frames] = known
     source = np.full(count, -1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import TABLE
+from recon.core.limits import CALIBRATION
 from recon.formats.cameras import CameraFields
 from recon.formats.opening import decode, read_bytes
 
@@ -21,14 +21,17 @@ _WIDTH, _HEIGHT = (
 )
 _ROTATION, _TRANSLATION = ("rvec", "R"), ("tvec", "T")
 
+_KEY = re.compile(r"^[^\s:%-][^\s:]*:", re.MULTILINE)
+"""Beginning of an entry; what follows to the next one belongs to it."""
+_MOST_ENTRIES = 10_000
+"""Entries of a file; a camera has about five."""
 _MATRIX_TEXT = re.compile(
-    r"^([^\s:]+):\s*!!opencv-matrix\s+rows:\s*(\d{1,3})\s+cols:\s*(\d{1,3})\s+dt:\s*\S+\s+"
-    r"data:\s*\[([^\]]*)\]",
-    re.MULTILINE,
+    r"([^\s:]+):\s*!!opencv-matrix\s+rows:\s*(\d{1,3})\s+cols:\s*(\d{1,3})\s+dt:\s*\S+\s+"
+    r"data:\s*\[([^\]]*)\]"
 )
-_MATRIX_NAME = re.compile(r"^([^\s:]+):\s*!!", re.MULTILINE)
-_LIST_TEXT = re.compile(r"^([^\s:]+):[ \t]*((?:\r?\n[ \t]*-[ \t][^\n]*)+)", re.MULTILINE)
-_SCALAR_TEXT = re.compile(r"^([^\s:%]+):[ \t]+(\S[^\n]*)$", re.MULTILINE)
+_MATRIX_NAME = re.compile(r"([^\s:]+):\s*!!")
+_LIST_TEXT = re.compile(r"([^\s:]+):[ \t]*((?:\r?\n[ \t]*-[ \t][^\n]*)+)")
+_SCALAR_TEXT = re.compile(r"([^\s:]+):[ \t]+(\S[^\n]*)")
 
 
 def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
@@ -95,27 +98,39 @@ def _read(path: Path) -> dict[str, Any]:
 
     OpenCV's own reader is not used: damaged files make it end the whole process.
     """
-    text = decode(read_bytes(path, TABLE))
+    text = decode(read_bytes(path, CALIBRATION))
+    starts = [found.start() for found in _KEY.finditer(text)]
+    if len(starts) > _MOST_ENTRIES:
+        raise FormatError(f"{path}: expected cameras, got {len(starts)} entries")
     values: dict[str, Any] = {}
-    for name, rows, columns, data in _MATRIX_TEXT.findall(text):
+    for start, stop in zip(starts, [*starts[1:], len(text)], strict=False):
+        name, value = _entry(path, text[start:stop])
+        if value is not None:
+            values.setdefault(name, value)
+    return values
+
+
+def _entry(path: Path, text: str) -> tuple[str, Any]:
+    """The name and value of one entry; None for an empty one."""
+    if found := _MATRIX_TEXT.match(text):
+        name, rows, columns, data = found.groups()
         numbers = [_scalar(cell) for cell in data.replace("\n", " ").split(",")]
         if len(numbers) != int(rows) * int(columns) or any(isinstance(n, str) for n in numbers):
             raise FormatError(
                 f"{path}: expected {rows} x {columns} numbers in {name}, but it is damaged"
             )
-        values[name] = np.array(numbers, dtype=np.float64).reshape(int(rows), int(columns))
-    if damaged := set(_MATRIX_NAME.findall(text)) - values.keys():
-        raise FormatError(f"{path}: the matrix {', '.join(sorted(damaged))} is damaged")
-    for name, items in _LIST_TEXT.findall(text):
-        values[name] = [_unquoted(item) for item in re.split(r"\n\s*-\s*", items)[1:]]
-    for name, stated in _SCALAR_TEXT.findall(text):
-        value = stated.rstrip()
+        return name, np.array(numbers, dtype=np.float64).reshape(int(rows), int(columns))
+    if found := _MATRIX_NAME.match(text):
+        raise FormatError(f"{path}: the matrix {found[1]} is damaged")
+    if found := _LIST_TEXT.match(text):
+        return found[1], [_unquoted(item) for item in re.split(r"\n\s*-\s*", found[2])[1:]]
+    if found := _SCALAR_TEXT.match(text):
+        value = found[2].rstrip()
         if value.startswith("["):
             items = value.strip("[] ").split(",")
-            values.setdefault(name, [_unquoted(item) for item in items if item.strip()])
-        elif not value.startswith("!!"):
-            values.setdefault(name, _scalar(value))
-    return values
+            return found[1], [_unquoted(item) for item in items if item.strip()]
+        return found[1], _scalar(value)
+    return "", None
 
 
 def _unquoted(text: str) -> str:

@@ -4,12 +4,14 @@ import lzma
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, PAYLOAD, TEXT, Limit
+from recon.core.limits import BINARY, DEPTH, ENTRIES, PAYLOAD, TEXT, Limit
 from recon.formats.replacing import clear_leftovers
 from recon.formats.replacing import replacing as replacing
 
@@ -51,9 +53,9 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
             name = info.filename.removesuffix(".npy")
             if only is not None and name not in only:
                 continue
-            total += info.file_size
-            limit.check(total, path, name)
             if not info.filename.endswith(".npy"):
+                total += info.file_size
+                limit.check(total, path, name)
                 continue
             shape, dtype, place = _header(archive, info)
             stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
@@ -62,6 +64,9 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
                     f"{path}: {name} promises {dtype} {shape}, {stated} bytes, but holds "
                     f"{info.file_size - place}"
                 )
+            # a number takes four bytes at least once it is used
+            total += max(info.file_size, 4 * int(np.prod([float(n) for n in shape])))
+            limit.check(total, path, name)
 
 
 def _header(
@@ -170,6 +175,28 @@ def load_array(path: Path) -> np.ndarray:
             f"{path}: expected an .npy file with a plain array, but it cannot be read "
             f"({error!s:.{_SAID}})"
         ) from error
+
+
+def check_tree(content: Any, path: Path) -> None:
+    """Refuse containers that are nested deeply, hold themselves, or have too many entries.
+
+    A container that several others share counts for each of them, as whoever walks through the
+    tree meets it that often: thirty lists of two can hold a thousand million entries.
+
+    Raises:
+        ValueError: when there are more entries or levels than `recon.core.limits` allows.
+    """
+    level, count, depth = [content], 0, 0
+    while level:
+        depth, count = depth + 1, count + sum(map(len, level))
+        DEPTH.check(depth, path)
+        ENTRIES.check(count, path)
+        level = [
+            child
+            for one in level
+            for child in (one.values() if isinstance(one, Mapping) else one)
+            if isinstance(child, Mapping | list | tuple | set | frozenset)
+        ]
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:

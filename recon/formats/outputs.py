@@ -157,7 +157,7 @@ def refuse_place(output: Output) -> None:
     # writing is tried: permissions do not tell of read-only file systems, and root has all
     trial = part_of(folder / (real.name + ".json"))
     try:
-        trial.touch()
+        os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # follows no link
         trial.unlink()
     except OSError as error:
         raise OSError(

@@ -8,14 +8,14 @@ its demonstration and `triangulation.py`). OpenCap's sessions hold `sessionMetad
 `utils.py`, `main.py`).
 """
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from recon.core.errors import FormatError, ObservationError
 from recon.core.limits import FRAME_NUMBER, FRAME_RATE
-from recon.formats.opening import decode, read_bytes
+from recon.formats.opening import decode
+from recon.formats.toml_files import read_toml
 
 _POSES = ("pose-associated", "pose-sync", "pose")
 """Folders of 2D detections of Pose2Sim; those after association with a person come first."""
@@ -100,11 +100,7 @@ def _pose2sim(folder: Path) -> Project | None:
 
 
 def _project_table(config: Path) -> dict[str, Any]:
-    try:
-        table = tomllib.loads(decode(read_bytes(config)))
-    except tomllib.TOMLDecodeError as error:
-        raise FormatError(f"{config}: expected TOML, but {error}") from error
-    found = table.get("project", {})
+    found = read_toml(config).get("project", {})
     return found if isinstance(found, dict) else {}
 
 
@@ -152,6 +148,8 @@ def _rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None,
 
 
 def _trc_rate(path: Path) -> float | None:
+    if not path.is_file():  # a pipe would wait for ever
+        return None
     with path.open("rb") as file:
         lines = decode(file.read(_TRC_HEADER)).splitlines()
     if len(lines) < 3:
@@ -168,6 +166,8 @@ def _video_rate(path: Path) -> float | None:
     """Frames per second of a video, to whole numbers as Pose2Sim takes them; None for others."""
     import cv2
 
+    if not path.is_file():
+        return None
     video = cv2.VideoCapture(str(path))
     fps = float(round(video.get(cv2.CAP_PROP_FPS))) if video.isOpened() else 0.0
     video.release()

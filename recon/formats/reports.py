@@ -32,6 +32,8 @@ class Report:
     """SHA-256 by name of file, relative to the report's folder."""
     replaces: Mapping[str, str]
     """Checksums of the files of a former run that were there before, by name."""
+    content: Mapping[str, Any]
+    """All that it says."""
 
     def checksum_if_own(self, name: str, path: Path) -> str | None:
         """SHA-256 of a file of this name; None where it is not as recon wrote it."""
@@ -55,7 +57,7 @@ def read_report(path: Path) -> Report | None:
     outputs, replaces = found.get(_OUTPUTS), found.get(_REPLACES, {})
     if not (isinstance(outputs, dict) and isinstance(replaces, dict)):
         return None
-    return Report(outputs, replaces)
+    return Report(outputs, replaces, found)
 
 
 def report_text(

@@ -16,7 +16,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import DAMAGE, check_sizes, existing
+from recon.formats.opening import DAMAGE, check_sizes, check_tree, existing
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -46,13 +46,16 @@ def read_tree(path: Path) -> dict[Any, Any]:
         ) from error
     if not isinstance(content, dict):
         raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+    check_tree(content, path)
     return content
 
 
 def _array(value: object, name: str, path: Path) -> np.ndarray:
     try:
         array = _plain(value)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (
+        KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
+    ) as error:  # fmt: skip
         raise FormatError(f"{path}: cannot read {name}: {error!r:.200}") from error
     if isinstance(array, np.ndarray):
         MODEL_NUMBERS.check(array.size, path, name)
@@ -94,6 +97,8 @@ class _CompressedRows(_Inert):
             raise FormatError(f"a sparse matrix of shape {lines} x {length}")
         dense = np.zeros((lines, length))
         starts = np.asarray(self.state["indptr"], np.int64)
+        if len(starts) != lines + 1 or starts[-1] != len(self.state["data"]):
+            raise FormatError(f"a sparse matrix of {lines} lines whose entries begin elsewhere")
         line = np.repeat(np.arange(lines), np.diff(starts))
         columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
         np.add.at(dense, (line, columns), numbers)

@@ -4,12 +4,14 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from html import escape
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from recon.core.errors import optional_module
+from recon.core.visible import visible
 from recon.gait.analysis import CURVES, PERCENT, Gait, GaitCurve
 from recon.gait.feet import SIDES
 
@@ -101,7 +103,8 @@ def plot_residuals(found: PointResiduals) -> str:
     rows = sorted(found.values.items(), key=lambda row: -row[1])[:MAX_POINTS]
     figure = _figure(2.6)
     axes = figure.subplots()
-    axes.bar([name for name, _ in rows], [value for _, value in rows], color="#5b7f95")
+    names = [visible(name).replace("$", r"\$") for name, _ in rows]  # no formulas
+    axes.bar(names, [value for _, value in rows], color="#5b7f95")
     axes.set_ylabel(f"{found.measure} ({found.unit})")
     axes.tick_params(axis="x", labelrotation=90, labelsize=7)
     axes.margins(x=0.01)
@@ -173,5 +176,5 @@ def _svg(figure: Any, name: str) -> str:
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     return re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1).replace(
-        "<svg ", f'<svg role="img" aria-label="{name}" ', 1
+        "<svg ", f'<svg role="img" aria-label="{escape(visible(name))}" ', 1
     )

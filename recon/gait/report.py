@@ -13,11 +13,10 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
 from recon.diagnosis.movement import belt_velocity
-from recon.formats.json_files import read_json
 from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
-from recon.formats.reports import checksums, versions
+from recon.formats.reports import checksums, read_report, versions
 from recon.gait.analysis import analyse
 from recon.gait.laboratory import LaboratoryReport, outputs_of
 from recon.gait.plots import PointResiduals, matplotlib
@@ -74,9 +73,13 @@ def _said(source: MotionLike) -> Mapping[str, Any]:
     """The report of a conversion or a fit; empty where there is none."""
     if isinstance(source, MotionResult):
         return source.report()
-    beside = Path(f"{source}.json") if isinstance(source, Path | str) else None
-    found = read_json(beside) if beside is not None and beside.is_file() else None
-    return found if isinstance(found, Mapping) else {}
+    beside = Path(f"{source}.json")
+    if not isinstance(source, Path | str) or not beside.is_file():
+        return {}
+    if (found := read_report(beside)) is not None:
+        return found.content
+    message = f"{beside.name} is not as recon wrote it: residuals and findings in it are left out"
+    return {"warnings": [{"code": "report", "message": message}]}
 
 
 def _report(

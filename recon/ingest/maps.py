@@ -1,6 +1,5 @@
 """Correspondences of the joints of recorded skeletons to ours: known ones, or from a file."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from recon.formats.mocap.reader import (
     skeleton_among,
 )
 from recon.formats.mocap.recording import SkeletonRecording
+from recon.formats.toml_files import read_toml
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,7 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
 def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecording) -> SkeletonMap:
     if not path.is_file():
         raise FileNotFoundError(f"no skeleton mapping at {path}; expected a TOML file")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ReconError(f"{path}: not TOML ({error})") from error
+    table = read_toml(path)
     parts = {"joints", "positions", "orientations"}
     if not table or set(table) - parts or not all(isinstance(p, dict) for p in table.values()):
         raise ReconError(

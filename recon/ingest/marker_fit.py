@@ -171,8 +171,8 @@ def _calibrated(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)
     start = rigid_start(
-        body, body.template[some.vertices], bones, poses.positions.mT, poses.visible > 0,
-        fps=REFERENCE_FPS, start_time=0.0,
+        body, body.template[some.vertices], bones, poses.positions.mT.contiguous(),
+        poses.visible > 0, fps=REFERENCE_FPS, start_time=0.0,
     )  # fmt: skip
     rotations = with_natural_pose(start.rotations)
     return calibrated(replace(some, poses=poses), start.translation, rotations, OUTLIER)

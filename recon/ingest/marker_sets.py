@@ -20,7 +20,6 @@ from recon.body.marker_labels import (
 )
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed
 from recon.formats.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
@@ -236,4 +235,10 @@ def _bare_parts(
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
     """A marker's centre off the skin, along the normal of the rest body, metres."""
-    return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]
+    corners = body.template[body.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = torch.zeros_like(body.template)
+    for corner in range(3):
+        total.index_add_(0, body.faces[:, corner], normals)
+    chosen = total[list(vertices)]
+    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)

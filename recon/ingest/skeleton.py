@@ -105,5 +105,5 @@ def _start(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -
     posed = body.pose(motion)
     points = list(subject.skeleton.joints)
     offsets = (posed.orientations[:, points] @ subject.offsets[..., None])[..., 0]
-    away = frames.positions - posed.joints[:, points] - offsets
+    away = frames.positions - (posed.joints[:, points] + offsets)
     return motion.replace(translation=away.mean(1))

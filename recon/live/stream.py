@@ -121,16 +121,22 @@ class Stream:
             return () if told is None else (*told.earlier, replace(told, earlier=()))
 
     def _pushed(self, seen: Any, time: float | None) -> LiveEstimate | None:
-        if self._door is None:
-            if not _is_observation(seen):
-                raise ObservationError(
-                    "arrays say nothing of their points: give Stream(template=...), an "
-                    "observation with them, or push observations"
-                )
-            self._door = Door.of(seen)
-        door = self._door
+        if self._door is None and not _is_observation(seen):
+            raise ObservationError(
+                "arrays say nothing of their points: give Stream(template=...), an observation "
+                "with them, or push observations"
+            )
         last = self._last
-        moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
+        try:
+            door = self._door or Door.of(seen)
+            moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
+        except ObservationError:
+            raise
+        except Exception as error:  # whatever is pushed, the stream goes on with the next moment
+            raise ObservationError(
+                f"no moment of the sensors of before: {error!s:.300}"
+            ) from error
+        self._door = door
         if last is None:
             steps = 1
         elif abs(moment.time - last) > GONE_S:

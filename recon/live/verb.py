@@ -1,8 +1,12 @@
 """`recon stream`: the body behind what is being recorded, moment by moment."""
 
+from functools import partial
 from pathlib import Path
 
 from tyro.conf import Positional
+
+_LONGEST_LINE = 1 << 20
+"""Characters of a line of stdin that are read together; a moment takes some thousand."""
 
 
 def stream(
@@ -51,6 +55,8 @@ def stream(
     many = observations[0] if len(observations) == 1 else list(observations)
     seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
     live = Stream(prior, lag, template=seen, noise=noise, shape=shape, body=body)
-    for line in stream_lines(sys.stdin, live, console.complain):
+    sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+    lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
+    for line in stream_lines(lines, live, console.complain):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()

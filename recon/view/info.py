@@ -1,6 +1,5 @@
 """`recon info`: what a file holds and what was assumed in reading it."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -154,7 +153,7 @@ def _alternatives(path: Path) -> dict[str, list[str]]:
     report = read_report(beside)
     if report is None or report.checksum_if_own(path.name, path) is None:
         return {}
-    told = json.loads(beside.read_bytes()).get("alternatives", [])
+    told = report.content.get("alternatives", [])
     return {"alternatives": [one["message"] for one in told]} if told else {}
 
 

@@ -14,6 +14,7 @@ from recon import cli
 from recon.api.result import described
 from recon.body.angles import ISB_ANGLES
 from recon.body.motion_files import load_motion_of
+from recon.formats.reports import report_text
 from recon.gait.analysis import CURVES
 from recon.gait.laboratory import LaboratoryReport
 
@@ -96,18 +97,24 @@ def test_what_a_conversion_said_stands_on_the_page(tmp_path):
     motion = load_motion_of(DEMO, body)
     recon.save_motion(tmp_path / "walk.npz", motion.motion)
     beside = tmp_path / "walk.npz.json"
-    beside.write_text(
-        '{"residuals_mm": {"LASI": 12.5}, "decisions": ["unit mm"], "warnings": '
-        '[{"code": "swap", "message": "labels <exchanged>"}], "diagnosis": '
-        '[{"code": "residual", "message": "LASI: 12.5 mm on average"}]}'
-    )
+    said = {
+        "residuals_mm": {"LASI": 12.5, "$^{$": 9.0},
+        "decisions": ["unit mm"],
+        "warnings": [{"code": "swap", "message": "labels <exchanged>"}],
+        "diagnosis": [{"code": "residual", "message": "LASI: 12.5 mm on average"}],
+    }
+    beside.write_text(report_text(said, {}, {}))
     shown = recon.report(tmp_path / "walk.npz")
-    assert shown.residuals[0].values == {"LASI": 12.5}
+    assert shown.residuals[0].values == {"LASI": 12.5, "$^{$": 9.0}
     assert shown.notes == ()
     page = shown.page()
     assert "labels &lt;exchanged&gt;" in page
     assert "unit mm" in page
     assert page.count("<svg") == 3
+    beside.write_text(beside.read_text().replace("12.5", "13.5"))
+    foreign = recon.report(tmp_path / "walk.npz")
+    assert foreign.residuals == ()
+    assert "not as recon wrote it" in foreign.warnings[0]
 
 
 def test_the_command_writes_page_table_and_reports(tmp_path):
