@@ -136,6 +136,7 @@ def _input_of(name: str, path: Path) -> Input:
 
 _READ: dict[str, Callable[[Path], Input]] = {
     "observations": observation_input,
+    "motion": observation_input,
     "camera": camera_input,
     "camera_track": track_input,
     "masks": masks_input,

@@ -9,6 +9,7 @@ import pytest
 from recon.core.errors import FormatError
 from recon.formats.foreign import is_estimate, refuse_foreign
 from recon.formats.keypoints3d.reader import holds_points_3d, read_points_3d
+from recon.reading.inputs import input_checksums
 
 FRAMES, FOCAL, MIDDLE = 60, 1500.0, (960.0, 540.0)
 
@@ -140,3 +141,11 @@ def test_pickles_run_nothing(tmp_path):
     path.write_bytes(pickle.dumps([{"pred_keypoints_3d": print}]))
     with pytest.raises(FormatError, match="refusing to load"):
         read_points_3d(path)
+
+
+def test_folders_are_inputs_of_refine(tmp_path):
+    frames, _ = clip()
+    np.savez(tmp_path / "0.npz", **frames[0][0])
+    before = input_checksums({"motion": tmp_path})
+    np.savez(tmp_path / "1.npz", **frames[1][0])
+    assert before != input_checksums({"motion": tmp_path})
