@@ -5,11 +5,15 @@ inside a file is ever executed (`smpl_pickle`).
 """
 
 import pickle
+import struct
+import zlib
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import BytesIO
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,8 +32,9 @@ def read_tree(path: Path) -> dict[Any, Any]:
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        with path.open("rb") as file:
-            content = _Unpickler(file, encoding="latin1").load()
+        data = _inflated(path.read_bytes(), path)
+        kind = _JoblibUnpickler if _JOBLIB[0].encode() in data else _Unpickler
+        content = kind(BytesIO(data), encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
@@ -38,7 +43,7 @@ def read_tree(path: Path) -> dict[Any, Any]:
     except (
         pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
         ValueError, MemoryError, OverflowError, RuntimeError, ImportError, AssertionError,
-        SystemError,
+        SystemError, NameError, struct.error, zlib.error,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
         raise FormatError(
@@ -182,9 +187,62 @@ class _Unpickler(pickle.Unpickler):
     """Knows the names in `_ALLOWED` and no others."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        if (module_name, global_name) not in _ALLOWED:
-            raise _RefusedError(f"{module_name}.{global_name}")
-        return _ALLOWED[module_name, global_name]
+        return _allowed(module_name, global_name)
+
+
+def _allowed(module: str, name: str) -> Any:
+    if (module, name) not in _ALLOWED:
+        raise _RefusedError(f"{module}.{name}")
+    return _ALLOWED[module, name]
+
+
+_JOBLIB = ("joblib.numpy_pickle", "NumpyArrayWrapper")
+
+
+class _JoblibArray(_Inert):
+    """What joblib pickles in place of an array, whose bytes follow it in the file."""
+
+    def read(self, file: BytesIO) -> np.ndarray:
+        """The array; `file` stands behind the pickled record."""
+        shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
+        if not isinstance(dtype, np.dtype) or dtype.hasobject:
+            raise _RefusedError("an array of pickled objects")
+        MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
+        if self.state.get("numpy_array_alignment_bytes") is not None:
+            file.read(file.read(1)[0])
+        flat = np.frombuffer(file.read(prod(shape) * dtype.itemsize), dtype)
+        return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
+
+
+_InPython: Any = vars(pickle)["_Unpickler"]
+"""Python's own unpickler: that in C reads ahead, past the bytes of joblib's arrays."""
+
+
+class _JoblibUnpickler(_InPython):
+    """Knows the names in `_ALLOWED`, and joblib's arrays."""
+
+    def __init__(self, file: BytesIO, *, encoding: str) -> None:
+        super().__init__(file, encoding=encoding)
+        self.bytes_behind = file
+
+    def find_class(self, module: str, name: str) -> Any:
+        return _JoblibArray if (module, name) == _JOBLIB else _allowed(module, name)
+
+    def load_build(self) -> None:
+        super().load_build()
+        if isinstance(self.stack[-1], _JoblibArray):
+            self.stack[-1] = self.stack[-1].read(self.bytes_behind)
+
+    dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
+
+
+def _inflated(data: bytes, path: Path) -> bytes:
+    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
+    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
+        return data
+    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(BINARY.high) + 1)
+    BINARY.check(len(content), path)
+    return content
 
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
