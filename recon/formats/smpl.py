@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
@@ -29,12 +29,25 @@ def read_tree(path: Path) -> dict[Any, Any]:
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
+    with path.open("rb") as file:
+        content = read_pickle(file, path)
+    if not isinstance(content, dict):
+        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+    return content
+
+
+def read_pickle(file: BinaryIO, path: Path) -> object:
+    """What is pickled from the place of an open file on, as `read_tree` reads it.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        data = _inflated(path.read_bytes(), path)
+        data = _inflated(file.read(), path)
         kind = _JoblibUnpickler if _JOBLIB[0].encode() in data else _Unpickler
-        content = kind(BytesIO(data), encoding="latin1").load()
+        return kind(BytesIO(data), encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
@@ -49,9 +62,6 @@ def read_tree(path: Path) -> dict[Any, Any]:
         raise FormatError(
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error
-    if not isinstance(content, dict):
-        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
-    return content
 
 
 def _array(value: object, name: str, path: Path) -> np.ndarray:
