@@ -1,6 +1,7 @@
 """Results of SAM 3D Body as people save them: lists, folders and stacked arrays."""
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from recon.formats.keypoints3d.reader import holds_points_3d, read_points_3d
 FRAMES, FOCAL, MIDDLE = 60, 1500.0, (960.0, 540.0)
 
 
-def result(points: np.ndarray, place: np.ndarray, focal: float = FOCAL) -> dict[str, object]:
+def result(points: np.ndarray, place: np.ndarray, focal: float = FOCAL) -> dict[str, Any]:
     seen = points + place
     pixels = focal * seen[:, :2] / seen[:, 2:] + MIDDLE
     return {
@@ -24,7 +25,7 @@ def result(points: np.ndarray, place: np.ndarray, focal: float = FOCAL) -> dict[
     }
 
 
-def clip(jitter: float = 0.0) -> tuple[list[list[dict[str, object]]], np.ndarray]:
+def clip(jitter: float = 0.0) -> tuple[list[list[dict[str, Any]]], np.ndarray]:
     """Two people who cross the image, listed in changing order, and where the first is."""
     random = np.random.default_rng(0)
     body = random.uniform(-0.8, 0.8, (2, 70, 3)) * (0.4, 1.0, 0.3)
@@ -59,7 +60,9 @@ def test_all_ways_of_saving_give_the_same_place(tmp_path):
     keys = ("pred_keypoints_3d", "pred_cam_t", "pred_keypoints_2d", "focal_length")
     empty = {key: np.full_like(frames[0][0][key], np.nan) for key in keys}
     padded = [[*people, empty][:2] for people in frames]
-    stacked = {key: np.array([[one[key] for one in people] for people in padded]) for key in keys}
+    stacked: dict[str, Any] = {
+        key: np.array([[one[key] for one in people] for people in padded]) for key in keys
+    }
     np.savez(tmp_path / "all.npz", **stacked)
     for name in ("list.pkl", "list.npy", "each", "all.npz"):
         path = tmp_path / name

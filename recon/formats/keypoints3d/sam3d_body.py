@@ -16,7 +16,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.foreign import SAM3D_POINTS
 from recon.formats.keypoints3d.records import Points3D, followed, taken
-from recon.formats.opening import DAMAGE, check_sizes
+from recon.formats.opening import DAMAGE, HEADERS, check_sizes
 from recon.formats.smpl import read_pickle
 
 _POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"
@@ -239,8 +239,7 @@ def _frames(path: Path) -> list[list[Any]]:
         if file.read(len(_MAGIC)) == _MAGIC:
             file.seek(0)
             try:
-                version = np.lib.format.read_magic(file)
-                np.lib.format._read_array_header(file, version)  # type: ignore[attr-defined]
+                HEADERS[np.lib.format.read_magic(file)](file)
             except DAMAGE as error:
                 raise FormatError(f"{path}: the header of the array is damaged") from error
         else:
