@@ -128,6 +128,15 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
     return data
 
 
+def inflated(data: bytes, path: Path) -> bytes:
+    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
+    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
+        return data
+    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(BINARY.high) + 1)
+    BINARY.check(len(content), path)
+    return content
+
+
 def read_binary(path: Path) -> bytes:
     """Contents of a file whose numbers take no more memory than the file."""
     return read_bytes(path, BINARY)

@@ -6,7 +6,6 @@ inside a file is ever executed (`smpl_pickle`).
 
 import pickle
 import struct
-import zlib
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import DAMAGE, check_sizes, existing
+from recon.formats.opening import DAMAGE, check_sizes, existing, inflated
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -45,8 +44,8 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        data = _inflated(file.read(), path)
-        kind = _JoblibUnpickler if _JOBLIB[0].encode() in data else _Unpickler
+        data = inflated(file.read(), path)
+        kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
         return kind(BytesIO(data), encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
@@ -54,9 +53,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
             "contains; nothing in the file was run"
         ) from None
     except (
-        pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
-        ValueError, MemoryError, OverflowError, RuntimeError, ImportError, AssertionError,
-        SystemError, NameError, struct.error, zlib.error,
+        *DAMAGE, pickle.UnpicklingError, SystemError, ImportError, NameError, struct.error,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
         raise FormatError(
@@ -161,6 +158,21 @@ def _bare(kind: type, base: type, state: object) -> object:
     return kind.__new__(kind)
 
 
+class _JoblibArray(_Inert):
+    """What joblib pickles in place of an array, whose bytes follow it in the file."""
+
+    def read(self, file: BytesIO) -> np.ndarray:
+        """The array; `file` stands behind the pickled record."""
+        shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
+        if not isinstance(dtype, np.dtype) or dtype.hasobject:
+            raise _RefusedError("an array of pickled objects")
+        MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
+        if self.state.get("numpy_array_alignment_bytes") is not None:
+            file.read(file.read(1)[0])
+        flat = np.frombuffer(file.read(prod(shape) * dtype.itemsize), dtype)
+        return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
+
+
 _NUMPY = ("numpy.core", "numpy._core")
 """Modules of numpy 1 and 2."""
 _BUILTINS = ("__builtin__", "builtins")
@@ -178,6 +190,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("copy_reg", "_reconstructor"): _bare,
     ("copyreg", "_reconstructor"): _bare,
     ("collections", "OrderedDict"): OrderedDict,
+    ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
     ("chumpy.ch", "Ch"): _Chumpy,
     ("chumpy", "Ch"): _Chumpy,
     ("chumpy.reordering", "Select"): _Chumpy,
@@ -197,31 +210,9 @@ class _Unpickler(pickle.Unpickler):
     """Knows the names in `_ALLOWED` and no others."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        return _allowed(module_name, global_name)
-
-
-def _allowed(module: str, name: str) -> Any:
-    if (module, name) not in _ALLOWED:
-        raise _RefusedError(f"{module}.{name}")
-    return _ALLOWED[module, name]
-
-
-_JOBLIB = ("joblib.numpy_pickle", "NumpyArrayWrapper")
-
-
-class _JoblibArray(_Inert):
-    """What joblib pickles in place of an array, whose bytes follow it in the file."""
-
-    def read(self, file: BytesIO) -> np.ndarray:
-        """The array; `file` stands behind the pickled record."""
-        shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
-        if not isinstance(dtype, np.dtype) or dtype.hasobject:
-            raise _RefusedError("an array of pickled objects")
-        MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
-        if self.state.get("numpy_array_alignment_bytes") is not None:
-            file.read(file.read(1)[0])
-        flat = np.frombuffer(file.read(prod(shape) * dtype.itemsize), dtype)
-        return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
+        if (module_name, global_name) not in _ALLOWED:
+            raise _RefusedError(f"{module_name}.{global_name}")
+        return _ALLOWED[module_name, global_name]
 
 
 _InPython: Any = vars(pickle)["_Unpickler"]
@@ -235,8 +226,7 @@ class _JoblibUnpickler(_InPython):
         super().__init__(file, encoding=encoding)
         self.bytes_behind = file
 
-    def find_class(self, module: str, name: str) -> Any:
-        return _JoblibArray if (module, name) == _JOBLIB else _allowed(module, name)
+    find_class = _Unpickler.find_class
 
     def load_build(self) -> None:
         super().load_build()
@@ -244,15 +234,6 @@ class _JoblibUnpickler(_InPython):
             self.stack[-1] = self.stack[-1].read(self.bytes_behind)
 
     dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
-
-
-def _inflated(data: bytes, path: Path) -> bytes:
-    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
-    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
-        return data
-    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(BINARY.high) + 1)
-    BINARY.check(len(content), path)
-    return content
 
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
