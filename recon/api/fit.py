@@ -34,6 +34,7 @@ from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
+from recon.formats.foreign import holds_sam3d_body
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -242,7 +243,8 @@ def refine(
 
     Args:
         motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
-            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz). Nothing in it is run.
+            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz); keypoints of SAM 3D Body are
+            fitted. Nothing in it is run.
         prior: as in `recon.fit`.
         body: the body that the estimate is of, a SMPL-family file of which the shape coefficients
             are then taken; or None for the bundled body.
@@ -261,6 +263,12 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
+        who = None if person is None else person - 1
+        return fit(
+            [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate, up=up,
+            person=who, **how,
+        )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed

@@ -40,7 +40,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
         ValueError: says what was seen and what would fit.
     """
     for path in paths:
-        if not path.is_file():
+        if not path.is_file() or holds_sam3d_body(path):
             continue
         ending = path.suffix.lower()
         if ending in _ELSEWHERE:
@@ -53,12 +53,36 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
             raise FormatError(f"{path}: {wrong}")
 
 
+SAM3D_POINTS = "pred_keypoints_3d"
+"""The key of a person's keypoints in results of SAM 3D Body."""
+_PICKLE_HEAD = 1 << 20
+"""Bytes within which a pickle of these names that key."""
+
+
+def holds_sam3d_body(path: Path) -> bool:
+    """Whether a file, or the .npz files of a folder, are results of SAM 3D Body."""
+    if path.is_dir():
+        first = next(iter(sorted(path.glob("*.npz"))), None)
+        return first is not None and holds_sam3d_body(first)
+    if not path.is_file():
+        return False
+    if path.suffix.lower() == ".npz":
+        if not zipfile.is_zipfile(path):
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return f"{SAM3D_POINTS}.npy" in archive.namelist()
+    if path.suffix.lower() not in (".pkl", ".npy"):
+        return False
+    with path.open("rb") as file:
+        return SAM3D_POINTS.encode() in file.read(_PICKLE_HEAD)
+
+
 def is_estimate(paths: Sequence[Path]) -> bool:
     """Whether the file seems to hold body parameters of a video network; reads little of it.
 
     Motion files of recon, which name their body by its checksum, are none.
     """
-    if len(paths) != 1 or not paths[0].is_file():
+    if len(paths) != 1 or not paths[0].is_file() or holds_sam3d_body(paths[0]):
         return False
     if paths[0].suffix.lower() in (".pt", ".pth", ".pkl"):
         return True

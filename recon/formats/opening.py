@@ -19,10 +19,11 @@ DAMAGE = (
     tokenize.TokenError, AttributeError, IndexError, AssertionError,
 )  # fmt: skip
 """What zipfile and numpy raise on damaged or hostile archives."""
-_HEADERS = {
+HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+"""Readers of the headers of arrays, by version."""
 _MEMBERS = 1000
 """Members an archive may have; ours have about twenty."""
 
@@ -70,9 +71,9 @@ def _header(
     """Shape, type and length of the header of one array."""
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
-        if version not in _HEADERS:
+        if version not in HEADERS:
             raise FormatError(f"{info.filename} is an array of the unknown version {version}")
-        shape, _, dtype = _HEADERS[version](member)
+        shape, _, dtype = HEADERS[version](member)
         if dtype.hasobject:
             raise FormatError(f"{info.filename} holds pickled objects, which are never opened")
         return shape, dtype, member.tell()

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -25,11 +25,23 @@ def read_tree(path: Path) -> dict[Any, Any]:
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
+    with path.open("rb") as file:
+        content = read_pickle(file, path)
+    if not isinstance(content, dict):
+        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+    return content
+
+
+def read_pickle(file: BinaryIO, path: Path) -> object:
+    """What is pickled from the place of an open file on, as `read_tree` reads it.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        with path.open("rb") as file:
-            content = _Unpickler(file, encoding="latin1").load()
+        return _Unpickler(file, encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
@@ -44,9 +56,6 @@ def read_tree(path: Path) -> dict[Any, Any]:
         raise FormatError(
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error
-    if not isinstance(content, dict):
-        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
-    return content
 
 
 def _array(value: object, name: str, path: Path) -> np.ndarray:
