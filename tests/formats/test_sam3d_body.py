@@ -90,6 +90,21 @@ def test_places_that_are_added_already_and_sizes_that_change(tmp_path):
     assert "pred_cam_t is in pred_keypoints_3d already" in read_points_3d(path).decisions
 
 
+def test_people_whose_depth_jumps_are_followed(tmp_path):
+    """Depths of single images jump by more than people are told apart by in space."""
+    frames, _ = clip()
+    random = np.random.default_rng(1)
+    for people in frames:
+        for one in people:
+            place = one["pred_cam_t"] * (1 + 0.05 * random.normal())
+            one.update(result(one["pred_keypoints_3d"], place))
+    path = tmp_path / "jumps.pkl"
+    path.write_bytes(pickle.dumps(frames))
+    found = first(path)
+    assert np.isfinite(found).all((1, 2)).sum() == FRAMES - 1
+    assert np.abs(np.diff(found[20:40, 9, 2])).max() < 0.2
+
+
 def test_focal_lengths_that_change_become_one(tmp_path):
     _, truth = clip()
     body = truth[0] - (-0.6, 0.1, 5)

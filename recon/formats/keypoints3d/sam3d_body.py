@@ -57,6 +57,8 @@ _ADDED = 1.0
 """Depth of the hips in metres from which on `pred_cam_t` is in the points already."""
 _RESIDUAL = 0.5
 """Pixels that keypoints may lie from the projection of the points in space."""
+_DEPTH_COUNTS = 0.25
+"""How much depths, which single images tell badly, count in following people."""
 _WIDTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 """Standard deviations in frames of Gaussians that smooth depths."""
 _ENDS = 24
@@ -91,12 +93,14 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     if not added:
         raise FormatError(f"{path}: expected people, but all {len(frames)} frames are empty")
     within = 2 * sum(added) > len(added)
-    tracks = followed([[_placed(one, path, within) for one in people] for people in frames])
+    placed = [[_placed(one, path, within) for one in people] for people in frames]
+    middle = float(np.median([_depth(one) for people in placed for one in people]))
+    tracks = followed([[_in_image(one, middle) for one in people] for people in placed])
     counts = [len(one) for one in tracks]
     chosen, several = taken(counts, len(frames), person, path.name)
     seen = tracks[chosen]
     people = [frames[k][place] for k, place in seen.items()]
-    points = np.stack([_placed(one, path, within) for one in people])
+    points = np.stack([placed[k][place] for k, place in seen.items()])
     said = ["layout mhr70: SAM 3D Body's, in the frame of the camera", *several]
     if within:
         said.append(f"{_PLACE} is in {_POINTS} already")
@@ -113,6 +117,12 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
 
 def _depth(points: np.ndarray) -> float:
     return float(points[_HIPS, 2].mean())
+
+
+def _in_image(points: np.ndarray, middle: float) -> np.ndarray:
+    """Points as the image shows them, in metres at a depth; their own depths count little."""
+    rays = points[:, :2] / points[:, 2:]
+    return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
 
 
 def _checked(person: object, path: Path) -> Person:
