@@ -85,7 +85,9 @@ def fit(
     Args:
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
-            one, and what `recon.simulate` returned.
+            one, and what `recon.simulate` returned; or, with `frame_rate`, a list of Open3D's
+            point clouds, triangle meshes or pairs (RGBDImage, PinholeCameraIntrinsic), one per
+            frame, metres.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.

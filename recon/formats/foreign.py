@@ -23,6 +23,9 @@ _ELSEWHERE = {
     ".amc": "a skeleton's motion: `recon convert` takes it",
     ".asf": "a skeleton without motion",
     ".mat": "a recording of motion capture: `recon convert` takes it",
+    ".skeleton": "NTU RGB+D's skeletons of Kinect v2: save the joints as a table with columns "
+    "SpineBase_x, SpineBase_y, SpineBase_z, ... and give that",
+    ".obj": "a mesh of OBJ: save its vertices as .ply (`trimesh.load(f).export('a.ply')`)",
     ".mp4": "a video: run a 2D detector on it, and give its keypoints",
     ".mov": "a video: run a 2D detector on it, and give its keypoints",
     ".avi": "a video: run a 2D detector on it, and give its keypoints",
@@ -112,6 +115,10 @@ def _wrong(path: Path, ending: str, head: bytes) -> str | None:
             return "expected a C3D file, whose second byte is 0x50"
         case ".trc" if not text.lower().startswith("pathfiletype"):
             return f"expected a TRC file, whose first line is PathFileType; got {first}"
+        case ".csv" if text.startswith("Format Version"):
+            return (
+                "Motive's CSV (OptiTrack), which is not read: export C3D, TRC or BVH from Motive"
+            )
         case ".csv":
             axes = {cell.strip()[-1:].lower() for cell in "".join(lines[:1]).split(",")}
             heads = [line.lower().startswith(("scorer", "bodyparts")) for line in lines[:4]]
