@@ -70,7 +70,8 @@ def test_an_installation_asks_for_nothing_that_only_tests_use(sdist):
     assert "ezc3d" not in text
     assert "Requires-Dist: roma" not in text
     extras = [line for line in text.splitlines() if line.startswith("Provides-Extra")]
-    assert sorted(line.split()[-1] for line in extras) == ["ray", "report", "rerun", "usd"]
+    names = sorted(line.split()[-1] for line in extras)
+    assert names == ["open3d", "ray", "report", "rerun", "usd"]
 
 
 def test_the_wheel_holds_the_packages_and_nothing_else(wheel):

@@ -34,6 +34,7 @@ from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
+from recon.formats.foreign import holds_sam3d_body
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -84,7 +85,9 @@ def fit(
     Args:
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
-            one, and what `recon.simulate` returned.
+            one, and what `recon.simulate` returned; or, with `frame_rate`, a list of Open3D's
+            point clouds, triangle meshes or pairs (RGBDImage, PinholeCameraIntrinsic), one per
+            frame, metres.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
@@ -242,7 +245,8 @@ def refine(
 
     Args:
         motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
-            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz). Nothing in it is run.
+            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz); keypoints of SAM 3D Body are
+            fitted. Nothing in it is run.
         prior: as in `recon.fit`.
         body: the body that the estimate is of, a SMPL-family file of which the shape coefficients
             are then taken; or None for the bundled body.
@@ -261,6 +265,12 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
+        who = None if person is None else person - 1
+        return fit(
+            [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate, up=up,
+            person=who, **how,
+        )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from recon.api.given import paths_given
+from recon.api.given import geometries_given, paths_given
 from recon.api.observations import Sighting, clip_of, counted_less_beyond, on_ground
 from recon.body.model import BodyModel
 from recon.core.arrays import finite
@@ -56,6 +56,15 @@ def observed(
         given = load_clip(paths, how, body)
         if given.ground_given:
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
+    elif geometries := geometries_given(given):
+        from recon.reading.geometries import load_geometries
+
+        plane = None if isinstance(ground, str) else ground
+        given = load_geometries(
+            geometries, replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane), body
+        )
+        if given.ground_given:
+            ground = "auto"
     elif names := how_read.given():
         raise ReconError(
             f"{', '.join(names)}: how to read files, but the observations are read already"

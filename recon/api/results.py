@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
@@ -157,6 +158,27 @@ class MotionResult(ABC):
             inputs: SHA-256 of the files that were read, by path; none by default.
             settings: how it was made, by name.
         """
+
+    def to_open3d(self, frame: int | None = None) -> Any:
+        """The skin as `open3d.geometry.TriangleMesh`: a list, one per frame, or one frame's.
+
+        Args:
+            frame: number of the frame, from 0, or from the end where negative; None for all.
+
+        Raises:
+            ReconError: when there is no such frame, or Open3D is not installed.
+        """
+        count = self.motion.frames
+        if frame is not None and not -count <= frame < count:
+            raise ReconError(f"frame: expected one of the {count} frames, got {frame}")
+        open3d = optional_module("open3d", "open3d", "a mesh of Open3D", "open3d")
+        triangles = open3d.utility.Vector3iVector(self.body.faces.cpu().numpy())
+        vertices = self.vertices if frame is None else self.vertices[frame][None]
+        meshes = [
+            open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(skin), triangles)
+            for skin in vertices.detach().cpu().double().numpy()
+        ]
+        return meshes if frame is None else meshes[0]
 
     def save(
         self,

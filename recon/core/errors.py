@@ -39,7 +39,10 @@ def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
+        lacking = "is not installed"
+        if not isinstance(error, ModuleNotFoundError):  # a library of the system may be missing
+            lacking = f"cannot be loaded ({error})"
         raise ReconError(
-            f"{purpose} needs the package {package}, which is not installed: "
+            f"{purpose} needs the package {package}, which {lacking}: "
             f"pip install 'motion-recon[{extra}]'"
         ) from error

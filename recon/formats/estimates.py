@@ -120,7 +120,7 @@ def _tree(path: Path) -> Tree:
     if suffix == ".npz":
         return load_arrays(path)
     if suffix == ".pkl":
-        return read_tree(path)
+        return _by_person(read_tree(path))
     if suffix not in SUFFIXES:
         raise FormatError(
             f"{path}: expected a file of {', '.join(SUFFIXES)} with parameters of a SMPL-like body"
@@ -146,6 +146,25 @@ def _tree(path: Path) -> Tree:
         )
     check_tree(content, path)
     return content
+
+
+def _by_person(tree: Tree) -> Tree:
+    """The tracks of PHALP (4D-Humans), which go by image, by person; other trees as they are."""
+    images = list(tree.values())
+    if not images or not all(
+        isinstance(one, dict) and {"tid", "smpl"} <= set(one) for one in images
+    ):
+        return tree
+    tracks: dict[Any, dict[str, list[Any]]] = {}
+    for frame, one in enumerate(images):
+        for who, body, place in zip(one["tid"], one["smpl"], one["camera"], strict=False):
+            track = tracks.setdefault(f"camera, person {who}", {})
+            row = {"frame_ids": frame, "transl": place, **body}
+            for key, value in row.items():
+                track.setdefault(key, []).append(value)
+    return {
+        who: {key: np.array(rows) for key, rows in track.items()} for who, track in tracks.items()
+    }
 
 
 def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:

@@ -23,6 +23,9 @@ _ELSEWHERE = {
     ".amc": "a skeleton's motion: `recon convert` takes it",
     ".asf": "a skeleton without motion",
     ".mat": "a recording of motion capture: `recon convert` takes it",
+    ".skeleton": "NTU RGB+D's skeletons of Kinect v2: save the joints as a table with columns "
+    "SpineBase_x, SpineBase_y, SpineBase_z, ... and give that",
+    ".obj": "a mesh of OBJ: save its vertices as .ply (`trimesh.load(f).export('a.ply')`)",
     ".mp4": "a video: run a 2D detector on it, and give its keypoints",
     ".mov": "a video: run a 2D detector on it, and give its keypoints",
     ".avi": "a video: run a 2D detector on it, and give its keypoints",
@@ -40,7 +43,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
         ValueError: says what was seen and what would fit.
     """
     for path in paths:
-        if not path.is_file():
+        if not path.is_file() or holds_sam3d_body(path):
             continue
         ending = path.suffix.lower()
         if ending in _ELSEWHERE:
@@ -53,12 +56,36 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
             raise FormatError(f"{path}: {wrong}")
 
 
+SAM3D_POINTS = "pred_keypoints_3d"
+"""The key of a person's keypoints in results of SAM 3D Body."""
+_PICKLE_HEAD = 1 << 20
+"""Bytes within which a pickle of these names that key."""
+
+
+def holds_sam3d_body(path: Path) -> bool:
+    """Whether a file, or the .npz files of a folder, are results of SAM 3D Body."""
+    if path.is_dir():
+        first = next(iter(sorted(path.glob("*.npz"))), None)
+        return first is not None and holds_sam3d_body(first)
+    if not path.is_file():
+        return False
+    if path.suffix.lower() == ".npz":
+        if not zipfile.is_zipfile(path):
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return f"{SAM3D_POINTS}.npy" in archive.namelist()
+    if path.suffix.lower() not in (".pkl", ".npy"):
+        return False
+    with path.open("rb") as file:
+        return SAM3D_POINTS.encode() in file.read(_PICKLE_HEAD)
+
+
 def is_estimate(paths: Sequence[Path]) -> bool:
     """Whether the file seems to hold body parameters of a video network; reads little of it.
 
     Motion files of recon, which name their body by its checksum, are none.
     """
-    if len(paths) != 1 or not paths[0].is_file():
+    if len(paths) != 1 or not paths[0].is_file() or holds_sam3d_body(paths[0]):
         return False
     if paths[0].suffix.lower() in (".pt", ".pth", ".pkl"):
         return True
@@ -88,6 +115,10 @@ def _wrong(path: Path, ending: str, head: bytes) -> str | None:
             return "expected a C3D file, whose second byte is 0x50"
         case ".trc" if not text.lower().startswith("pathfiletype"):
             return f"expected a TRC file, whose first line is PathFileType; got {first}"
+        case ".csv" if text.startswith("Format Version"):
+            return (
+                "Motive's CSV (OptiTrack), which is not read: export C3D, TRC or BVH from Motive"
+            )
         case ".csv":
             axes = {cell.strip()[-1:].lower() for cell in "".join(lines[:1]).split(",")}
             heads = [line.lower().startswith(("scorer", "bodyparts")) for line in lines[:4]]

@@ -21,19 +21,23 @@ DAMAGE = (
     tokenize.TokenError, AttributeError, IndexError, AssertionError,
 )  # fmt: skip
 """What zipfile and numpy raise on damaged or hostile archives."""
-_HEADERS = {
+HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+"""Readers of the headers of arrays, by version."""
 _MEMBERS = 1000
 """Members an archive may have; ours have about twenty."""
 
 
-def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None) -> None:
-    """Refuse an archive whose arrays do not fit into memory, or are larger than their members.
+def check_sizes(
+    path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None
+) -> list[str]:
+    """Names of the arrays of an archive whose arrays fit into memory and their members.
 
     Both a compressed bomb and a header that promises more than the file holds are found here,
-    before memory is taken for them.
+    before memory is taken for them. A single object that is no array (AMASS keeps a dictionary
+    beside its arrays) is left out and stays closed.
 
     Args:
         path: of the .npz file.
@@ -44,7 +48,7 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
         ValueError: when they are too large or a header is damaged.
         zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
     """
-    total = 0
+    total, names = 0, []
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if len(members) > _MEMBERS:
@@ -53,11 +57,15 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
             name = info.filename.removesuffix(".npy")
             if only is not None and name not in only:
                 continue
+            names.append(name)
             if not info.filename.endswith(".npy"):
                 total += info.file_size
                 limit.check(total, path, name)
                 continue
             shape, dtype, place = _header(archive, info)
+            if dtype.hasobject:
+                names.pop()
+                continue
             stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
             if place + stated != info.file_size:
                 raise FormatError(
@@ -67,6 +75,7 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
             # a number takes four bytes at least once it is used
             total += max(info.file_size, 4 * int(np.prod([float(n) for n in shape])))
             limit.check(total, path, name)
+    return names
 
 
 def _header(
@@ -75,10 +84,10 @@ def _header(
     """Shape, type and length of the header of one array."""
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
-        if version not in _HEADERS:
+        if version not in HEADERS:
             raise FormatError(f"{info.filename} is an array of the unknown version {version}")
-        shape, _, dtype = _HEADERS[version](member)
-        if dtype.hasobject:
+        shape, _, dtype = HEADERS[version](member)
+        if dtype.hasobject and shape:
             raise FormatError(f"{info.filename} holds pickled objects, which are never opened")
         return shape, dtype, member.tell()
 
@@ -124,6 +133,15 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
     return data
 
 
+def inflated(data: bytes, path: Path) -> bytes:
+    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
+    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
+        return data
+    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(BINARY.high) + 1)
+    BINARY.check(len(content), path)
+    return content
+
+
 def read_binary(path: Path) -> bytes:
     """Contents of a file whose numbers take no more memory than the file."""
     return read_bytes(path, BINARY)
@@ -146,9 +164,9 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
     """
     existing(path)
     try:
-        check_sizes(path)
+        names = check_sizes(path)
         with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
+            arrays = {key: file[key] for key in names}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
             raise FormatError(f"no arrays: {', '.join(foreign)}")
         return arrays

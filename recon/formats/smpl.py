@@ -5,18 +5,21 @@ inside a file is ever executed (`smpl_pickle`).
 """
 
 import pickle
+import struct
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import BytesIO
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import DAMAGE, check_sizes, check_tree, existing
+from recon.formats.opening import DAMAGE, check_sizes, check_tree, existing, inflated
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -25,28 +28,39 @@ def read_tree(path: Path) -> dict[Any, Any]:
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
+    with path.open("rb") as file:
+        content = read_pickle(file, path)
+    if not isinstance(content, dict):
+        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+    return content
+
+
+def read_pickle(file: BinaryIO, path: Path) -> object:
+    """What is pickled from the place of an open file on, as `read_tree` reads it.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        with path.open("rb") as file:
-            content = _Unpickler(file, encoding="latin1").load()
+        data = inflated(file.read(), path)
+        kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
+        content = kind(BytesIO(data), encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
             "contains; nothing in the file was run"
         ) from None
     except (
-        pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
-        ValueError, MemoryError, OverflowError, RuntimeError, ImportError, AssertionError,
-        SystemError,
+        *DAMAGE, pickle.UnpicklingError, SystemError, ImportError, NameError, struct.error,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
         raise FormatError(
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error
-    if not isinstance(content, dict):
-        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
-    check_tree(content, path)
+    if isinstance(content, dict | list | tuple):
+        check_tree(content, path)
     return content
 
 
@@ -151,6 +165,21 @@ def _bare(kind: type, base: type, state: object) -> object:
     return kind.__new__(kind)
 
 
+class _JoblibArray(_Inert):
+    """What joblib pickles in place of an array, whose bytes follow it in the file."""
+
+    def read(self, file: BytesIO) -> np.ndarray:
+        """The array; `file` stands behind the pickled record."""
+        shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
+        if not isinstance(dtype, np.dtype) or dtype.hasobject:
+            raise _RefusedError("an array of pickled objects")
+        MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
+        if self.state.get("numpy_array_alignment_bytes") is not None:
+            file.read(file.read(1)[0])
+        flat = np.frombuffer(file.read(prod(shape) * dtype.itemsize), dtype)
+        return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
+
+
 _NUMPY = ("numpy.core", "numpy._core")
 """Modules of numpy 1 and 2."""
 _BUILTINS = ("__builtin__", "builtins")
@@ -168,6 +197,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("copy_reg", "_reconstructor"): _bare,
     ("copyreg", "_reconstructor"): _bare,
     ("collections", "OrderedDict"): OrderedDict,
+    ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
     ("chumpy.ch", "Ch"): _Chumpy,
     ("chumpy", "Ch"): _Chumpy,
     ("chumpy.reordering", "Select"): _Chumpy,
@@ -190,6 +220,27 @@ class _Unpickler(pickle.Unpickler):
         if (module_name, global_name) not in _ALLOWED:
             raise _RefusedError(f"{module_name}.{global_name}")
         return _ALLOWED[module_name, global_name]
+
+
+_InPython: Any = vars(pickle)["_Unpickler"]
+"""Python's own unpickler: that in C reads ahead, past the bytes of joblib's arrays."""
+
+
+class _JoblibUnpickler(_InPython):
+    """Knows the names in `_ALLOWED`, and joblib's arrays."""
+
+    def __init__(self, file: BytesIO, *, encoding: str) -> None:
+        super().__init__(file, encoding=encoding)
+        self.bytes_behind = file
+
+    find_class = _Unpickler.find_class
+
+    def load_build(self) -> None:
+        super().load_build()
+        if isinstance(self.stack[-1], _JoblibArray):
+            self.stack[-1] = self.stack[-1].read(self.bytes_behind)
+
+    dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
 
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")

@@ -10,6 +10,7 @@ from typing import Any
 
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
+from recon.formats.foreign import holds_sam3d_body
 from recon.formats.keypoints3d.reader import body_file, time_stamps
 from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.projects import project_at
@@ -58,6 +59,8 @@ def observation_input(path: Path) -> Input:
     """
     if not path.is_dir():
         return Input(path, (path,))
+    if holds_sam3d_body(path):
+        return Input(path, _inside(path, (".npz",)))
     if session := body_file(path):
         stamps = time_stamps(path)
         return Input(path, (session, *([] if stamps is None else [stamps])))
@@ -133,6 +136,7 @@ def _input_of(name: str, path: Path) -> Input:
 
 _READ: dict[str, Callable[[Path], Input]] = {
     "observations": observation_input,
+    "motion": observation_input,
     "camera": camera_input,
     "camera_track": track_input,
     "masks": masks_input,

@@ -8,6 +8,7 @@ import numpy as np
 
 from recon.body.model import BodyModel
 from recon.formats.estimates import read_estimate
+from recon.formats.foreign import refuse_foreign
 from recon.formats.joint_table import JointCertainty
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
@@ -70,6 +71,7 @@ def info(file: Path) -> dict[str, Any]:
     if ending == ".json":
         return describe_json(file)
     if ending == ".csv":
+        refuse_foreign([file])
         return describe_detections(file)
     if ending in (".toml", ".yml", ".yaml"):
         return describe_calibration(file)

@@ -148,3 +148,57 @@ def test_an_axis_that_nothing_tells_is_asked_for(tmp_path):
     with pytest.raises(FormatError, match="--up"):
         read_estimate(tmp_path / "a.npz")
     assert read_estimate(tmp_path / "a.npz", up="y").up[1] == "y"
+
+
+@pytest.fixture
+def dump():
+    """joblib's own saving call."""
+    return pytest.importorskip("joblib").dump
+
+
+@pytest.mark.parametrize("compress", [0, 3, ("gzip", 3)])
+def test_arrays_of_joblib_are_read_with_nothing_run(tmp_path, dump, compress):
+    """WHAM and PHALP save so; arrays lie raw behind their records, in either order of axes."""
+    plain = pickle.loads(written(tmp_path / "a.pkl", "wham").read_bytes())
+    plain[3]["pose_world"] = np.asfortranarray(plain[3]["pose_world"])
+    dump(plain, tmp_path / "b.pkl", compress=compress)
+    found, expected = read_estimate(tmp_path / "b.pkl"), read_estimate(tmp_path / "a.pkl")
+    np.testing.assert_array_equal(found.rotations, expected.rotations)
+    np.testing.assert_array_equal(found.translation, expected.translation)
+
+
+def test_joblib_files_with_objects_or_cut_short_are_refused(tmp_path, dump):
+    dump({"trans": np.array([print, None])}, tmp_path / "a.pkl")
+    with pytest.raises(FormatError, match="array of pickled objects"):
+        read_estimate(tmp_path / "a.pkl")
+    dump({"trans": np.zeros((500, 3))}, tmp_path / "b.pkl")
+    whole = (tmp_path / "b.pkl").read_bytes()
+    for length in range(1, len(whole), 97):
+        (tmp_path / "c.pkl").write_bytes(whole[:length])
+        with pytest.raises(FormatError):
+            read_estimate(tmp_path / "c.pkl")
+
+
+def test_tracks_of_4d_humans_are_told_apart(tmp_path, dump):
+    """Keys are images; the order of people differs, and one image has nobody."""
+    turns = Rotation.from_rotvec(np.concatenate((UPRIGHT, BODY), 1).reshape(-1, 3)).as_matrix()
+    turns = turns.reshape(FRAMES, 22, 3, 3).astype(np.float32)
+    images = {}
+    for k in range(FRAMES):
+        one = {"global_orient": turns[k, :1], "body_pose": turns[k, 1:], "betas": np.zeros(10)}
+        people = [(7, one, PLACE[k]), (2, one, PLACE[k] + 9)][: 1 if k % 2 else 2]
+        tid, smpl, camera = map(list, zip(*people[::-1], strict=True)) if k != 3 else ([], [], [])
+        images[f"img/{k:06d}.jpg"] = {"tid": tid, "smpl": smpl, "camera": camera, "time": k}
+    dump(images, tmp_path / "demo.pkl", compress=3)
+    found = read_estimate(tmp_path / "demo.pkl")
+    np.testing.assert_allclose(found.translation[found.known], np.delete(PLACE, 3, 0))
+    assert found.known.tolist() == [True, True, True, False, True, True]
+
+
+def test_objects_under_keys_that_are_not_needed_stay_closed(tmp_path):
+    """AMASS's stageii files have one such key."""
+    path = written(tmp_path / "a.npz", "amass")
+    with np.load(path) as file:
+        np.savez(tmp_path / "b.npz", markers_latent_vids=np.array({"a": 1}), **file)
+    np.testing.assert_array_equal(read_estimate(tmp_path / "b.npz").translation, PLACE)
+    assert info(tmp_path / "b.npz") == info(path)

@@ -33,6 +33,16 @@ def test_foreign_files_are_refused_with_what_was_seen(tmp_path, name, content, s
 
 
 @pytest.mark.parametrize(
+    ("name", "said"),
+    [("a.csv", "Motive's CSV"), ("a.skeleton", "NTU"), ("a.obj", "save its vertices as .ply")],
+)
+def test_a_refusal_names_the_producer_and_the_way_out(tmp_path, name, said):
+    (tmp_path / name).write_bytes(b"\xef\xbb\xbfFormat Version,1.25,Take Name,walk\n")
+    with pytest.raises(ValueError, match=said):
+        refuse_foreign([tmp_path / name])
+
+
+@pytest.mark.parametrize(
     ("name", "content"),
     [
         ("a.trc", b"\xef\xbb\xbfPathFileType\t4\t(X/Y/Z)\tx.trc\n"),

@@ -138,7 +138,17 @@ def test_deeplabcut_parts_are_matched_by_name(tmp_path):
 
 
 def test_spellings_of_body_parts():
-    for spelling in ("LHip", "left_hip", "hip_left", "Left Hip", "lefthip", "leftHip", "l_hip"):
+    for spelling in (
+        "LHip",
+        "left_hip",
+        "hip_left",
+        "Left Hip",
+        "lefthip",
+        "leftHip",
+        "l_hip",
+        "LEFT_HIP",
+        "LEFT HIP",
+    ):
         assert normalised(spelling) == "left_hip", spelling
     assert normalised("LBigToe") == "left_big_toe"
 

@@ -249,6 +249,8 @@ def test_damaged_files_are_refused_with_a_reason(tmp_path, name, content, named)
          ("left_eye_inner", "right_mouth", "left_big_toe")),
         (("SPINE_CHEST", "HEAD", "FOOT_LEFT", "CLAVICLE_RIGHT", "HANDTIP_LEFT"),
          ("spine_chest", "head_joint", "left_foot_joint", "right_clavicle", "left_fingertip")),
+        (("LEFT_HIP", "RIGHT_KNEE", "LEFT_FOOT_INDEX", "RHIP"),
+         ("left_hip", "right_knee", "left_big_toe", "right_hip")),
         (("lhip", "rknee", "tail"), ("left_hip", "right_knee", None)),
         (("RFoot", "Thorax"), ("right_ankle", "thorax")),
     ],

@@ -73,7 +73,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
 
 def normalised(part: str) -> str:
     """A body part's name as in `recon.core.skeleton`: LHip, hip_left, "left hip" -> left_hip."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=^[LR])(?=[A-Z])", "_", part.strip())
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=^[LR])(?=[A-Z])(?!EFT|IGHT)", "_", part.strip())
     joined = re.sub(r"[^a-z0-9]+", "_", spaced.lower()).strip("_")
     joined = re.sub(r"^(left|right)(?=[a-z])", r"\1_", joined)
     words = [_WORDS.get(word, word) for word in joined.split("_")]

@@ -20,7 +20,8 @@ _SAME = {
 }  # fmt: skip
 _SAME_SIDED = {
     "foot_index": "big_toe", "toe": "big_toe", "toes": "big_toe", "bigtoe": "big_toe",
-    "smalltoe": "small_toe", "little_toe": "small_toe", "hand_tip": "fingertip",
+    "smalltoe": "small_toe", "big_toe_tip": "big_toe", "small_toe_tip": "small_toe",
+    "little_toe": "small_toe", "hand_tip": "fingertip",
     "handtip": "fingertip", "collar": "clavicle", "mouth_corner": "mouth",
 }  # fmt: skip
 _JOINTS_ONLY = (

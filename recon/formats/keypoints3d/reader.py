@@ -10,6 +10,7 @@ from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.formats.detections.tables import holds_detections
 from recon.formats.detections.text_tables import first_rows, numbers, read_rows
+from recon.formats.foreign import holds_sam3d_body
 from recon.formats.json_files import read_json
 from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
 from recon.formats.keypoints3d.labels import STUDY, are_keypoints
@@ -94,6 +95,8 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         FileNotFoundError: when there is no such file.
         ValueError: when it must be read to be told, and is damaged.
     """
+    if holds_sam3d_body(path):
+        return True
     if path.is_dir():
         return body_file(path) is not None
     ending = path.suffix.lower()
@@ -120,7 +123,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
 def read_points_3d(
     path: Path, *, unit: str | None = None, up: Up | None = None, person: int | None = None
 ) -> Points3D:
-    """Read 3D keypoints: FreeMoCap, MediaPipe, Anipose, Azure Kinect, arrays, tables, TRC, C3D.
+    """Read 3D keypoints: FreeMoCap, MediaPipe, SAM 3D Body, Anipose, arrays, tables, TRC, C3D.
 
     Args:
         path: of the file or session folder.
@@ -132,6 +135,10 @@ def read_points_3d(
         FileNotFoundError: when there is nothing there.
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
+    if holds_sam3d_body(path):
+        from recon.formats.keypoints3d.sam3d_body import read_sam3d_body  # few files are these
+
+        return read_sam3d_body(path, person).checked()
     if path.is_dir():
         return read_session(path).checked()
     match path.suffix.lower():

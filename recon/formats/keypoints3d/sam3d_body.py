@@ -1,0 +1,329 @@
+"""Results of SAM 3D Body: 70 keypoints (MHR-70) and the place of every person in every image.
+
+A result is a dictionary for every person of an image. Saved are lists of them for every frame
+(.pkl, .npy), an .npz for every frame, or frame and person, in a folder, and .npz of arrays.
+Points are metres in the axes of the camera (x right, y down, z forward), relative to `pred_cam_t`.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.limits import FRAMES, PEOPLE
+from recon.formats.foreign import SAM3D_POINTS
+from recon.formats.keypoints3d.records import Points3D, followed, taken
+from recon.formats.opening import DAMAGE, HEADERS, check_sizes
+from recon.formats.smpl import read_pickle
+
+_POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"
+_FOCAL = "focal_length"
+_SHAPES = {_POINTS: (70, 3), _PLACE: (3,), _PIXELS: (70, 2), _FOCAL: ()}
+_MAGIC = b"\x93NUMPY"
+
+
+def _hand(side: str) -> tuple[str, ...]:
+    fingers = ("thumb", "index", "middle", "ring", "pinky")
+    places = ("tip", "first_joint", "second_joint", "third_joint")
+    return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
+
+
+def _both(*names: str) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
+
+
+_FOOT = ("big_toe", "small_toe", "heel")
+MHR70 = (
+    "nose", *_both("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
+    *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
+    *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
+    *_both("olecranon", "cubital_fossa", "acromion"), "neck",
+)  # fmt: skip
+"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
+_HIPS = [MHR70.index("left_hip"), MHR70.index("right_hip")]
+_BONES = np.array(
+    [
+        [MHR70.index(f"{side}_{end}") for end in bone]
+        for side in ("left", "right")
+        for bone in (
+            ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
+        )
+    ]
+)  # fmt: skip
+_ADDED = 1.0
+"""Depth of the hips in metres from which on `pred_cam_t` is in the points already."""
+_RESIDUAL = 0.5
+"""Pixels that keypoints may lie from the projection of the points in space."""
+_DEPTH_COUNTS = 0.25
+"""How much depths, which single images tell badly, count in following people."""
+_WIDTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
+"""Standard deviations in frames of Gaussians that smooth depths."""
+_ENDS = 24
+"""Frames by which depths are continued at both ends, three of the widest standard deviations."""
+_LEAST = 8
+"""Frames from which on depths are smoothed."""
+_CHANGES = 0.01
+"""Share by which focal lengths may differ."""
+
+Person = Mapping[str, np.ndarray]
+
+
+def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
+    """The keypoints of one person, in the frame of a camera that has one focal length.
+
+    The focal length f and the middle c of the image follow from u = f x/z + c where 2D keypoints
+    are there. Depths are brought to the median of f, each frame is scaled to the median length of
+    bones, as nobody grows in a clip, and jitter of the whole body along the ray is smoothed.
+
+    Args:
+        path: of the file or folder.
+        person: whom to take of several people, from 0 on; None takes who is seen longest.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when it is damaged, mixed up, or nobody is found.
+    """
+    frames = [[_checked(one, path) for one in people] for people in _frames(path)]
+    FRAMES.check(len(frames), path)
+    PEOPLE.check(max(map(len, frames), default=0), path)
+    added = [_depth(one[_POINTS]) > _ADDED for people in frames for one in people]
+    if not added:
+        raise FormatError(f"{path}: expected people, but all {len(frames)} frames are empty")
+    within = 2 * sum(added) > len(added)
+    placed = [[_placed(one, path, within) for one in people] for people in frames]
+    middle = float(np.median([_depth(one) for people in placed for one in people]))
+    tracks = followed([[_in_image(one, middle) for one in people] for people in placed])
+    counts = [len(one) for one in tracks]
+    chosen, several = taken(counts, len(frames), person, path.name)
+    seen = tracks[chosen]
+    people = [frames[k][place] for k, place in seen.items()]
+    points = np.stack([placed[k][place] for k, place in seen.items()])
+    said = ["layout mhr70: SAM 3D Body's, in the frame of the camera", *several]
+    if within:
+        said.append(f"{_PLACE} is in {_POINTS} already")
+    found = [_focal(one, at, path) for one, at in zip(people, points, strict=True)]
+    if None not in found:
+        points, decision = _of_one_camera(points, people, np.array(found, dtype=np.float64))
+        said.append(decision)
+    points, held = _steadied(points, np.array(list(seen)))
+    said += held
+    positions = np.full((len(frames), *_SHAPES[_POINTS]), np.nan)
+    positions[list(seen)] = points
+    return Points3D(path.name, positions, MHR70, unit="m", decisions=tuple(said))
+
+
+def _depth(points: np.ndarray) -> float:
+    return float(points[_HIPS, 2].mean())
+
+
+def _in_image(points: np.ndarray, middle: float) -> np.ndarray:
+    """Points as the image shows them, in metres at a depth; their own depths count little."""
+    rays = points[:, :2] / points[:, 2:]
+    return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
+
+
+def _checked(person: object, path: Path) -> Person:
+    """The arrays of a person that are read; each of the shape that SAM 3D Body gives it."""
+    if not isinstance(person, dict) or _POINTS not in person:
+        raise FormatError(f"{path}: expected people with {_POINTS}, got {person!r:.80}")
+    out = {}
+    for key, shape in _SHAPES.items():
+        if person.get(key) is None:
+            continue
+        value = np.asarray(person[key])
+        if key == _FOCAL and value.size == 1:
+            value = value.reshape(())
+        numeric = value.dtype.kind in "fiu"
+        if value.shape != shape or not numeric or not np.isfinite(value).all():
+            raise FormatError(
+                f"{path}: expected {key} of finite numbers of shape {shape}, got {value.dtype} "
+                f"{value.shape}"
+            )
+        out[key] = value.astype(np.float64)
+    return out
+
+
+def _placed(person: Person, path: Path, within: bool) -> np.ndarray:
+    """The points with the person's place, metres in the frame of the camera."""
+    if not within and _PLACE not in person:
+        raise FormatError(f"{path}: expected {_PLACE} beside {_POINTS}: the person's place")
+    points = person[_POINTS] if within else person[_POINTS] + person[_PLACE]
+    if not (points[:, 2] > 0).all():
+        raise FormatError(f"{path}: expected people in front of the camera, got a depth below 0 m")
+    return points
+
+
+def _focal(person: Person, points: np.ndarray, path: Path) -> tuple[float, float, float] | None:
+    """Focal length and middle of the image, pixels; NaN for a middle that nothing tells."""
+    stated = person.get(_FOCAL)
+    if _PIXELS not in person:
+        return None if stated is None else (float(stated), np.nan, np.nan)
+    rays = points[:, :2] / points[:, 2:]
+    ones, nothing = np.ones(len(rays)), np.zeros(len(rays))
+    design = np.concatenate(
+        [np.stack((rays[:, 0], ones, nothing), 1), np.stack((rays[:, 1], nothing, ones), 1)]
+    )
+    pixels = person[_PIXELS].T.reshape(-1)
+    solution = np.linalg.lstsq(design, pixels, rcond=None)[0]
+    residual = float(np.sqrt(np.mean((design @ solution - pixels) ** 2)))
+    if residual > _RESIDUAL:
+        raise FormatError(
+            f"{path}: {_PIXELS} lie {residual:.1f} px from the projection of {_POINTS} with "
+            f"{_PLACE}, expected at most {_RESIDUAL} px; they are of different people or images"
+        )
+    f, x, y = solution.tolist()
+    if stated is not None and abs(f / float(stated) - 1) > _CHANGES:
+        raise FormatError(
+            f"{path}: {_FOCAL} is {float(stated):.0f} px, but the keypoints were projected with "
+            f"{f:.0f} px; save both of one result"
+        )
+    return f, x, y
+
+
+def _of_one_camera(
+    points: np.ndarray, people: Sequence[Person], found: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Points at the depths that belong to the median focal length, and what was found."""
+    f, x, y = np.median(found, axis=0)
+    depth = [one[_PLACE][2] if _PLACE in one else _depth(one[_POINTS]) for one in people]
+    moved = points.copy()
+    moved[..., 2] += (np.array(depth) * (f / found[:, 0] - 1))[:, None]
+    said = f"focal length {f:.0f} px"
+    if np.isfinite(x):
+        said += f", middle of the image ({x:.0f}, {y:.0f}): by the keypoints in the image"
+    if np.abs(found[:, 0] / f - 1).max() > _CHANGES:
+        low, high = found[:, 0].min(), found[:, 0].max()
+        said += f"; it changed between {low:.0f} and {high:.0f} px, depths are of the median"
+    return moved, said
+
+
+def _steadied(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Points of one size, without jitter of the whole body along its ray; and what was done.
+
+    A body told too large is told too far away, as its image is what is seen: then a scale about
+    the camera mends both. Where this makes depths less even, it is one about the hips. Jitter is
+    what the widest Gaussian takes away that takes no more than white noise by third differences,
+    whose variance is 20 times that of the noise.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    sizes = np.linalg.norm(points[:, _BONES[:, 0]] - points[:, _BONES[:, 1]], axis=-1).sum(-1)
+    scale = np.median(sizes) / sizes
+    hips = points[:, _HIPS].mean(1)
+    about = [hips, hips * scale[:, None]]
+    hips_now = min(about, key=lambda one: _noise(np.log(one[:, 2])))
+    body = (points - hips[:, None]) * scale[:, None, None]
+    every = np.arange(seen[0], seen[-1] + 1)
+    depth = np.interp(every, seen, np.log(hips_now[:, 2]))
+    noise, smooth = _noise(depth), depth
+    ends = min(len(depth) - 1, _ENDS)
+    longer = np.pad(depth, ends, mode="reflect", reflect_type="odd")  # goes on as it ends
+    for width in _WIDTHS:
+        wider = gaussian_filter1d(longer, width)[ends : ends + len(depth)]
+        if len(depth) < _LEAST or np.std(wider - depth) > noise:
+            break
+        smooth = wider
+    said = [
+        f"size held over the clip; it varied by {np.std(sizes) / np.mean(sizes):.1%}",
+        f"jitter along the ray of {np.std(smooth - depth):.1%} of the depth was smoothed",
+    ]
+    return body + (hips_now * np.exp(smooth - depth)[seen - seen[0], None])[:, None], said
+
+
+def _noise(values: np.ndarray) -> float:
+    """Standard deviation of white noise in smooth values, by their third differences."""
+    steps = np.diff(values, 3)
+    return float(np.sqrt(np.mean(steps**2) / 20)) if len(steps) else 0.0
+
+
+def _frames(path: Path) -> list[list[Any]]:
+    """Everybody in every frame."""
+    if path.is_dir():
+        return list(_of_folder(path))
+    if path.suffix.lower() == ".npz":
+        return _stacked(_arrays(path), path)
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) == _MAGIC:
+            file.seek(0)
+            try:
+                HEADERS[np.lib.format.read_magic(file)](file)
+            except DAMAGE as error:
+                raise FormatError(f"{path}: the header of the array is damaged") from error
+        else:
+            file.seek(0)
+        content = read_pickle(file, path)
+    if isinstance(content, np.ndarray):
+        content = content.tolist()
+    if isinstance(content, dict) and _POINTS not in content:
+        content = [content[key] for key in sorted(content, key=lambda one: _numbers(str(one)))]
+    frames = content if isinstance(content, list) else [content]
+    return [list(_people_of(one)) for one in frames]
+
+
+def _people_of(frame: object) -> Sequence[Any]:
+    if frame is None:
+        return ()
+    if isinstance(frame, np.ndarray):
+        frame = frame.tolist()
+    return frame if isinstance(frame, list | tuple) else (frame,)
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays that are read; others, such as pickled masks, are not opened."""
+    try:
+        check_sizes(path, only=tuple(_SHAPES))
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in _SHAPES if key in file.files}
+    except DAMAGE as error:
+        raise FormatError(f"{path}: cannot be read ({error!s:.200})") from error
+
+
+def _stacked(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
+    """People of arrays with none, one (frames) or two (frames, people) leading axes.
+
+    Somebody whose points are NaN or zero was not found.
+    """
+    lead = arrays[_POINTS].shape[:-2]
+    if len(lead) > 2:
+        raise FormatError(f"{path}: {_POINTS} has shape {arrays[_POINTS].shape}")
+    frames, people = (*lead, 1, 1)[:2]
+    FRAMES.check(frames, path)
+    PEOPLE.check(people, path)
+    rows = {}
+    for key, value in arrays.items():
+        each = value.ndim - len(_SHAPES[key])
+        if each not in (0, len(lead)) or value.shape[:each] != lead[:each]:
+            raise FormatError(f"{path}: {key} has shape {value.shape}, {_POINTS} {lead} of people")
+        rows[key] = np.broadcast_to(value, (*lead, *value.shape[each:])).reshape(
+            frames, people, *value.shape[each:]
+        )
+    shown = np.isfinite(rows[_POINTS]).all((-2, -1)) & (rows[_POINTS] != 0).any((-2, -1))
+    return [
+        [{key: value[t, p] for key, value in rows.items()} for p in np.flatnonzero(shown[t])]
+        for t in range(frames)
+    ]
+
+
+def _of_folder(folder: Path) -> Iterator[list[Any]]:
+    """Frames by the numbers in the names of files; the last of two that change is the person."""
+    files = sorted(folder.glob("*.npz"), key=lambda one: _numbers(one.stem))
+    numbers = [_numbers(one.stem) for one in files]
+    if len({len(one) for one in numbers}) > 1 or not numbers[0]:
+        numbers = [(k,) for k in range(len(files))]
+    changing = [k for k, column in enumerate(zip(*numbers, strict=True)) if len(set(column)) > 1]
+    frame = (changing or [0])[-2:][0]
+    first, last = numbers[0][frame], numbers[-1][frame]
+    FRAMES.check(last - first + 1, folder)
+    at: dict[int, list[Any]] = {}
+    for file, number in zip(files, numbers, strict=True):
+        for people in _stacked(_arrays(file), file):
+            at.setdefault(number[frame], []).extend(people)
+    for k in range(first, last + 1):
+        yield at.get(k, [])
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(one) for one in re.findall(r"\d{1,15}", text))

@@ -1,0 +1,126 @@
+"""Geometries of Open3D as one clip, known by what they have; Open3D itself is not imported."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.core.limits import CLOUD, FRAME_RATE, POSITION, check_camera
+from recon.core.units import to_z_up
+from recon.fitting.observed import Clip
+from recon.fitting.settings import FitSettings
+from recon.formats.cameras import CameraArrays
+from recon.formats.depth_images import at_edge
+from recon.formats.observations import PointsFile
+from recon.formats.scans import POINTS, thinned
+from recon.reading.clip import format_errors, together
+
+_HEEDED = {"frame_rate", "up", "seed", "robust", "ground"}
+"""Options of reading that geometries in memory heed."""
+
+
+def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel) -> Clip:
+    """One clip of clouds, meshes or depth images in metres, one per frame.
+
+    Of meshes, the vertices are taken. Depth images are pairs (image, lens), of one lens with
+    `intrinsic_matrix`, `width` and `height` (`open3d.camera.PinholeCameraIntrinsic`), whose pixels
+    have their centres at whole numbers.
+
+    Args:
+        given: geometries of one kind (`recon.api.given.geometries_given`).
+        settings: how to read.
+        body: that is to be fitted.
+
+    Raises:
+        ObservationError: for several kinds, geometries without points, or options that are missing
+            or of files; says what to do.
+    """
+    if others := sorted(set(settings.given()) - _HEEDED):
+        raise ObservationError(f"{', '.join(others)}: how to read files, not geometries in memory")
+    if settings.frame_rate is None:
+        raise ObservationError("geometries have no clock: give frame_rate, frames per second")
+    pairs = [one for one in given if isinstance(one, tuple)]
+    if len(pairs) not in (0, len(given)) or (
+        not pairs and any(hasattr(g, "depth") for g in given)
+    ):
+        raise ObservationError(
+            "expected clouds and meshes alone, or pairs (RGBDImage, PinholeCameraIntrinsic) alone"
+        )
+    camera = _camera([lens for _, lens in pairs]) if pairs else None
+    if camera is not None and settings.up is not None:
+        raise ObservationError("up: depth images have the camera's axes; leave it out")
+    with format_errors():
+        FRAME_RATE.check(settings.frame_rate, "geometries", "frame rate")
+        clouds = [
+            _points(one, k) if camera is None else _seen(one[0], k, camera)
+            for k, one in enumerate(given)
+        ]
+        CLOUD.check(sum(map(len, clouds)), "geometries", "all together: ")
+    generator = np.random.default_rng(settings.seed)
+    kept = [thinned(cloud, POINTS, 3.0, generator) for cloud in clouds]
+    if not any(map(len, kept)):
+        raise ObservationError("no geometry has any point")
+    points = np.concatenate(kept)
+    file = PointsFile(
+        points=points if camera is not None else points @ to_z_up(settings.up or "z").T,
+        frame=np.repeat(np.arange(len(kept)), [len(cloud) for cloud in kept]),
+        fps=settings.frame_rate,
+        camera=camera,
+    )
+    if camera is None:  # clouds and meshes are in a world; the caller places a plane in it
+        settings = replace(settings, ground=None)
+    return together([("geometries", file)], (), settings, body)
+
+
+def _array(values: Any) -> np.ndarray:
+    """Values on the processor: vectors of the older interface, tensors of the newer."""
+    values = values.cpu().numpy() if hasattr(values, "cpu") else values
+    return np.asarray(values, dtype=np.float64)
+
+
+def _points(one: Any, frame: int) -> Float[np.ndarray, "points 3"]:
+    for name in ("points", "vertices"):
+        if hasattr(one, name):
+            found = _array(getattr(one, name))
+            break
+    else:  # open3d.t.geometry
+        held = one.point if hasattr(one, "point") else one.vertex
+        found = _array(held["positions"]) if "positions" in held else np.zeros((0, 3))
+    found = found.reshape(0, 3) if found.size == 0 else found
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise ObservationError(f"geometry {frame}: expected points (N, 3), got {found.shape}")
+    found = found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
+    POSITION.check(found, f"geometry {frame}", "[point, axis]")
+    return found
+
+
+def _camera(lenses: Sequence[Any]) -> CameraArrays:
+    matrix = np.array(lenses[0].intrinsic_matrix, dtype=np.float64)
+    size = int(lenses[0].width), int(lenses[0].height)
+    for one in lenses[1:]:
+        if (one.width, one.height) != size or not np.array_equal(one.intrinsic_matrix, matrix):
+            raise ObservationError("expected one lens of all depth images, got several")
+    check_camera(matrix, size, None, "camera")
+    matrix[:2, 2] += 0.5  # here a pixel's centre is half a pixel from its corner
+    return CameraArrays(matrix, size)
+
+
+def _seen(image: Any, frame: int, camera: CameraArrays) -> Float[np.ndarray, "points 3"]:
+    """Points of an image of metres, camera frame; without the edges, which mix two depths."""
+    depth = _array(image.depth.as_tensor() if hasattr(image.depth, "as_tensor") else image.depth)
+    depth = depth.squeeze(-1) if depth.ndim == 3 and depth.shape[-1] == 1 else depth
+    if depth.shape != camera.image_size[::-1]:
+        raise ObservationError(
+            f"depth image {frame}: expected {camera.image_size[::-1]} rows and columns, as the "
+            f"camera has, got {depth.shape}"
+        )
+    depth = np.nan_to_num(depth, posinf=0.0, neginf=0.0)
+    row, column = np.nonzero((depth > 0) & ~at_edge(depth))
+    rays = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], 1)
+    cloud = depth[row, column, None] * (rays @ np.linalg.inv(camera.camera_matrix).T)
+    POSITION.check(cloud, f"depth image {frame}: expected metres", "[point, axis]")
+    return cloud
