@@ -23,7 +23,7 @@ MODULES = {
     "recon/core/robust.py": ("tests/core/test_robust.py",),
     "recon/core/scene.py": ("tests/core/test_scene.py",),
     "recon/core/camera.py": ("tests/core/test_camera.py", "tests/observations/test_checks.py"),
-    "recon/formats/mocap/c3d.py": ("tests/formats/test_markers.py",),
+    "recon/mocap/c3d.py": ("tests/formats/test_markers.py",),
     "recon/formats/observations.py": (
         "tests/formats/test_npz.py", "tests/formats/test_keypoints.py",
         "tests/core/test_limits.py",

@@ -38,10 +38,10 @@ from benchmarks.protocol import (
 )
 from recon import BodyModel, Markers3D
 from recon.benchmark.table import Interval
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_fit import MarkerFit, fit_markers
 from recon.ingest.marker_sets import MarkerSet, full_body_markers
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02

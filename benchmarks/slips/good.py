@@ -30,10 +30,10 @@ from recon import BodyModel, Markers3D
 from recon.benchmark.dataset import Part
 from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.diagnosis.findings import Code, Finding
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_sets import full_body_markers
 from recon.method.sensor import Sensor as Seen
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
 from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")

@@ -11,9 +11,9 @@ from recon.api.result import described
 from recon.core.arrays import positive
 from recon.core.units import Axis
 from recon.diagnosis.findings import Finding
-from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.ingest import single
 from recon.ingest.transfer import transfer
+from recon.mocap.recording import MarkerRecording, SkeletonRecording
 
 
 def convert(
@@ -39,7 +39,7 @@ def convert(
 
     Args:
         recording: a file (.bvh, .amc, .c3d, .trc, .mat, also .xz, or FILE::MEMBER of an archive),
-            or what `recon.formats.mocap.reader.read_recording` made of it.
+            or what `recon.mocap.reader.read_recording` made of it.
         unit: of the file; default: found out.
         up: axis of the file that points up; default: found out.
         mapping: JSON or TOML file that says which of its joints or markers are which.

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.formats.mocap.asf_amc import find_skeleton
-from recon.formats.mocap.bvh import parse_bvh
-from recon.formats.mocap.reader import iterate_texts, read_recording
-from recon.formats.mocap.recording import SkeletonRecording, drop_lead_in
 from recon.formats.replacing import file_checksum, value_checksum
+from recon.mocap.asf_amc import find_skeleton
+from recon.mocap.bvh import parse_bvh
+from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.recording import SkeletonRecording, drop_lead_in
 
 _SUFFIXES = (".bvh.xz", ".amc.xz", ".bvh", ".amc")
 _UNEVEN = ("playground", "uneven")

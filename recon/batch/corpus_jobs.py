@@ -14,11 +14,11 @@ from pathlib import Path
 from recon.batch.collection import Content, SourceClip, contents, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
-from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.replacing import clear_leftovers, file_checksum, part_of, replacing
 from recon.ingest.conversion import Conversion, convert_skeletons, glitches
 from recon.ingest.maps import recognise
 from recon.ingest.subject import SubjectModel, calibrate
+from recon.mocap.recording import SkeletonRecording
 
 Row = dict[str, str | float | int | bool | None]
 

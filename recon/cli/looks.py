@@ -40,7 +40,7 @@ def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> No
     Raises:
         ValueError: says what was seen, and which mapping file to write.
     """
-    from recon.formats.mocap.reader import refuse_unknown_skeleton
+    from recon.mocap.reader import refuse_unknown_skeleton
 
     refuse_unknown_skeleton(path)
     if up is None:
@@ -63,9 +63,9 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
 
     from recon.body.marker_labels import FEWEST_MARKERS, mapping_to_write, match_markers
     from recon.core.errors import FormatError
-    from recon.formats.keypoints3d.labels import STUDY, are_keypoints
-    from recon.formats.mocap.reader import read_recording
-    from recon.formats.mocap.recording import MarkerRecording
+    from recon.keypoints3d.labels import STUDY, are_keypoints
+    from recon.mocap.reader import read_recording
+    from recon.mocap.recording import MarkerRecording
 
     for path in marked:
         recording = read_recording(path, unit=unit)

@@ -11,8 +11,8 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
 from recon.export.skeleton import rest_offsets
-from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.opening import replacing
+from recon.mocap.recording import SkeletonRecording
 
 Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 

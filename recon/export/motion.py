@@ -14,11 +14,11 @@ from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import markers_of, write_angles, write_mot
 from recon.export.usd import write_usd
 from recon.formats.joint_table import write_joint_table
-from recon.formats.mocap.trc import write_trc
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
+from recon.mocap.trc import write_trc
 from recon.view.files import draw_html, shown
 
 

@@ -19,8 +19,8 @@ from recon.body.opensim import MODEL_NAMES, OpenSimModel, opensim_coordinates
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.opening import replacing
+from recon.mocap.recording import MarkerRecording
 
 
 def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) -> None:

@@ -22,7 +22,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Axis
 from recon.formats.opening import check_tree, existing, load_arrays
-from recon.formats.smpl import read_tree
+from recon.formats.pickles import read_tree
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl")
 _ROOT = ("global_orient", "root_orient")

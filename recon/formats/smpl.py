@@ -1,247 +1,20 @@
 """Reads the SMPL, SMPL-H and SMPL-X model files a user has (.npz or .pkl).
 
 The files are licensed by the Max Planck Society and are never shipped or downloaded here. Nothing
-inside a file is ever executed (`smpl_pickle`).
+inside a file is ever executed (`recon.formats.pickles`).
 """
 
-import pickle
-import struct
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BytesIO
-from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import DAMAGE, check_sizes, check_tree, existing, inflated
-
-
-def read_tree(path: Path) -> dict[Any, Any]:
-    """A pickled dictionary of arrays, plain containers and inert records; nothing is run.
-
-    Raises:
-        ValueError: when the file is damaged, or names anything that is not on the list.
-    """
-    with path.open("rb") as file:
-        content = read_pickle(file, path)
-    if not isinstance(content, dict):
-        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
-    return content
-
-
-def read_pickle(file: BinaryIO, path: Path) -> object:
-    """What is pickled from the place of an open file on, as `read_tree` reads it.
-
-    Raises:
-        ValueError: when the file is damaged, or names anything that is not on the list.
-    """
-    try:
-        # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
-        BINARY.check(path.stat().st_size, path)
-        data = inflated(file.read(), path)
-        kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
-        content = kind(BytesIO(data), encoding="latin1").load()
-    except _RefusedError as error:
-        raise FormatError(
-            f"{path}: refusing to load {error}, which no body model and no list of poses "
-            "contains; nothing in the file was run"
-        ) from None
-    except (
-        *DAMAGE, pickle.UnpicklingError, SystemError, ImportError, NameError, struct.error,
-    ) as error:  # fmt: skip
-        # the pickle documentation names these for damaged files
-        raise FormatError(
-            f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
-        ) from error
-    if isinstance(content, dict | list | tuple):
-        check_tree(content, path)
-    return content
-
-
-def _array(value: object, name: str, path: Path) -> np.ndarray:
-    try:
-        array = _plain(value)
-    except (
-        KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
-    ) as error:  # fmt: skip
-        raise FormatError(f"{path}: cannot read {name}: {error!r:.200}") from error
-    if isinstance(array, np.ndarray):
-        MODEL_NUMBERS.check(array.size, path, name)
-        return array
-    raise FormatError(f"{path}: {name} should be an array, is {type(value).__name__}")
-
-
-class _Inert:
-    """Placeholder for a pickled object of any library: keeps its state and runs nothing."""
-
-    state: Mapping[str, Any]
-
-    def __setstate__(self, state: object) -> None:
-        if not isinstance(state, dict):
-            raise TypeError(f"expected the state of an object as a dictionary, got {type(state)}")
-        self.state = state
-
-
-class _Chumpy(_Inert):
-    """chumpy.Ch holds its array as `x`; chumpy's Select picks entries `idxs` of another, `a`."""
-
-    def value(self) -> object:
-        if "x" in self.state:
-            return _plain(self.state["x"])
-        picked = np.asarray(_plain(self.state["a"])).reshape(-1)[np.asarray(self.state["idxs"])]
-        return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
-
-
-class _CompressedRows(_Inert):
-    """scipy.sparse.csr_matrix; entries named twice add up."""
-
-    def value(self) -> np.ndarray:
-        return self._dense(*(int(size) for size in self.state["_shape"]))
-
-    def _dense(self, lines: int, length: int) -> np.ndarray:
-        """Compressed lines as a full matrix."""
-        MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
-        if min(lines, length) < 0:
-            raise FormatError(f"a sparse matrix of shape {lines} x {length}")
-        dense = np.zeros((lines, length))
-        starts = np.asarray(self.state["indptr"], np.int64)
-        if len(starts) != lines + 1 or starts[-1] != len(self.state["data"]):
-            raise FormatError(f"a sparse matrix of {lines} lines whose entries begin elsewhere")
-        line = np.repeat(np.arange(lines), np.diff(starts))
-        columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
-        np.add.at(dense, (line, columns), numbers)
-        return dense
-
-
-class _CompressedColumns(_CompressedRows):
-    """scipy.sparse.csc_matrix."""
-
-    def value(self) -> np.ndarray:
-        rows, columns = (int(size) for size in self.state["_shape"])
-        return self._dense(columns, rows).T
-
-
-def _plain(value: object) -> object:
-    return value.value() if isinstance(value, _Chumpy | _CompressedRows) else value
-
-
-def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
-    """How Python 3 pickles bytes for Python 2; no other codec is looked up."""
-    if encoding not in ("latin1", "latin-1"):
-        raise FormatError(f"unexpected text encoding {encoding!r}")
-    return text.encode("latin-1")
-
-
-def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
-    """Replacement for the function with which numpy's pickles begin an array.
-
-    Only size zero is allowed.
-    """
-    if kind is not np.ndarray or tuple(shape) != (0,):
-        raise TypeError(f"unexpected array of shape {shape}, {code!r:.20}")
-    return np.ndarray.__new__(np.ndarray, (0,), "b")
-
-
-def _some_bytes(value: object = b"", *encoding: str) -> bytes:
-    """Replacement for `bytes` that refuses numbers, which would allocate memory."""
-    if isinstance(value, str):
-        return _latin_bytes(value, *encoding)
-    if not isinstance(value, bytes | bytearray | list | tuple):
-        raise TypeError(f"unexpected bytes of {type(value).__name__}")
-    return bytes(value)
-
-
-def _bare(kind: type, base: type, state: object) -> object:
-    """copyreg._reconstructor for records without a built-in base."""
-    if not issubclass(kind, _Inert) or base is not object:
-        raise TypeError(f"unexpected record of type {kind.__name__}")
-    del state
-    return kind.__new__(kind)
-
-
-class _JoblibArray(_Inert):
-    """What joblib pickles in place of an array, whose bytes follow it in the file."""
-
-    def read(self, file: BytesIO) -> np.ndarray:
-        """The array; `file` stands behind the pickled record."""
-        shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
-        if not isinstance(dtype, np.dtype) or dtype.hasobject:
-            raise _RefusedError("an array of pickled objects")
-        MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
-        if self.state.get("numpy_array_alignment_bytes") is not None:
-            file.read(file.read(1)[0])
-        flat = np.frombuffer(file.read(prod(shape) * dtype.itemsize), dtype)
-        return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
-
-
-_NUMPY = ("numpy.core", "numpy._core")
-"""Modules of numpy 1 and 2."""
-_BUILTINS = ("__builtin__", "builtins")
-"""Modules of Python 2 and 3."""
-_CONTAINERS = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
-_ALLOWED: dict[tuple[str, str], object] = {
-    ("numpy", "ndarray"): np.ndarray,
-    ("numpy", "dtype"): np.dtype,
-    **{(f"{core}.multiarray", "_reconstruct"): _empty for core in _NUMPY},
-    **{(f"{core}.multiarray", "scalar"): np.float64(0).__reduce__()[0] for core in _NUMPY},
-    **{(f"{core}.numeric", "_frombuffer"): np.zeros(1).__reduce_ex__(5)[0] for core in _NUMPY},
-    **{(module, kind.__name__): kind for module in _BUILTINS for kind in _CONTAINERS},
-    **{(module, kind): _some_bytes for module in _BUILTINS for kind in ("bytes", "bytearray")},
-    ("_codecs", "encode"): _latin_bytes,
-    ("copy_reg", "_reconstructor"): _bare,
-    ("copyreg", "_reconstructor"): _bare,
-    ("collections", "OrderedDict"): OrderedDict,
-    ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
-    ("chumpy.ch", "Ch"): _Chumpy,
-    ("chumpy", "Ch"): _Chumpy,
-    ("chumpy.reordering", "Select"): _Chumpy,
-    ("scipy.sparse.csc", "csc_matrix"): _CompressedColumns,
-    ("scipy.sparse._csc", "csc_matrix"): _CompressedColumns,
-    ("scipy.sparse.csr", "csr_matrix"): _CompressedRows,
-    ("scipy.sparse._csr", "csr_matrix"): _CompressedRows,
-}
-"""What pickles of body models and of arrays name, by module and name."""
-
-
-class _RefusedError(Exception):
-    """A pickle named something that is not on the list."""
-
-
-class _Unpickler(pickle.Unpickler):
-    """Knows the names in `_ALLOWED` and no others."""
-
-    def find_class(self, module_name: str, global_name: str, /) -> Any:
-        if (module_name, global_name) not in _ALLOWED:
-            raise _RefusedError(f"{module_name}.{global_name}")
-        return _ALLOWED[module_name, global_name]
-
-
-_InPython: Any = vars(pickle)["_Unpickler"]
-"""Python's own unpickler: that in C reads ahead, past the bytes of joblib's arrays."""
-
-
-class _JoblibUnpickler(_InPython):
-    """Knows the names in `_ALLOWED`, and joblib's arrays."""
-
-    def __init__(self, file: BytesIO, *, encoding: str) -> None:
-        super().__init__(file, encoding=encoding)
-        self.bytes_behind = file
-
-    find_class = _Unpickler.find_class
-
-    def load_build(self) -> None:
-        super().load_build()
-        if isinstance(self.stack[-1], _JoblibArray):
-            self.stack[-1] = self.stack[-1].read(self.bytes_behind)
-
-    dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
-
+from recon.formats.opening import DAMAGE, check_sizes, existing
+from recon.formats.pickles import array_in, read_tree
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 _USED = (*_NEEDED, "posedirs")
@@ -298,7 +71,7 @@ def load_smpl(path: str | Path) -> SmplArrays:
             fields = _read_npz(path)
         case ".pkl":
             tree = read_tree(path)
-            fields = {name: _array(tree[name], name, path) for name in _USED if name in tree}
+            fields = {name: array_in(tree[name], name, path) for name in _USED if name in tree}
         case other:
             raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {other!r}")
     return _checked(fields, path)

@@ -13,13 +13,13 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
 from recon.diagnosis.movement import belt_velocity
-from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, read_report, versions
 from recon.gait.analysis import analyse
 from recon.gait.laboratory import LaboratoryReport, outputs_of
 from recon.gait.plots import PointResiduals, matplotlib
+from recon.mocap.asf_amc import recording_files
 
 
 def report(

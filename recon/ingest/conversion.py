@@ -21,11 +21,11 @@ from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
-from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.motions import MotionFile, save_motion
 from recon.ingest.skeleton import Solved, solve
 from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed
+from recon.mocap.recording import SkeletonRecording
 
 GLITCH_SPEED = 20.0
 """Metres per second: no joint of a body moves so fast; between such frames it jumped."""

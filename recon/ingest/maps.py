@@ -14,15 +14,15 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.skeleton import FEET, JOINTS, joint_index
-from recon.formats.mocap.reader import (
+from recon.formats.toml_files import read_toml
+from recon.mocap.reader import (
     NEEDED,
     SkeletonTable,
     known_skeletons,
     plain,
     skeleton_among,
 )
-from recon.formats.mocap.recording import SkeletonRecording
-from recon.formats.toml_files import read_toml
+from recon.mocap.recording import SkeletonRecording
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from jaxtyping import Bool
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
 from recon.diagnosis.findings import Finding, listed
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.conversion import Conversion, floored
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
@@ -29,6 +28,7 @@ from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.marker_frames import jump_findings
 from recon.ingest.marker_gaps import gap_findings, trimmed
 from recon.ingest.marker_sets import MarkerSet, full_body_markers, keypoint_finding
+from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
 _BAD = 0.02

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.formats.mocap.recording import MarkerRecording
+from recon.mocap.recording import MarkerRecording
 
 _APART = 0.04
 """Metres between two markers, below which exchanging them changes little."""

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.diagnosis.findings import Finding, listed, stretches
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_fit import MarkerFit
 from recon.ingest.marker_sets import MarkerSet
+from recon.mocap.recording import MarkerRecording
 
 FAR = 0.15
 """Metres from its place on the body beyond which a marker is misplaced for that frame."""

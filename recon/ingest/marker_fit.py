@@ -18,7 +18,6 @@ from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_calibration import Calibrated, SubjectEnergies, calibrated
 from recon.ingest.marker_frames import mended_frames, solved_apart, solved_in_turn
 from recon.ingest.marker_gaps import (
@@ -38,6 +37,7 @@ from recon.ingest.marker_poses import (
 )
 from recon.ingest.marker_sets import MarkerSet
 from recon.method.protocols import REFERENCE_FPS
+from recon.mocap.recording import MarkerRecording
 
 OUTLIER = 0.1
 """Metres at which a marker counts half as much: swapped labels, ghosts."""

@@ -17,8 +17,8 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_poses import Poses
+from recon.mocap.recording import MarkerRecording
 
 _TORSO_MARKERS = 3
 """Markers of the torso that place a body."""

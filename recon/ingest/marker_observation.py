@@ -17,11 +17,11 @@ from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import listed
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
 from recon.ingest.marker_findings import marker_distances
 from recon.ingest.marker_fit import stands_on_zero
 from recon.ingest.marker_sets import full_body_markers
+from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
 

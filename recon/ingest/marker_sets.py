@@ -22,8 +22,8 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed
-from recon.formats.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
-from recon.formats.mocap.recording import MarkerRecording
+from recon.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
+from recon.mocap.recording import MarkerRecording
 
 _TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"}
 """Bones that carry points between joints of both sides."""

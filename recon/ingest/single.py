@@ -5,12 +5,12 @@ from pathlib import Path
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.units import Axis
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 
 
 def convert(

@@ -13,13 +13,13 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion, pad
 from recon.core.scene import Scene
 from recon.core.skeleton import PARENTS
-from recon.formats.mocap.recording import SkeletonRecording
 from recon.ingest.subject import BoneOrientations, Frames, SubjectModel, joint_terms
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.mocap.recording import SkeletonRecording
 from recon.solver.lbfgs import LBFGS
 
 BONES_WEIGHT = 0.02

@@ -17,7 +17,6 @@ from recon.core import rotations as so3
 from recon.core.scene import Scene
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
-from recon.formats.mocap.recording import SkeletonRecording
 from recon.ingest.maps import SkeletonMap, alignments_from_rest
 from recon.method import terms
 from recon.method.free import FreeMotion
@@ -25,6 +24,7 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.mocap.recording import SkeletonRecording
 from recon.solver.lbfgs import LBFGS
 
 

@@ -7,21 +7,12 @@ from pathlib import Path
 
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError, ReconError
+from recon.detections.tables import holds_detections
 from recon.fitting.ground import camera_above
 from recon.fitting.observed import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
-from recon.formats.detections.tables import holds_detections
-from recon.formats.keypoints3d.labels import are_keypoints
-from recon.formats.keypoints3d.reader import (
-    RECORDINGS,
-    from_recording,
-    holds_points_3d,
-    marker_recording,
-    markers_of_study,
-    read_points_3d,
-)
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -31,6 +22,15 @@ from recon.formats.observations import (
 )
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import read_scans
+from recon.keypoints3d.labels import are_keypoints
+from recon.keypoints3d.reader import (
+    RECORDINGS,
+    from_recording,
+    holds_points_3d,
+    marker_recording,
+    markers_of_study,
+    read_points_3d,
+)
 from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of

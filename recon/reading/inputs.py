@@ -11,11 +11,11 @@ from typing import Any
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
 from recon.formats.foreign import holds_sam3d_body
-from recon.formats.keypoints3d.reader import body_file, time_stamps
-from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path
+from recon.keypoints3d.reader import body_file, time_stamps
+from recon.mocap.asf_amc import recording_files
 from recon.reading.places import expand
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)

@@ -14,10 +14,10 @@ from recon.core.coordinates import decide_any_up, head_above_feet
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
 from recon.core.units import METRES, Up, check_override, to_z_up
-from recon.formats.keypoints3d.labels import meant_keypoints
-from recon.formats.keypoints3d.reader import with_rate
-from recon.formats.keypoints3d.records import Points3D
 from recon.formats.observations import PositionsFile
+from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.reader import with_rate
+from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
 
 _SMALLEST, _LARGEST = 0.5, 1.4

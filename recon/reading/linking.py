@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from recon.formats.detections.records import Detections
+from recon.detections.records import Detections
 from recon.reading.assignments import BEGINS, choices
 from recon.reading.places import (
     FEWEST_KEYPOINTS,

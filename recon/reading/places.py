@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 
 from recon.core.errors import ObservationError
 from recon.core.skeleton import keypoint_names
+from recon.detections.records import Detections
 from recon.formats.depth_images import read_png
-from recon.formats.detections.records import Detections
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
 from recon.reading.masks import PackedMask, read_packed_masks

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from recon.core.errors import ObservationError
 from recon.core.skeleton import keypoint_names
+from recon.detections.records import Detections
 from recon.formats.cameras import CameraArrays
-from recon.formats.detections.records import Detections
 from recon.reading.linking import LOST_AFTER, farthest, linked
 from recon.reading.places import FEWEST_KEYPOINTS, body_size, distance
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
+from recon.detections.reader import read_keypoints
+from recon.detections.records import Detections
 from recon.fitting.settings import ReadOptions
 from recon.formats.calibration import Calibration, load_cameras
 from recon.formats.cameras import (
@@ -17,8 +19,6 @@ from recon.formats.cameras import (
     guessed_size,
     settle_camera,
 )
-from recon.formats.detections.reader import read_keypoints
-from recon.formats.detections.records import Detections
 from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import crowded
 from recon.formats.tracks import CameraTrack, read_track
@@ -50,7 +50,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     """Everybody's 2D keypoints in one or more calibrated views.
 
     Args:
-        paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
+        paths: files or folders of `recon.detections.reader`, one per view; a folder that
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
         how: the options of reading. Without a calibration, the camera of one view is guessed, a
             phone's, from the size of its images.

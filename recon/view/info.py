@@ -10,11 +10,6 @@ from recon.body.model import BodyModel
 from recon.formats.estimates import read_estimate
 from recon.formats.foreign import refuse_foreign
 from recon.formats.joint_table import JointCertainty
-from recon.formats.keypoints3d.labels import are_keypoints
-from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
-from recon.formats.keypoints3d.records import Points3D
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording, head_to_foot
 from recon.formats.motions import MotionFile, load_motion
 from recon.formats.observations import (
     CameraArrays,
@@ -23,9 +18,15 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.opening import existing, load_arrays
+from recon.formats.pickles import read_tree
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
-from recon.formats.smpl import load_smpl, read_tree
+from recon.formats.smpl import load_smpl
+from recon.keypoints3d.labels import are_keypoints
+from recon.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
+from recon.keypoints3d.records import Points3D
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording, head_to_foot
 from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes
 from recon.view.info_cameras import (

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
-from recon.formats.detections.reader import read_keypoints
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
 from recon.formats.pcd import read_pcd

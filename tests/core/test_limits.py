@@ -16,8 +16,8 @@ import scipy.sparse
 from recon.core import limits
 from recon.core.limits import LIMITS, Limit, check_camera, check_pose
 from recon.core.units import to_z_up
+from recon.detections.reader import read_keypoints
 from recon.formats.depth_images import read_png
-from recon.formats.detections.reader import read_keypoints
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import CameraArrays, PointsFile, load_observation, save_observation
 from recon.formats.opening import check_sizes

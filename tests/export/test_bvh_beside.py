@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.formats.mocap.bvh import read_bvh
+from recon.mocap.bvh import read_bvh
 from tests.formats.test_bvh import make_motion
 
 

@@ -11,9 +11,9 @@ from recon.body.angles import isb_angles
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.tables import markers_of
-from recon.formats.mocap.bvh import read_bvh
-from recon.formats.mocap.trc import read_trc, write_trc
 from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.mocap.bvh import read_bvh
+from recon.mocap.trc import read_trc, write_trc
 from tests.export.test_opensim_files import make_motion
 
 FRAMES = 100

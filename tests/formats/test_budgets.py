@@ -15,8 +15,8 @@ from recon.formats.calibration import load_cameras
 from recon.formats.estimates import read_estimate
 from recon.formats.json_files import read_json
 from recon.formats.opening import load_arrays
+from recon.formats.pickles import read_tree
 from recon.formats.projects import project_at
-from recon.formats.smpl import read_tree
 
 SECONDS = 5.0
 """Of the processor: a quarter of it is usual, without a budget it takes minutes."""

@@ -13,10 +13,10 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.export.bvh import Order, skeleton_of, write_bvh
-from recon.formats.mocap.asf_amc import read_amc
-from recon.formats.mocap.bvh import parse_bvh, read_bvh
-from recon.formats.mocap.reader import iterate_texts, read_recording
-from recon.formats.mocap.recording import SkeletonRecording, drop_lead_in
+from recon.mocap.asf_amc import read_amc
+from recon.mocap.bvh import parse_bvh, read_bvh
+from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.recording import SkeletonRecording, drop_lead_in
 
 BVH = """HIERARCHY
 ROOT Hips

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats.keypoints3d.labels import are_keypoints
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.mocap.trc import write_trc
+from recon.keypoints3d.labels import are_keypoints
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
+from recon.mocap.trc import write_trc
 from tests.formats.test_markers import make_markers, write_c3d
 
 SEGMENTS = (

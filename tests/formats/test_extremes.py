@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
-from recon.formats.detections.reader import read_keypoints
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.trc import write_trc
 from recon.formats.motions import load_motion
 from recon.formats.observations import (
     CameraArrays,
@@ -24,6 +22,8 @@ from recon.formats.observations import (
     save_observation,
 )
 from recon.formats.scan_times import timed
+from recon.mocap.reader import read_recording
+from recon.mocap.trc import write_trc
 from tests.formats.test_large_files import chain
 from tests.formats.test_markers import make_markers
 from tests.formats.test_npz import amass

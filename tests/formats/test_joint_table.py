@@ -11,8 +11,8 @@ from recon import cli
 from recon.api.result import described
 from recon.core.skeleton import JOINTS
 from recon.formats.joint_table import JointCertainty
-from recon.formats.keypoints3d.reader import read_points_3d
 from recon.formats.motions import save_motion
+from recon.keypoints3d.reader import read_points_3d
 from recon.view.info import info
 from tests.filmed import bundled, walk
 

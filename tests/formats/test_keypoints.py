@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from recon.core.skeleton import keypoint_names
-from recon.formats.detections.reader import read_keypoints
-from recon.formats.detections.records import cleaned
-from recon.formats.detections.tables import normalised
+from recon.detections.reader import read_keypoints
+from recon.detections.records import cleaned
+from recon.detections.tables import normalised
 from recon.formats.json_files import frame_numbers
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import head_to_foot
 from recon.formats.opening import numbers_in
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import head_to_foot
 from tests.formats.test_markers import make_markers, write_c3d
 
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.formats.mocap.c3d import _floats as vax_floats  # pyright: ignore[reportPrivateUsage]
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.mocap.trc import write_trc
+from recon.mocap.c3d import _floats as vax_floats  # pyright: ignore[reportPrivateUsage]
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
+from recon.mocap.trc import write_trc
 
 NAMES = ("LFHD", "C7", "RKNE", "LHEE")
 

@@ -5,9 +5,9 @@ import pytest
 
 from recon.core.errors import FormatError
 from recon.core.skeleton import keypoint_names
-from recon.formats.detections.reader import read_keypoints
-from recon.formats.detections.tables import holds_detections
-from recon.formats.keypoints3d.reader import holds_points_3d
+from recon.detections.reader import read_keypoints
+from recon.detections.tables import holds_detections
+from recon.keypoints3d.reader import holds_points_3d
 
 NAMES = keypoint_names("coco17")
 

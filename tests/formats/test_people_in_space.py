@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from recon.core.errors import FormatError
-from recon.formats.keypoints3d.reader import read_points_3d
+from recon.keypoints3d.reader import read_points_3d
 
 FRAMES = 12
 

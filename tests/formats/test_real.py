@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from recon.export.bvh import write_bvh
-from recon.formats.mocap.bvh import parse_bvh, read_bvh
-from recon.formats.mocap.reader import iterate_texts, read_recording
-from recon.formats.mocap.recording import (
+from recon.mocap.bvh import parse_bvh, read_bvh
+from recon.mocap.reader import iterate_texts, read_recording
+from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
     drop_lead_in,

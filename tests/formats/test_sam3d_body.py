@@ -8,7 +8,7 @@ import pytest
 
 from recon.core.errors import FormatError
 from recon.formats.foreign import is_estimate, refuse_foreign
-from recon.formats.keypoints3d.reader import holds_points_3d, read_points_3d
+from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.reading.inputs import input_checksums
 
 FRAMES, FOCAL, MIDDLE = 60, 1500.0, (960.0, 540.0)

@@ -8,8 +8,8 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
+from recon.mocap.recording import MarkerRecording
 from tests.ingest.walker import recorded
 
 

@@ -13,12 +13,12 @@ from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import ARMS, FEET, LEGS, joint_index
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest import convert
 from recon.ingest.marker_fit import fit_markers
 from recon.ingest.marker_observation import seen_markers
 from recon.ingest.marker_sets import full_body_markers
 from recon.method.protocols import Estimate
+from recon.mocap.recording import MarkerRecording
 from tests.ingest.walker import MARKERS
 
 LEG_MARKERS = [

@@ -21,12 +21,12 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import glitches, resampled
 from recon.ingest.maps import alignments_from_rest, recognise
 from recon.ingest.marker_sets import STANDOFF, full_body_markers, nominal_offsets
+from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from tests.ingest.walker import MARKERS
 
 FPS = 60.0

@@ -7,11 +7,11 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
-from recon.formats.detections.tables import normalised
-from recon.formats.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.detections.tables import normalised
 from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.marker_sets import keypoint_places
+from recon.keypoints3d.labels import are_keypoints, meant_keypoints
 from tests.ingest.walker import MARKERS
 
 

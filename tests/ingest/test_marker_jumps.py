@@ -7,9 +7,9 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_frames import eased, jump_findings, mended, unmade_steps
 from recon.ingest.marker_sets import STANDOFF
+from recon.mocap.recording import MarkerRecording
 from tests.ingest.test_markers import codes
 from tests.ingest.walker import MARKERS
 

@@ -10,7 +10,6 @@ from recon.body.derivatives import logarithm_by
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_fit import fit_markers
 from recon.ingest.marker_gaps import observed_joints
 from recon.ingest.marker_neighbours import (
@@ -19,6 +18,7 @@ from recon.ingest.marker_neighbours import (
     frames_about_gaps,
 )
 from recon.ingest.marker_sets import full_body_markers
+from recon.mocap.recording import MarkerRecording
 
 
 def with_gaps(recording: MarkerRecording) -> MarkerRecording:

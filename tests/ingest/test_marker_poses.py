@@ -17,8 +17,6 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure
 from recon.core.scene import Scene
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_calibration import Calibrated, SubjectEnergies
 from recon.ingest.marker_fit import (
     GROUND_WEIGHT,
@@ -35,6 +33,8 @@ from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
 from recon.solver.lbfgs import LBFGS
 from tests.ingest.walker import MARKERS
 

@@ -17,7 +17,6 @@ from recon.body.soles import Soles
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
 from recon.diagnosis.findings import Finding
-from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import floored
@@ -31,6 +30,7 @@ from recon.ingest.marker_gaps import bridged, gap_findings, observed_joints, pla
 from recon.ingest.marker_observation import seen_markers
 from recon.ingest.marker_poses import natural_pose
 from recon.ingest.marker_sets import full_body_markers
+from recon.mocap.recording import MarkerRecording
 from tests.ingest.walker import LABELS
 
 ARM = [LABELS.index(label) for label in ("LELB", "LWRA", "LWRB")]

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from recon.core.skeleton import JOINTS
-from recon.formats.mocap.reader import (
+from recon.ingest.maps import recognise
+from recon.mocap.reader import (
     NEEDED,
     known_skeletons,
     plain,
@@ -13,8 +14,7 @@ from recon.formats.mocap.reader import (
     refuse_unknown_skeleton,
     skeleton_among,
 )
-from recon.formats.mocap.recording import SkeletonRecording
-from recon.ingest.maps import recognise
+from recon.mocap.recording import SkeletonRecording
 
 BVH = """HIERARCHY
 ROOT Hips

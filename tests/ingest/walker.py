@@ -6,8 +6,8 @@ import torch
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.marker_sets import nominal_offsets
+from recon.mocap.recording import MarkerRecording
 
 MARKERS = {
     "LASI": "left_asis", "RASI": "right_asis", "LPSI": "left_psis", "RPSI": "right_psis",

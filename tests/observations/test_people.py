@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.formats.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, gather
 from recon.reading.tracks import Track, choose, follow
 from tests.keypoint_scene import camera, figure, image
 

@@ -7,8 +7,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
 from recon.core.units import METRES, Axis, parse_unit, snapped_rate, to_z_up
-from recon.formats.mocap.recording import MarkerRecording, settle_markers
 from recon.formats.opening import decode, read_bytes, replacing
+from recon.mocap.recording import MarkerRecording, settle_markers
 
 _HEADER = 5
 """Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""

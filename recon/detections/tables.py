@@ -9,9 +9,9 @@ from jaxtyping import Float, Shaped
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.core.skeleton import LAYOUTS, keypoint_names
-from recon.formats.detections.records import Detections, Row, gather
-from recon.formats.detections.text_tables import first_rows, numbers, read_rows
+from recon.detections.records import Detections, Row, gather
 from recon.formats.opening import load_arrays
+from recon.formats.text_tables import first_rows, numbers, read_rows
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200

@@ -13,13 +13,13 @@ from typing import cast
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Axis
-from recon.formats.mocap.asf_amc import read_amc
-from recon.formats.mocap.bvh import parse_bvh, read_bvh
-from recon.formats.mocap.c3d import read_c3d
-from recon.formats.mocap.mat import read_mat
-from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
-from recon.formats.mocap.trc import read_trc
 from recon.formats.opening import decode, existing, read_bytes
+from recon.mocap.asf_amc import read_amc
+from recon.mocap.bvh import parse_bvh, read_bvh
+from recon.mocap.c3d import read_c3d
+from recon.mocap.mat import read_mat
+from recon.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.mocap.trc import read_trc
 
 RECORDINGS = (".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".mat", ".tar", ".tar.xz")
 """Suffixes that `read_recording` knows, among others of the same families."""

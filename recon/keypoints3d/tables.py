@@ -8,9 +8,9 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
-from recon.formats.detections.text_tables import numbers, read_rows
-from recon.formats.keypoints3d.records import Points3D
 from recon.formats.opening import load_array, load_arrays
+from recon.formats.text_tables import numbers, read_rows
+from recon.keypoints3d.records import Points3D
 
 _COORDINATE = re.compile(r"^(?P<name>.+?)[\s_.:\-]?(?P<axis>[xyzXYZ])$")
 _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")

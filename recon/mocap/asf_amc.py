@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Axis
-from recon.formats.mocap.recording import (
+from recon.formats.opening import decode, read_bytes
+from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
     posed_skeleton,
     settle_skeleton,
 )
-from recon.formats.opening import decode, read_bytes
 
 CMU_RATE = 120.0
 """Frames per second of the CMU database; an AMC file does not state its rate."""

@@ -8,24 +8,24 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
-from recon.formats.detections.tables import holds_detections
-from recon.formats.detections.text_tables import first_rows, numbers, read_rows
+from recon.detections.tables import holds_detections
 from recon.formats.foreign import holds_sam3d_body
 from recon.formats.json_files import read_json
-from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
-from recon.formats.keypoints3d.labels import STUDY, are_keypoints
-from recon.formats.keypoints3d.records import Points3D
-from recon.formats.keypoints3d.tables import (
+from recon.formats.observations import PositionsFile
+from recon.formats.opening import load_arrays
+from recon.formats.text_tables import first_rows, numbers, read_rows
+from recon.keypoints3d.json_files import is_points_3d, read_json_points
+from recon.keypoints3d.labels import STUDY, are_keypoints
+from recon.keypoints3d.records import Points3D
+from recon.keypoints3d.tables import (
     holds_points,
     is_table_3d,
     read_array,
     read_arrays,
     read_table,
 )
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.observations import PositionsFile
-from recon.formats.opening import load_arrays
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
 
 _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
@@ -136,7 +136,7 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if holds_sam3d_body(path):
-        from recon.formats.keypoints3d.sam3d_body import read_sam3d_body  # few files are these
+        from recon.keypoints3d.sam3d_body import read_sam3d_body  # few files are these
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():
@@ -161,7 +161,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     """A recording of labelled points, in metres and z up.
 
     Raises:
-        FileNotFoundError, ValueError: as `recon.formats.mocap.reader.read_recording` does.
+        FileNotFoundError, ValueError: as `recon.mocap.reader.read_recording` does.
     """
     if up is not None and up not in ("x", "y", "z"):
         raise FormatError(f"{path}: recordings have an axis that points up, x, y or z; got {up}")

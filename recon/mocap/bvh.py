@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Axis
-from recon.formats.mocap.recording import (
+from recon.formats.opening import decode, numbers_in, read_bytes
+from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
     posed_skeleton,
     settle_skeleton,
     stated_rate,
 )
-from recon.formats.opening import decode, numbers_in, read_bytes
 
 _LOST = (("Spine1", 1.0), ("LeftHand", 0.5), ("RightHand", 0.5))
 """Joint of a lost bone, and its length as a share of the bone before it."""

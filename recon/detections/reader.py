@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from recon.core.errors import FormatError
-from recon.formats.detections.json_files import is_alphapose, read_frames, read_json_detections
-from recon.formats.detections.records import Detections
-from recon.formats.detections.tables import (
+from recon.detections.json_files import is_alphapose, read_frames, read_json_detections
+from recon.detections.records import Detections
+from recon.detections.tables import (
     is_sleap,
     read_deeplabcut,
     read_detection_arrays,

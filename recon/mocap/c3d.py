@@ -15,8 +15,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
 from recon.core.units import Axis, parse_unit
-from recon.formats.mocap.recording import MarkerRecording, settle_markers, stated_rate
 from recon.formats.opening import read_binary
+from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 _BLOCK = 512
 _INTEL, _DEC, _MIPS = 84, 85, 86

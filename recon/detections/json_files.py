@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import FormatError
-from recon.formats.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, gather
 from recon.formats.json_files import (
     Frames,
     as_floats,

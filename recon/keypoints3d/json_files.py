@@ -10,9 +10,9 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
-from recon.formats.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
+from recon.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
 from recon.formats.json_files import as_floats, listed_frames, read_json
-from recon.formats.keypoints3d.records import Person, Points3D, followed, taken
+from recon.keypoints3d.records import Person, Points3D, followed, taken
 
 _WORLD = ("pose_world_landmarks", "world_landmarks", "poseWorldLandmarks", "worldLandmarks")
 _IMAGE = ("pose_landmarks", "poseLandmarks", "landmarks")

@@ -12,8 +12,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, JOINTS, SAMPLES
 from recon.core.units import Axis
-from recon.formats.mocap.recording import MarkerRecording, settle_markers, stated_rate
 from recon.formats.opening import existing
+from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 _READER = Path(__file__).with_name("mat_process.py")
 _ONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 from recon.core.skeleton import JOINT, JOINTS, LAYOUTS
-from recon.formats.detections.tables import normalised
+from recon.detections.tables import normalised
 
 _PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")
 _ABBREVIATED = re.compile(
