@@ -1,0 +1,38 @@
+"""Arrays as users hold them: masked, with gradients, from inference; and devices."""
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from recon.core.arrays import device_at_hand
+
+
+def test_masked_coordinates_are_not_visible():
+    """The mask was dropped without a word, and what lay below it was fitted."""
+    positions = np.ma.array(np.ones((4, 22, 3)), mask=False)
+    positions[1, 5, 2] = np.ma.masked
+    positions.data[1, 5, 2] = 1e6
+    seen = recon.Joints3D(positions, np.ones((4, 22), bool), range(22), 30.0)
+    assert not seen.visible[1, 5]
+    assert int(seen.visible.sum()) == 4 * 22 - 1
+    assert float(seen.positions[1, 5].abs().max()) == 0
+
+
+def test_tensors_with_gradients_and_from_inference_are_taken():
+    with torch.inference_mode():
+        made = torch.zeros(4, 22, 3)
+    for positions in (torch.zeros(4, 22, 3, requires_grad=True), made):
+        seen = recon.Joints3D(positions, np.ones((4, 22), bool), range(22), 30.0)
+        assert not seen.positions.requires_grad
+        assert not seen.positions.is_inference()
+
+
+def test_devices_that_are_not_there_and_inference_are_told():
+    assert device_at_hand("cpu").type == "cpu"
+    seen = recon.Joints3D(torch.zeros(4, 22, 3), np.ones((4, 22), bool), range(22), 30.0)
+    for name in ("nowhere", "cpu:x", *(() if torch.cuda.is_available() else ("cuda",))):
+        with pytest.raises(recon.ReconError, match="cannot be used here"):
+            recon.fit(seen, "pose", device=name)
+    with torch.inference_mode(), pytest.raises(recon.ReconError, match="inference_mode"):
+        recon.fit(seen, "pose")
