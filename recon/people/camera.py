@@ -1,4 +1,4 @@
-"""The camera that saw several people: one ground and lens, from quick fits of each."""
+"""The camera that saw several people: one ground and lens, from fits of each alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class SharedCamera:
 
 @dataclass(frozen=True)
 class _Alone:
-    """The result of a quick fit of one person, in the camera's frame."""
+    """The result of the fit of one person alone, in the camera's frame."""
 
     result: Result
     focal: float

@@ -23,8 +23,11 @@ from recon.people.everyone import PersonClip, people_in
 from recon.people.results import People
 
 _LOG = logging.getLogger("recon")
-_QUICK = ("body", "noise", "robust", "ground", "between", "device", "callback", "repair")
-"""Arguments of a fit that concern the first look at the camera as well."""
+_ALONE = (
+    "body", "noise", "robust", "ground", "between", "device", "callback", "repair", "weights",
+    "method",
+)  # fmt: skip
+"""Arguments of a fit that concern the first fits as well."""
 
 
 def load_people(
@@ -65,10 +68,10 @@ def fit_people(
 ) -> People:
     """The motions of several people, in one world.
 
-    Where all were seen by one fixed camera of unknown pose, a quick fit of each tells where the
-    ground below the camera is and how long its lens is; what fits all of them best is then given
-    to all, so that they stand on one floor at their distances from each other, each with the
-    shape that the quick fit found. People before calibrated cameras are in one world anyway. With
+    Where all were seen by one fixed camera of unknown pose, each is fitted alone first. These fits
+    locate the ground below the camera and find its focal length; the best for all of them is
+    given to a second fit of each, which keeps the shape of the first. So everybody is as tall as
+    alone, and all stand on one floor at their distances from each other. People before calibrated cameras are in one world anyway. With
     a carried camera everybody's ground is found for itself.
 
     Args:
@@ -93,8 +96,8 @@ def fit_people(
     if len(clips) > 1 and arguments.get("ground", "auto") in ("auto", "unknown"):
         views = [_only_view(clip) for clip in clips]
         if all(view is not None for view in views):
-            quick = {name: value for name, value in arguments.items() if name in _QUICK}
-            first = _fitted(numbers, clips, "pose", [quick] * len(clips))
+            alone = {name: value for name, value in arguments.items() if name in _ALONE}
+            first = _fitted(numbers, clips, prior, [alone] * len(clips))
             shared = shared_camera(first)
             clips = [_before(clip, shared) for clip in clips]
             starts = list(shared.starts)
