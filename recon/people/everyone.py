@@ -8,6 +8,7 @@ import numpy as np
 
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
+from recon.detections.tables import holds_detections
 from recon.fitting.observed import Clip, seen_times, window
 from recon.fitting.settings import FitSettings
 from recon.reading.clip import DETECTIONS, format_errors, of_projects, together
@@ -64,10 +65,11 @@ def people_in(
     with format_errors():
         paths, settings, projects = of_projects(paths, settings)
         for path in paths:
-            if path.is_file() and path.suffix.lower() not in DETECTIONS:
+            known = path.suffix.lower() in DETECTIONS or holds_detections(path)
+            if path.is_file() and not known:
                 raise FormatError(
                     f"{path}: several people are told apart in files of 2D detections (.json, "
-                    ".csv, or folders of them); give nothing else with --person all"
+                    ".csv, .npz, or folders of them); give nothing else with --person all"
                 )
         if settings.masks is not None:
             raise ObservationError("--masks are of one person; leave them out with --person all")

@@ -28,6 +28,8 @@ from recon.reading.tracks import Track, TrackedView, choose, follow
 
 _OUTSIDE = 0.5
 """Share of the keypoints outside the image from which something is wrong."""
+_BORDER = 0.5
+"""Pixels from the centres of the outermost ones at which keypoints count as clamped."""
 _SPARSE = 100
 """Frame numbers may span this many times the number of frames, else they are no frame numbers."""
 
@@ -102,6 +104,8 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
+    inside = [_inside(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    found, left_out = [one for one, _ in inside], [note for _, note in inside if note]
     layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
     return SeenViews(
         found=tuple(found),
@@ -111,7 +115,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         frames=frames,
         fps=float(fps),
         up_given=how.camera_up is not None,
-        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts),
+        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts, *left_out),
     )
 
 
@@ -275,6 +279,26 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
             "views from the same moment"
         )
     return first, last - first + 1
+
+
+def _inside(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+    """The detections without keypoints at the image border or beyond, and a note about these.
+
+    Detectors guess what the image does not show, and many clamp the guess to the border.
+    """
+    most = np.array(camera.image_size) - 1 - _BORDER
+    inside = ((found.pixels > _BORDER) & (found.pixels < most)).all(-1)
+    seen = found.confidence > 0
+    count = int((seen & ~inside).sum())
+    if count == 0:
+        return found, ""
+    confidence = np.where(inside, found.confidence, 0.0)
+    pixels = np.where((confidence > 0)[..., None], found.pixels, 0.0)
+    note = (
+        f"{found.name}: {count} keypoints ({count / seen.sum():.1%}) at the image border or "
+        "beyond are taken as not seen"
+    )
+    return replace(found, pixels=pixels, confidence=confidence), note
 
 
 def _check_pixels(found: Detections, camera: CameraArrays) -> None:

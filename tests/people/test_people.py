@@ -14,7 +14,7 @@ from recon.people.together import load_people
 from recon.reading.clip import load_clip
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
-from tests.filmed import BESIDE, before_two, bundled, two_people
+from tests.filmed import BESIDE, before_two, bundled, cameras, two_people, view, walk
 from tests.verbs import report_of
 
 FRAMES = 24
@@ -84,3 +84,23 @@ def test_masks_are_of_one_person(film: Path, tmp_path: Path) -> None:
     settings = FitSettings(frame_rate=30.0, person="all", masks=film)
     with pytest.raises(recon.ReconError, match="--masks"):
         report_of("fit-all", tmp_path / "people", observations=(film,), settings=settings)
+
+
+def test_keypoints_at_the_border_of_the_image_are_not_seen(tmp_path):
+    """Detectors clamp to the border what the image does not show: fits were twice as far off."""
+    camera = cameras(walk(8))[0]
+    seen = view(walk(8), camera)
+    width, height = 1920, 1080
+    pixels = seen.pixels[0].numpy().copy()
+    pixels[2, 0, 1], pixels[3, 1, 0], pixels[4, 2, 0] = height - 1, 0.2, width + 30
+    np.savez(tmp_path / "cam.npz", keypoints=pixels, scores=seen.confidence[0].numpy())
+    np.savez(
+        tmp_path / "lens.npz",
+        camera_matrix=camera.camera_matrix.reshape(3, 3).numpy(),
+        image_size=np.array([width, height]),
+    )
+    read = recon.load_observation(
+        tmp_path / "cam.npz", camera=tmp_path / "lens.npz", frame_rate=30.0, layout="openpose25"
+    )
+    hidden = (read.confidence[0] == 0).nonzero().tolist()
+    assert hidden == [[2, 0], [3, 1], [4, 2]]
