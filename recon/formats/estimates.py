@@ -128,13 +128,12 @@ def _tree(path: Path) -> Tree:
     import torch
 
     BINARY.check(path.stat().st_size, path)
-    if is_zipfile(path):
-        with ZipFile(path) as archive:
-            if any(one.compress_type != ZIP_STORED for one in archive.infolist()):
-                raise FormatError(
-                    f"{path}: expected an archive that torch saved, whose parts are not compressed"
-                )
     try:
+        if is_zipfile(path):
+            with ZipFile(path) as archive:
+                packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
+            if packed:  # torch would unpack them, however large they become
+                raise ValueError(f"{packed[0].filename} is compressed, as torch saves nothing")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
         raise FormatError(

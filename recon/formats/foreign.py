@@ -70,10 +70,7 @@ def holds_sam3d_body(path: Path) -> bool:
     if not path.is_file():
         return False
     if path.suffix.lower() == ".npz":
-        if not zipfile.is_zipfile(path):
-            return False
-        with zipfile.ZipFile(path) as archive:
-            return f"{SAM3D_POINTS}.npy" in archive.namelist()
+        return SAM3D_POINTS in _arrays_of(path)
     if path.suffix.lower() not in (".pkl", ".npy"):
         return False
     with path.open("rb") as file:
@@ -89,11 +86,17 @@ def is_estimate(paths: Sequence[Path]) -> bool:
         return False
     if paths[0].suffix.lower() in (".pt", ".pth", ".pkl"):
         return True
-    if paths[0].suffix.lower() != ".npz" or not zipfile.is_zipfile(paths[0]):
-        return False
-    with zipfile.ZipFile(paths[0]) as archive:
-        names = {name.removesuffix(".npy") for name in archive.namelist()}
+    names = _arrays_of(paths[0]) if paths[0].suffix.lower() == ".npz" else set()
     return bool(names & _PLACES and names & _POSES) and not names & {"kind", "body_checksum"}
+
+
+def _arrays_of(path: Path) -> set[str]:
+    """Names of the arrays of an .npz file; none where it is damaged, which its reader tells."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return set()
 
 
 _PLACES = {"trans", "transl", "trans_world"}
