@@ -37,10 +37,10 @@ from benchmarks.protocol import (
     corpus_source,
     number,
     parser,
-    ratio,
     spread,
     tell,
 )
+from benchmarks.strangers.compare import over_people, quotient
 from recon.benchmark.dataset import Part, Splits
 from recon.benchmark.windows import load_windows
 from scripts.frozen.__main__ import Worker
@@ -196,9 +196,9 @@ def _compared(pairs: Sequence[Pair], measure: str) -> list[Cell]:
     here, there = (number(mean(float(own[:, k].mean()) for own in sums)) for k in (0, 1))
     if any(own[:, 1].sum() == 0 for own in sums):
         return [len(sums), count, there, here, None, None]
-    found = ratio(sums)
-    met = found.mean <= MOST_MEAN and found.high <= MOST_UPPER
-    return [len(sums), count, there, here, spread(found), "yes" if met else "no"]
+    ratio = over_people(sums, quotient)
+    met = ratio.mean <= MOST_MEAN and ratio.high <= MOST_UPPER
+    return [len(sums), count, there, here, spread(ratio), "yes" if met else "no"]
 
 
 def _times(times: Sequence[Sequence[float]]) -> list[Cell]:

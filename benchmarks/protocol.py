@@ -22,12 +22,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 import recon
 from recon import Motion
 from recon.benchmark.dataset import SPLITS
-from recon.benchmark.table import DRAWS, Interval, bounds, interval, paired, resampled
+from recon.benchmark.table import Interval, interval, paired
 from recon.benchmark.windows import TrueWindows
 from recon.formats.opening import replacing
 from recon.formats.replacing import files_checksum
@@ -157,19 +156,6 @@ def mean_of(
     if less is None:
         return interval(own, clips, people)
     return paired(own, [less[k] for k in kept], clips, people)
-
-
-def ratio(people: Sequence[Float[np.ndarray, "units 2"]]) -> Interval:
-    """The mean over people of a person's sum of the first column over that of the second.
-
-    For its interval the rows of every person are drawn again, and, of several, the people.
-    """
-    random = np.random.default_rng(0)
-    drawn = np.stack([resampled(sums, random) for sums in people])
-    who = random.integers(0, len(people), (len(people), DRAWS))
-    drawn = np.take_along_axis(drawn, who, 0).mean(0)
-    means = [sums[:, 0].sum() / sums[:, 1].sum() for sums in people]
-    return Interval(float(np.mean(means)), *bounds(drawn))
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:

@@ -26,16 +26,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from benchmarks.protocol import (
-    Cell,
-    Table,
-    number,
-    parser,
-    ratio,
-    recordings_source,
-    spread,
-    tell,
-)
+from benchmarks.protocol import Cell, Table, number, parser, recordings_source, spread, tell
+from benchmarks.strangers.compare import estimated, over_people, quotient
 from recon import BodyModel, Markers3D
 from recon.benchmark.table import Interval
 from recon.ingest.marker_fit import MarkerFit, fit_markers
@@ -174,7 +166,8 @@ def over(
     for one, found in errors.items():
         pair = found[label], 1.0 if other is None else found[other]
         by_person.setdefault(one.person, []).append(pair)
-    return ratio([np.array(own) for own in by_person.values()])
+    sums = [np.array(own) for own in by_person.values()]
+    return estimated(sums[0], quotient) if len(sums) == 1 else over_people(sums, quotient)
 
 
 def recordings(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:

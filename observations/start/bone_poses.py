@@ -34,7 +34,7 @@ def torques(
     """Derivatives of the energy by the translation and by world turns about the joints."""
     below = BELOW.to(bones)
     moment = force @ bones.mT
-    # the antisymmetric part of Σ w r xᵀ, as a vector, is Σ w x × r
+    # M - Mᵀ for M = Σ w r xᵀ, as a vector, is Σ w x × r
     twist = torch.stack([
         moment[..., (axis + 2) % 3, (axis + 1) % 3] - moment[..., (axis + 1) % 3, (axis + 2) % 3]
         for axis in range(3)

@@ -58,8 +58,7 @@ def first_states(
     )
     level = full.new_tensor([1.0, 1.0, 0.0])
     shape = full.new_zeros(count, body.shape_size)
-    # dependent features: in a canonical frame the pelvis has fixed coordinates and the root's
-    # velocity
+    # not drawn, as they follow: the pelvis's horizontal place, and its velocity, the translation's
     positions[:, 0] += body.rest_joints(shape)[:, 0] * level
     velocities[:, 0] = full[:, -6:-3]
 

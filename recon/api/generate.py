@@ -209,9 +209,9 @@ def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
 
 
 def _humor(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
-    if isinstance(prior, Humor):
-        return prior.to(device=device_at_hand(device))
-    return Humor.load(weights, body_given(body)).to(device=device_at_hand(device))
+    place = device_at_hand(device)
+    humor = prior if isinstance(prior, Humor) else Humor.load(weights, body_given(body))
+    return humor.to(device=place)
 
 
 def _humos(weights: str, body: BodyModel) -> Humos:

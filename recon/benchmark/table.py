@@ -53,16 +53,11 @@ def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> I
     if not groups:
         raise ValueError("no window has a value")
     random = np.random.default_rng(0)
-    drawn = np.mean([resampled(own, random) for own in groups.values()], axis=0)
-    mean = np.mean([own[:, 0].sum() / own[:, 1].sum() for own in groups.values()])
-    return Interval(float(mean), *bounds(drawn))
-
-
-def bounds(drawn: Float[np.ndarray, " draws"]) -> tuple[float, float]:
-    """Ends of the interval in which 95 % of the draws lie."""
+    drawn = np.mean([_resampled(own, random) for own in groups.values()], axis=0)
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(drawn, (tail, 100 - tail))
-    return float(low), float(high)
+    mean = np.mean([own[:, 0].sum() / own[:, 1].sum() for own in groups.values()])
+    return Interval(float(mean), float(low), float(high))
 
 
 def paired(
@@ -95,7 +90,7 @@ def _by_clip(
     }
 
 
-def resampled(
+def _resampled(
     clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
 ) -> Float[np.ndarray, " draws"]:
     """The subject's mean for each draw of as many clips as there are."""

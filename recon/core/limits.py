@@ -199,8 +199,8 @@ TEXT = Limit(
     "more does not fit into 2 GB while it is read: cut the recording",
 )  # fmt: skip
 TABLE = Limit(
-    "size of a skeleton's or a calibration's file", 0.0, float(1 << 24), "bytes",
-    "they describe some joints or cameras; poses of a camera that moves for long belong in .npz",
+    "size of a skeleton's file", 0.0, float(1 << 24), "bytes",
+    "it describes some joints; motions stand in other files",
 )  # fmt: skip
 JSON = Limit(
     "size of the JSON or CSV files of one camera", 0.0, float(1 << 26), "bytes",

@@ -118,7 +118,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     shape = (along / along.norm()).to(deviations.shape)
     return replace(
         deviations,
-        # the ray is one of the three axes
+        # the error is along the ray: each axis gets a third of its variance
         joints=(deviations.joints.square() + (factor * distance).square() / 3).sqrt(),
         shape=(deviations.shape.square() + shape.square()).sqrt(),
         ground=ground,

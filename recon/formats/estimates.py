@@ -133,7 +133,7 @@ def _tree(path: Path) -> Tree:
             with ZipFile(path) as archive:
                 packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
             if packed:  # torch would unpack them, however large they become
-                raise ValueError(f"{packed[0].filename} is compressed, as torch saves nothing")
+                raise ValueError(f"{packed[0].filename} is compressed, which torch never does")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
         raise FormatError(

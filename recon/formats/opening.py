@@ -33,7 +33,7 @@ _MEMBERS = 1000
 def check_sizes(
     path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None
 ) -> list[str]:
-    """Names of the arrays of an archive whose arrays fit into memory and their members.
+    """Refuse an archive that does not fit into memory or is damaged; gives its arrays' names.
 
     Both a compressed bomb and a header that promises more than the file holds are found here,
     before memory is taken for them. A single object that is no array (AMASS keeps a dictionary
@@ -57,15 +57,15 @@ def check_sizes(
             name = info.filename.removesuffix(".npy")
             if only is not None and name not in only:
                 continue
-            names.append(name)
             if not info.filename.endswith(".npy"):
+                names.append(name)
                 total += info.file_size
                 limit.check(total, path, name)
                 continue
             shape, dtype, place = _header(archive, info)
             if dtype.hasobject:
-                names.pop()
                 continue
+            names.append(name)
             stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
             if place + stated != info.file_size:
                 raise FormatError(

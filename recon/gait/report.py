@@ -73,8 +73,10 @@ def _said(source: MotionLike) -> Mapping[str, Any]:
     """The report of a conversion or a fit; empty where there is none."""
     if isinstance(source, MotionResult):
         return source.report()
+    if not isinstance(source, Path | str):
+        return {}
     beside = Path(f"{source}.json")
-    if not isinstance(source, Path | str) or not beside.is_file():
+    if not beside.is_file():
         return {}
     if (found := read_report(beside)) is not None:
         return found.content

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.all import COMMANDS, placed
-from benchmarks.protocol import RESULTS, ROOT, Table, ratio, shown
+from benchmarks.protocol import RESULTS, ROOT, Table, shown
+from benchmarks.strangers.compare import over_people, quotient
 from benchmarks.tables import documents, filled, loose_numbers, used
 
 PAGES = documents()
@@ -136,7 +137,7 @@ def test_other_people_are_drawn_where_ratios_are_averaged() -> None:
     """With people that stay, an interval would say nothing of anybody else."""
     errors = 0.01 * np.arange(1, 7)
     people = [np.stack([factor * errors, errors], -1) for factor in (0.6, 0.8, 1.0)]
-    alone, found = ratio(people[1:2]), ratio(people)
+    alone, found = (over_people(some, quotient) for some in (people[1:2], people))
     assert alone.mean == pytest.approx(0.8)
     assert (alone.low, alone.high) == pytest.approx((0.8, 0.8))  # paired: every window says so
     assert found.mean == pytest.approx(0.8)

@@ -28,7 +28,7 @@ from recon.view.html import write_html
 from recon.view.scene import GREY, Points
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-CLIENT = ROOT / "scripts" / "in_chromium.py"
+CLIENT = ROOT / "scripts" / "clients" / "in_chromium.py"
 GOLDEN = ROOT / "tests" / "golden" / "page"
 FEET = 590
 """Row of the feet in the desktop's picture, below which the shadow lies."""
