@@ -195,7 +195,8 @@ def test_another_focal_length_keeps_the_size_of_what_stands_at_the_distance():
     origin, forward = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]).double()
     one = full_hd_camera().to(dtype=torch.float64).placed(origin, forward)
     camera = one.map(lambda t: t.expand(1, 1, *t.shape))
-    points = torch.tensor([[4.0, -0.5, 1.0], [4.0, 0.5, 1.0], [8.0, 0.5, 1.0]]).double()[None, None]
+    places = [[4.0, -0.5, 1.0], [4.0, 0.5, 1.0], [8.0, 0.5, 1.0]]
+    points = torch.tensor(places).double()[None, None]
     lens = UnknownLens(torch.full((1,), 2.0).double(), torch.full((1,), 4.0).double())
     factor = torch.tensor(2.0 * ZOOM).exp()
     torch.testing.assert_close(lens.factor.float(), factor[None])
