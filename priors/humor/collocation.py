@@ -172,14 +172,18 @@ class Collocation(Prior[PoseVariables]):
     ) -> tuple[Stage[Any], ...]:
         """Stages: root; smooth poses; steps under the networks; feet held by contacts as well.
 
-        Feet come last, because wrongly standing feet of a first guess would be held there; and
-        only the last stage is minimised to the end. The one before moves slow changes of the
-        whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
-        Newton's direction does. Where every joint is seen, it is left out, and the poses before
-        are found roughly. Where limbs are never seen, a stage before the last begins from several
-        motions of theirs as well, and the one of the lowest objective goes on; states must be
-        likely then, where legs are unseen, gravity asks for a foot that carries the body, and who
-        moves faster than the networks know is read slower.
+        Feet come last, because wrongly standing feet of a first guess would be held there. The
+        stage before moves slow changes of the whole clip first, in cosines of time: where limbs
+        are hidden it comes to better minima than Newton's direction does. Where every joint is
+        seen, it is left out, and the poses before are found roughly. Where limbs are never seen, a
+        stage before the last begins from several motions of theirs as well, and the one of the
+        lowest objective goes on; states must be likely then, where legs are unseen, gravity asks
+        for a foot that carries the body, and who moves faster than the networks know is read
+        slower.
+
+        Tolerances were chosen on the validation windows. Ten times smaller ones take twice the
+        time and leave errors of seen joints as they are; those of hidden legs become larger, as
+        the objective then falls by what the networks prefer and nobody saw.
         """
         del noise, body, method  # the weights were given to the constructor
         w = self.weights
@@ -194,10 +198,10 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
+        slow = LBFGS(max_iterations=200, tolerance_decrease=2e-2)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
-        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
+        last = LBFGS(max_iterations=400, tolerance_decrease=3e-4, scale=_FITTED, history=40)
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=preconditioned,
@@ -221,7 +225,7 @@ class Collocation(Prior[PoseVariables]):
         )
         limbs = replace(
             feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
-            minimiser=replace(last, tolerance_decrease=1e-3),
+            minimiser=replace(last, tolerance_decrease=1e-2),
         )  # fmt: skip
         return root, poses, steps, limbs, feet
 
