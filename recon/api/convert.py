@@ -9,7 +9,7 @@ from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.made import Made
 from recon.api.result import described
 from recon.core.arrays import positive
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.diagnosis.findings import Finding
 from recon.ingest import single
 from recon.ingest.transfer import transfer
@@ -20,7 +20,7 @@ def convert(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     mapping: str | Path | None = None,
     fps: float | None = None,
     body: BodyLike = None,

@@ -28,7 +28,7 @@ from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
@@ -229,7 +229,7 @@ def refine(
     body: BodyLike = None,
     shape: ShapeLike | None = None,
     frame_rate: float | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     person: int | None = None,
     ground: GroundChoice | str = "unknown",
     **how: Any,

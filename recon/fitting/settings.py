@@ -38,8 +38,8 @@ class ReadOptions:
     detections of one view: a phone's, whose focal length the fit corrects."""
     camera_unit: Literal["m", "mm"] | None = None
     """Unit of the calibration, where it does not tell."""
-    camera_up: Literal["x", "y", "z"] | None = None
-    """Axis of the calibration's world that points up; default: z."""
+    camera_up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
+    """Axis of the calibration's world that points up, or down; default: z."""
     camera_track: Path | None = None
     """How the one camera was carried, by a tracker: a folder of COLMAP with `images.txt`, a text
     of TUM's, an array of DROID-SLAM or DPVO (.npy, .npz), or ARKit's .json."""

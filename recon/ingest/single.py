@@ -4,7 +4,7 @@ from pathlib import Path
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.formats.producers import refuse_others
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise
@@ -19,7 +19,7 @@ def convert(
     body: BodyModel | None = None,
     *,
     unit: str | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     subject: SubjectModel | None = None,
     mapping: str | Path | None = None,
     fps: float | None = None,

@@ -163,8 +163,6 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     Raises:
         FileNotFoundError, ValueError: as `recon.mocap.reader.read_recording` does.
     """
-    if up is not None and up not in ("x", "y", "z"):
-        raise FormatError(f"{path}: recordings have an axis that points up, x, y or z; got {up}")
     found = read_recording(path, unit=unit, up=up)
     if not isinstance(found, MarkerRecording):
         raise FormatError(f"{path}: expected labelled points, got a skeleton; `recon convert` it")

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import decide_any_up, head_above_feet
+from recon.core.coordinates import settled_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
 from recon.core.units import METRES, Up, check_override, to_z_up
@@ -67,7 +67,7 @@ def settled(
     metres, unit_reason = _unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
-    up, up_reason = _up(known.name, head_above_feet(known.names, positions, visible), up)
+    up, up_reason = _up(known.names, positions, visible, up, known.name)
     positions = positions @ (to_z_up(up).T * metres)
     names = known.names
     placed = not _about_the_pelvis(names, positions, visible)
@@ -181,21 +181,22 @@ def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, s
     return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
 
 
-def _up(name: str, rise: Float[np.ndarray, "3"] | None, given: Up | None) -> tuple[Up, str]:
-    """The direction that is up, and the reason; the vector from feet to head tells it."""
-    if rise is None and given is None:
-        raise UnitsError(
-            f"{name}: no frame shows head and feet, so nothing tells which axis points up; "
-            "give it with --up"
-        )
+def _up(
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    given: Up | None,
+    name: str,
+) -> tuple[Up, str]:
+    """The direction that is up, and the reason; where it is given, whether the person lies so."""
     try:
-        found, reason = (given, "") if rise is None else decide_any_up(rise, name)
+        found, reason = settled_up(names, positions, visible, None, name)
     except UnitsError:
         if given is None:
             raise
         found, reason = given, ""
-    if given is None or found is None:
-        return found or "z", reason
+    if given is None:
+        return found, reason
     lies = (
         f", so that the person lies; {reason.partition(': ')[2]} along {found}: if they stand, "
         f"leave --up out or give --up {found}"

@@ -252,14 +252,13 @@ def _estimate(path: Path) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path)
-    sign, axis = found.up
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),
         "frames_without_person": int((~found.known).sum()),
         "fps": found.fps,
         "shape_coefficients": len(found.betas),
-        "up": f"{'-' if sign < 0 else ''}{axis}",
+        "up": found.up,
         "units": "metres",
         "decisions": list(found.notes),
     }
