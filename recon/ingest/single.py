@@ -5,6 +5,7 @@ from pathlib import Path
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.units import Hand, Up
+from recon.formats.producers import refuse_others
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
@@ -47,6 +48,7 @@ def convert(
     if fps is not None and not fps > 0:
         raise ReconError(f"expected a positive frame rate, got {fps}")
     if isinstance(recording, (str, Path)):
+        refuse_others(Path(recording), "convert")
         recording = read_recording(recording, unit=unit, up=up)
     body = BodyModel.load() if body is None else body
     if isinstance(recording, MarkerRecording):

@@ -57,7 +57,7 @@ def read_recording(
     if name.endswith((".asf", ".asf.xz")):
         raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
     if name.endswith((".npz", ".npz.xz")):
-        raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
+        raise FormatError(f"{path}: arrays, and no recording of motion capture")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
 
 

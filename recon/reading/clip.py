@@ -20,6 +20,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -109,6 +110,7 @@ def _read(
         )
     if (seen := read_by(own, path, body)) is not None:
         return seen, ()
+    refuse_others(path, "fit")
     if path.suffix.lower() in RECORDINGS and path.is_file():
         return _recorded(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
