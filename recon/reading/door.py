@@ -38,6 +38,7 @@ def load_observation(
     body: BodyModel | None = None,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
+    hand: Literal["left", "right"] | None = None,
     frame_rate: float | None = None,
     layout: str | None = None,
     person: int | None = None,
@@ -65,6 +66,7 @@ def load_observation(
         body: whose points markers and keypoints are; None is the bundled body.
         unit: of positions and scans, where the file is wrong about it.
         up: axis that points up, or down, where the file is wrong about it.
+        hand: handedness of the coordinates; None tells it from the body, where points have names.
         frame_rate: frames per second of detections and images, where files do not tell.
         layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
         person: number of the person to follow where detections show several.
@@ -88,7 +90,7 @@ def load_observation(
     """
     paths = [path] if isinstance(path, Path | str) else path
     settings = FitSettings(
-        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
+        unit=unit, up=up, hand=hand, frame_rate=frame_rate, layout=layout, person=person,
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
         camera_up=camera_up, image_size=image_size,
