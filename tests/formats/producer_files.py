@@ -249,6 +249,33 @@ def _phalp(at: Path) -> Path:
     return _dumped(at / "a.pkl", frames, joblib=True)
 
 
+def _tram(at: Path) -> Path:
+    """tram/scripts/estimate_humans.py: np.save of a dictionary of tensors."""
+    motion = walk(FRAMES)
+    turns = torch.cat((motion.rotations, motion.rotations[:, :2]), 1).float()
+    record = {
+        "pred_cam": torch.zeros(FRAMES, 3), "pred_shape": torch.zeros(FRAMES, 10),
+        "pred_rotmat": turns, "pred_trans": motion.translation[:, None].float(),
+        "frame": torch.arange(FRAMES),
+    }  # fmt: skip
+    np.save(at / "hps_track_0.npy", np.array(record, dtype=object), allow_pickle=True)
+    return at / "hps_track_0.npy"
+
+
+def _aist_points(at: Path) -> Path:
+    x = 100 * points("coco17") @ to_z_up("y")
+    return _dumped(at / "a.pkl", {"keypoints3d": x + 50, "keypoints3d_optim": x})
+
+
+def _aist_motion(at: Path) -> Path:
+    one = _parameters()
+    long = np.concatenate((one["all"], np.zeros((FRAMES, 6))), 1)
+    return _dumped(at / "a.pkl", {
+        "smpl_loss": 1.2, "smpl_poses": long, "smpl_trans": 93.8 * one["place"],
+        "smpl_scaling": np.array([93.8], np.float32),
+    })  # fmt: skip
+
+
 def _gvhmr(at: Path) -> Path:
     one = {key: torch.from_numpy(value) for key, value in _parameters().items()}
     found = {"global_orient": one["root"], "body_pose": one["body"], "transl": one["place"]}
@@ -316,6 +343,8 @@ _LANDMARKS = [[{"x": 0.3 + 0.01 * k, "y": 0.3, "visibility": 0.9} for k in range
 SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("FreeMoCap", "3D keypoints", "/"): _freemocap,
     ("SAM 3D Body", "3D keypoints", ".npz"): _sam3d,
+    ("AIST++", "3D keypoints", ".pkl"): _aist_points,
+    ("TRAM", "body parameters of every frame", ".npy"): _tram,
     ("MediaPipe", "3D keypoints", ".json"): _world,
     ("Azure Kinect", "3D keypoints", ".json"): _azure,
     ("EasyMocap", "3D keypoints", ".json"): _easymocap,
@@ -366,6 +395,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
         at / "a.toml", {"cam": camera(0)}
     ),
     ("", "silhouettes", ".npz"): lambda at: _saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
+    ("AIST++", "body parameters of every frame", ".pkl"): _aist_motion,
     ("GVHMR", "body parameters of every frame", ".pt"): _gvhmr,
     ("WHAM", "body parameters of every frame", ".pkl"): _wham,
     ("PHALP (4D-Humans)", "body parameters of every frame", ".pkl"): _phalp,
