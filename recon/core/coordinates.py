@@ -20,6 +20,15 @@ _MARKER_EXTENT = (0.5, 2.5)
 _SANE_EXTENT = (0.05, 10.0)
 """Metres; outside it no body was recorded and the unit a file declares is wrong."""
 
+_FASTEST_SLIDE = 2.5
+"""Metres per second that the slowest foot has at most, half of the time, under a true scale."""
+_FAR = 30.0
+"""Metres from the origin from which on it must be the feet that say that they are metres."""
+_STEP_S = 0.15
+"""Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_SLOWER = 0.5
+"""Share of the speed of feet under one scale that a better one leaves."""
+
 _LOW = re.compile(
     r"foot|toe|heel|hee$|hel$|ank|calc|cal$|mt\d|\dmt|meta|mal$|^[lr]_?f(cc|al|m\d)$"
 )
@@ -93,6 +102,46 @@ def check_declared(unit: str, size: float, name: str) -> str:
             f"{metres:.4g} m; give the true unit with --unit"
         )
     return f"unit {unit}: stated by the file"
+
+
+def unit_of_path(
+    path: Float[np.ndarray, "time 3"],
+    feet: Float[np.ndarray, "time points 3"],
+    fps: float,
+    name: str,
+) -> tuple[str, tuple[str, ...]]:
+    """Unit in which a body's path leaves a foot standing, and the reason where it is not metres.
+
+    Args:
+        path: of the body, in the unknown unit.
+        feet: points of both feet relative to it, metres; some are at rest most of the time.
+        fps: frames per second.
+        name: of the file, for messages.
+
+    Raises:
+        UnitsError: when it is not metres and nothing tells what else.
+    """
+    if len(path) < 2:
+        return "m", ()
+    step = min(max(round(_STEP_S * fps), 1), len(path) - 1)
+    moved = (path[step:] - path[:-step])[:, None] * (fps / step)
+    swung = (feet[step:] - feet[:-step]) * (fps / step)
+    m, cm, mm, still = (
+        float(np.median(np.linalg.norm(scale * moved + swung, axis=-1).min(1)))
+        for scale in (1.0, METRES["cm"], METRES["mm"], 0.0)
+    )
+    far = float(np.median(np.linalg.norm(path, axis=-1)))
+    if m < _FASTEST_SLIDE and (far < _FAR or m < _SLOWER * still):
+        return "m", ()
+    unit = "cm" if cm < _SLOWER * min(m, mm) else "mm" if mm < _SLOWER * min(m, cm) else ""
+    if unit == "cm" or (unit == "mm" and cm > _FASTEST_SLIDE):
+        slides = f"{m:.0f} m/s, so at {cm if unit == 'cm' else mm:.1f}"
+        return unit, (f"unit of the translation {unit}: as metres, feet would slide at {slides}",)
+    raise UnitsError(
+        f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
+        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
+        "is so), or divide it by the scale of the body"
+    )
 
 
 def head_above_feet(

@@ -28,8 +28,8 @@ from recon.formats.pickles import read_tree
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl")
 _ROOT = ("global_orient", "root_orient")
 _BODY = ("body_pose", "pose_body")
-_WHOLE = ("pose_world", "poses", "pose", "fullpose")
-_PLACE = ("trans_world", "transl", "trans")
+_WHOLE = ("pose_world", "poses", "pose", "fullpose", "smpl_poses")
+_PLACE = ("trans_world", "transl", "trans", "smpl_trans")
 _SHAPE = ("betas", "shape")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _IN_CAMERA = ("incam", "_cam", "camera")
@@ -93,6 +93,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array(path, arrays, _PLACE).reshape(-1, 3)
+    if "smpl_scaling" in arrays:  # AIST++ scales the body, not the world
+        translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
+        notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
         raise FormatError(
             f"{path}: expected as many frames of translation as of rotations, got "
