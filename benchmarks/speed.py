@@ -208,18 +208,16 @@ def pushed(
         peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     for told in stream.finish():
         joints[next(rows)] = told.joints
-    return {
-        "median": float(np.median(spent)), "p95": float(np.quantile(spent, 0.95)),
-        "longest": max(spent), "mb": peaks[-1] - peaks[: 60 * round(FPS)][-1], **compared(joints, known),
-    }  # fmt: skip
+    row = {"median": float(np.median(spent)), "p95": float(np.quantile(spent, 0.95))}
+    row |= {"longest": max(spent), "mb": peaks[-1] - peaks[: 60 * round(FPS)][-1]}
+    return row | compared(joints, known)
 
 
 def compared(joints: Tensor, true: Tensor) -> Row:
-    """The mean distance of joints, metres, and the largest changes of velocity, metres a second."""
+    """The mean distance of joints, metres, and the largest changes of velocity, m/s."""
     true = true[: len(joints)]
-    jumps = [float(p.diff(n=2, dim=0).norm(dim=-1).max() * FPS) for p in (joints, true)]
-    error = float((joints - true).norm(dim=-1).mean())
-    return {"error": error, "jump": jumps[0], "jump_truth": jumps[1]}
+    own, best = (float(p.diff(n=2, dim=0).norm(dim=-1).max() * FPS) for p in (joints, true))
+    return {"error": float((joints - true).norm(dim=-1).mean()), "jump": own, "jump_truth": best}
 
 
 def cost_of(*words: str, folder: Path) -> tuple[float, float]:
