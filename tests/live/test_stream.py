@@ -248,12 +248,21 @@ def test_bad_moments_are_refused_and_the_stream_goes_on(seen):
         ({"lag": -1}, "lag: expected"),
         ({"prior": "anchor"}, "prior: expected .*'humor'"),
         ({"noise": [0.1, 0.2], "template": None}, "noise: expected one"),
+        ({"noise": [0.1, 0.2]}, "noise: expected one"),
+        ({"noise": -1.0}, "noise: expected a number above 0"),
     ],
 )
 def test_settings_are_checked(settings, message, seen):
     template = recon.Joints3D(seen[:1], np.ones((1, 22), bool), range(22), FPS)
     with pytest.raises(recon.ReconError, match=message):
         recon.Stream(**{"template": template, **settings}).push(template)
+
+
+@pytest.mark.parametrize("noise", [0.0, [0.1, float("nan")]])
+def test_noise_is_refused_before_the_first_moment(noise):
+    """It was refused after the first moment had set the clock."""
+    with pytest.raises(recon.ReconError, match="noise"):
+        recon.Stream(noise=noise)
 
 
 def test_points_with_standard_deviations_are_refused(seen):
@@ -394,3 +403,26 @@ def test_values_that_are_no_moments_are_refused_alike(seen):
         found += () if estimate is None else estimate.every
     found += live.finish()
     torch.testing.assert_close(joints_of(found), joints_of(played(stream(lag=4), seen)))
+
+
+@pytest.mark.slow
+def test_a_thousand_bad_moments_among_five_thousand(seen):
+    """No line and no value ends the stream, and every good moment has its estimate."""
+    random, live, told = np.random.default_rng(0), stream(lag=0), list[str]()
+    values = ("x", [None], [], b"", 1000 * seen[0], seen[0][:5], np.zeros((22, 3, 1)))
+
+    def lines():
+        for k in range(5000):
+            line = json.dumps({"points": seen[k % FRAMES].round(4).tolist(), "time": k / FPS})
+            yield line
+            if k % 20 == 3:
+                yield line[: random.integers(1, len(line))]
+            if k % 20 == 13:
+                yield LINES[k % len(LINES)]
+            if k % 10 == 7:
+                with pytest.raises(recon.ObservationError):
+                    live.push(values[k % len(values)], None)
+
+    found = [json.loads(line)["time"] for line in stream_lines(lines(), live, told.append)]
+    assert found == pytest.approx([k / FPS for k in range(5000)], abs=1e-5)
+    assert len(told) == 500
