@@ -21,16 +21,25 @@ from benchmarks.mutation import mutant, places
 
 MODULES = {
     "recon/core/robust.py": ("tests/core/test_robust.py",),
-    "recon/core/scene.py": ("tests/core/test_scene.py",),
-    "recon/core/camera.py": ("tests/core/test_camera.py", "tests/observations/test_checks.py"),
-    "recon/mocap/c3d.py": ("tests/formats/test_markers.py",),
+    "recon/core/scene.py": (
+        "tests/core/test_scene.py", "tests/core/test_planes.py", "tests/method/test_newton.py",
+    ),
+    "recon/core/camera.py": (
+        "tests/core/test_camera.py", "tests/core/test_lens.py", "tests/core/test_ground.py",
+        "tests/observations/test_checks.py",
+        "tests/formats/test_calibration.py", "tests/observations/test_keypoints2d.py",
+    ),
+    "recon/mocap/c3d.py": (
+        "tests/formats/test_markers.py", "tests/formats/test_clinic_files.py",
+        "tests/formats/test_real.py", "tests/formats/test_foreign.py",
+    ),
     "recon/formats/observations.py": (
         "tests/formats/test_npz.py", "tests/formats/test_keypoints.py",
         "tests/core/test_limits.py",
     ),
     "recon/ingest/marker_fit.py": (
-        "tests/ingest/test_ingest.py::test_markers_bring_back_the_motion",
-        "tests/ingest/test_markers.py",
+        "tests/ingest/test_marker_neighbours.py", "tests/ingest/test_clinic.py",
+        "tests/ingest/test_marker_poses.py", "tests/ingest/test_markers.py",
     ),
     "recon/solver/line_search.py": (
         "tests/solver/test_line_search.py", "tests/solver/test_lbfgs.py",

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -13,7 +12,7 @@ from recon.core.arrays import positive
 from recon.core.errors import ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Axis
+from recon.core.units import Up, to_z_up
 from recon.formats.estimates import BodyEstimate, read_estimate
 from recon.formats.opening import load_arrays
 
@@ -27,7 +26,7 @@ def estimate_given(
     own_body: bool,
     shape: ShapeLike | None,
     frame_rate: float | None,
-    up: Axis | None,
+    up: Up | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
     """The estimate on our body in a world with z up, the mask of its frames, and what was assumed.
@@ -68,7 +67,9 @@ def estimate_given(
         fps=rate,
     )
     pelvis = body.rest_joints(coefficients)[0]
-    upright = placed.carried(torch.from_numpy(_to_z(read.up)).float(), pelvis)
+    turn = torch.eye(4)
+    turn[:3, :3] = torch.from_numpy(to_z_up(read.up))
+    upright = placed.carried(turn, pelvis)
     return upright, torch.from_numpy(read.known), (*read.notes, *words)
 
 
@@ -99,16 +100,3 @@ def _shape(
         "average body is taken; give the person's shape (--shape height=1.80), or the body model "
         "(--body)",
     )
-
-
-def _to_z(up: tuple[int, Axis]) -> np.ndarray:
-    """The smallest rotation that brings an axis to z."""
-    sign, axis = up
-    T = np.eye(4)
-    if axis == "y":
-        T[:3, :3] = [[1, 0, 0], [0, 0, -sign], [0, sign, 0]]
-    elif axis == "x":
-        T[:3, :3] = [[0, 0, -sign], [0, 1, 0], [sign, 0, 0]]
-    elif sign < 0:
-        T[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    return T

@@ -28,13 +28,13 @@ from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
-from recon.formats.foreign import holds_sam3d_body
+from recon.formats.producers import holds_sam3d_body, refuse_others
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -229,7 +229,7 @@ def refine(
     body: BodyLike = None,
     shape: ShapeLike | None = None,
     frame_rate: float | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     person: int | None = None,
     ground: GroundChoice | str = "unknown",
     **how: Any,
@@ -265,6 +265,8 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    if isinstance(motion, str | Path):
+        refuse_others(Path(motion), "refine")
     if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
         who = None if person is None else person - 1
         return fit(
@@ -292,7 +294,7 @@ def refine(
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.foreign import is_estimate  # of files alone
+    from recon.formats.producers import is_estimate  # of files alone
 
     return is_estimate(paths)
 

@@ -32,6 +32,8 @@ TYPES: dict[str, Any] = {
     "tuple[Corner, Corner] | None": Annotated[Box | None, arg(name="occluder")],
     "tuple[int, int] | None": str | None,
     "Axis": Literal["x", "y", "z"],
+    "Up": Literal["x", "y", "z", "x-down", "y-down", "z-down"],
+    "Hand": Literal["left", "right"],
     "FurnitureName": FurnitureName,
     "LeftOver": LeftOver,
     "SensorKind": SensorKind,

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.errors import UnitsError
-from recon.core.units import AXES, METRES, Axis, Up
+from recon.core.skeleton import JOINT
+from recon.core.units import AXES, METRES, Axis, Hand, Up, to_z_up
 
 _DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 _BODY_LENGTH = (1.0, 2.2)
@@ -37,6 +38,9 @@ _CLEAR = 1.5
 _STEADY = 0.25
 """Share of its movement along another axis, at most, by which the lowest point of a body that
 moves over a floor goes up and down."""
+_UPSIDE_DOWN = 0.5
+"""Share of the swing of the feet below which that of the other end shows that it is at the floor:
+somebody stands on the hands."""
 _STILL = 0.02
 """Share of the body's size by which a point moves that stands in the room."""
 
@@ -143,10 +147,47 @@ def _centres(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
 
-def decide_up(
-    rise: Float[np.ndarray, "3"] | None, usual: Axis | None, name: str
-) -> tuple[Axis, str]:
-    """The up axis and the reason for it.
+def settled_up(
+    names: Sequence[str],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    usual: Up | None,
+    name: str,
+    extent: Float[np.ndarray, "3"] | None = None,
+) -> tuple[Up, str]:
+    """The direction that is up, by head and feet, then by custom, then by the floor.
+
+    Args:
+        names: of the points.
+        positions: of the points, in any unit and axes.
+        visible: whether each is seen.
+        usual: what the file hints at or its format has by custom; None where nothing does.
+        name: of the recording, for the message.
+        extent: of a body along the axes, where the longest one tells if nothing else does.
+
+    Raises:
+        UnitsError: when none of these tells.
+    """
+    rise = head_above_feet(names, positions, visible)
+    if rise is None and usual is None:
+        rise = extent
+    try:
+        up, reason = decide_up(rise, usual, name)
+    except UnitsError:
+        floor = None if rise is None else axis_of_floor(rise, positions, visible)
+        if floor is None:
+            raise
+        return floor
+    if usual is None or usual == up or usual[0] != up[0]:
+        return up, reason
+    hands, feet = (_swing(one, positions, visible) for one in (usual, up))
+    if hands < _UPSIDE_DOWN * feet:
+        return usual, f"up axis {usual}: by the file's custom, the body is upside down"
+    return up, reason
+
+
+def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) -> tuple[Up, str]:
+    """The direction that is up by the vector from feet to head, and the reason for it.
 
     Args:
         rise: mean vector from feet to head, in any unit; None when unknown.
@@ -155,31 +196,39 @@ def decide_up(
         name: of the recording, for the message.
 
     Raises:
-        ValueError: when neither tells.
+        UnitsError: when neither tells.
     """
     if rise is not None:
-        order = np.argsort(np.abs(rise))
-        best, second = int(order[-1]), int(order[-2])
-        if rise[best] >= 1.5 * abs(rise[second]) and rise[best] > 0:
-            against = f" (the file hints at {usual})" if usual not in (None, AXES[best]) else ""
-            return AXES[best], f"up axis {AXES[best]}: the head is above the feet{against}"
-        if usual is not None and rise[AXES.index(usual)] >= 0.5 * abs(rise[best]):
+        best, second = (int(k) for k in np.argsort(np.abs(rise))[:-3:-1])
+        found = along(best, rise[best])
+        if abs(rise[best]) >= 1.5 * abs(rise[second]):
+            against = f" (the file hints at {usual})" if usual not in (None, found) else ""
+            if rise[best] > 0:
+                return found, f"up axis {found}: the head is above the feet{against}"
+            axis = AXES[best]
+            return found, f"up axis: {axis} points down, as the feet are farther along it{against}"
+        if usual is not None and rise @ to_z_up(usual)[2] >= 0.5 * abs(rise[best]):
             return usual, f"up axis {usual}: by the file's custom, the body lies or bends"
     elif usual is not None:
         return usual, f"up axis {usual}: by the file's custom, no head and feet by name"
     described = "unknown" if rise is None else np.array2string(rise, precision=3)
     raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "
-        "give it with --up x, y or z"
+        f"give it with --up, one of {', '.join(get_args(Up))}"
     )
+
+
+def along(axis: int, sign: float) -> Up:
+    """The direction along an axis of this number, or against it where the sign is negative."""
+    return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
 
 def axis_of_floor(
     rise: Float[np.ndarray, "3"],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
-) -> tuple[Axis, str] | None:
-    """The up axis by the plane of movement, for somebody who crouches or bends; and the reason.
+) -> tuple[Up, str] | None:
+    """The direction that is up by the plane of movement, for somebody who crouches or bends.
 
     Along it, the lowest point that moves stays where the floor is. None where that is not clear.
 
@@ -189,20 +238,29 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(rise).max())
+    ways: list[Up] = [along(axis, rise[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
-    frames = shown.any(1)
-    if frames.sum() < 2:
+    if shown.any(1).sum() < 2:
         return None
-    lowest = np.where(shown[frames][..., None], positions[frames], np.inf).min(1)
-    moved = np.quantile(lowest, 0.95, axis=0) - np.quantile(lowest, 0.05, axis=0)
-    above = rise >= 0.5 * size
+    moved = np.array([_swing(way, positions, shown) for way in ways])
+    above = np.abs(rise) >= 0.5 * size
     best = int(np.where(above, moved, np.inf).argmin())
     others = np.delete(moved, best)[np.delete(above, best)]
     if moved[best] > _STEADY * others.min(initial=np.inf):
         return None
-    return AXES[best], f"up axis {AXES[best]}: the lowest point stays at the floor along it"
+    return ways[best], f"up axis {ways[best]}: the lowest point stays at the floor along it"
+
+
+def _swing(
+    up: Up,
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> float:
+    """By how much the lowest point goes up and down, in nine tenths of the frames."""
+    heights = np.where(visible, positions @ to_z_up(up)[2], np.inf)[visible.any(1)].min(1)
+    return float(np.subtract(*np.quantile(heights, (0.95, 0.05))))
 
 
 def surely_up(
@@ -228,28 +286,101 @@ def surely_up(
         return None
     if best != own and abs(mean[best]) < _CLEAR * abs(mean[own]):
         return None
-    return AXES[best] if mean[best] > 0 else _DOWN[AXES[best]]
+    return along(best, mean[best])
 
 
-def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:
-    """The axis along which or against which a person stands, and the reason for it.
+_FORWARDS: tuple[tuple[tuple[str, ...], ...], ...] = (
+    (
+        ("*_big_toe", "*_foot", "*_toe1_base", "*_toe2_base", "*_toe5_base", "*_toe_tip"),
+        ("*_heel", "*_ankle", "*_ankle_lateral"),
+        ("*_knee", "*_knee_lateral"),
+        ("*_ankle", "*_ankle_lateral", "*_heel"),
+    ),
+    (("*_asis",), ("*_psis", "sacrum"), ("c7", "*_acromion"), ("*_asis",)),
+    (("xiphoid", "sternum", "sternal_notch"), ("t10", "t7", "c7"), ("c7",), ("sacrum", "*_asis")),
+    (("nose",), ("*_ear",), ("*_shoulder",), ("*_hip",)),
+)
+"""Points in front of others, those others, and two above each other, by side: any of each."""
+_REACH, _BEND = 0.1, 0.06
+"""Metres by which a foot, pelvis, chest or face surely points forwards, and a knee is bent."""
+_MIRRORED = -0.3
+"""Mean agreement below which coordinates are mirrored. Of 456 good recordings and clips with 15 mm
+of noise, the least is 0.14; that of mirrored ones is the opposite."""
+
+
+def facing(
+    names: Sequence[str],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> float:
+    """Agreement, from -1 to 1, of feet, knees, trunk and face with where left and right say front.
+
+    Each limb has an up of its own, u, and the hips or shoulders a right, r; u x r points forwards.
+    It is that of right-handed coordinates: in mirrored ones knees bend backwards and toes point
+    there. 0 where nothing of this is seen, and half as much where one kind of limb is alone.
 
     Args:
-        rise: mean vector from feet to head, in any unit.
-        name: of the file, for the message.
-
-    Raises:
-        ValueError: when the person stands along none.
+        names: joints, keypoints or landmarks of the body.
+        positions: metres.
+        visible: whether each is seen.
     """
-    order = np.argsort(np.abs(rise))
-    best, second = int(order[-1]), int(order[-2])
-    if not abs(rise[best]) >= 1.5 * abs(rise[second]):
-        raise UnitsError(
-            f"{name}: cannot tell which axis points up (from feet to head: "
-            f"{np.array2string(rise, precision=3)}); give it with --up, one of "
-            f"{', '.join(get_args(Up))}"
+    shown = np.where(visible[..., None], positions, np.nan)
+    places = {
+        name.removesuffix(JOINT): shown[:, k]
+        for k, name in enumerate(names)
+        if visible[:, k].any()
+    }
+
+    def at(side: str, *options: str) -> np.ndarray:
+        return next(
+            (places[key] for one in options if (key := one.replace("*", side)) in places),
+            np.full((len(positions), 3), np.nan),
         )
-    axis = AXES[best]
-    if rise[best] > 0:
-        return axis, f"up axis {axis}: the head is above the feet"
-    return _DOWN[axis], f"up axis: {axis} points down, as the feet are farther along it"
+
+    def towards(way: np.ndarray) -> np.ndarray:
+        return way / np.linalg.norm(way, axis=-1, keepdims=True).clip(1e-9)
+
+    right = np.zeros((len(positions), 3))
+    for parts in (("*_hip", "*_asis", "*_psis", "*_trochanter"), ("*_shoulder", "*_acromion")):
+        right += np.nan_to_num(towards(at("right", *parts) - at("left", *parts)))
+    found: list[float] = []
+    for part in (*_FORWARDS, None):
+        cosines = []
+        for side in ("left", "right"):
+            if part is None:
+                top, bottom = at(side, "*_hip"), at(side, "*_ankle")
+                ahead, reach = at(side, "*_knee") - (top + bottom) / 2, _BEND
+            else:
+                front, back, top, bottom = (at(side, *options) for options in part)
+                ahead, reach = front - back, _REACH
+            forwards = np.cross(towards(top - bottom), towards(right))
+            cosines.append(((ahead * forwards).sum(-1) / reach).clip(-1, 1))
+        if (known := np.isfinite(cosines)).any():
+            found.append(float(np.mean(cosines, where=known)))
+    return sum(found) / max(len(found), 2)
+
+
+def right_handed(
+    names: Sequence[str],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    hand: Hand | None = None,
+) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
+    """Factors of the axes that make coordinates right-handed, and what is said of it.
+
+    Args:
+        names: as of `facing`.
+        positions: metres, z up.
+        visible: whether each is seen.
+        hand: handedness, given by the user; None to tell it from the body.
+    """
+    if hand == "right" or (hand is None and facing(names, positions, visible) > _MIRRORED):
+        return np.ones(3), ()
+    said = "left-handed coordinates: given; they were mirrored back (x negated)"
+    if hand is None:
+        said = (
+            "the coordinates are left-handed, or mirrored: feet, knees or trunk point backwards "
+            "by the names left and right; they were mirrored back (x negated). If the names are "
+            "exchanged instead, give --hand right"
+        )
+    return np.array([-1.0, 1.0, 1.0]), (said,)

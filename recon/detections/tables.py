@@ -40,7 +40,10 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     header = {row[0].lower(): row[1:] for row in table[: len(_HEADERS)]}
     header = {key: header[key] for key in _HEADERS if key in header}
     if not {"bodyparts", "coords"} <= header.keys():
-        raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
+        raise FormatError(
+            f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or "
+            "DeepLabCut's header rows scorer, bodyparts, coords"
+        )
     parts, width = header["bodyparts"], len(header["coords"])
     individuals = header.get("individuals", ["one"] * len(parts))
     people = list(dict.fromkeys(individuals))

@@ -15,7 +15,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import CALIBRATION, check_pose
-from recon.core.units import METRES, Axis, to_z_up
+from recon.core.units import METRES, Up, to_z_up
 from recon.formats.cameras import CameraArrays, CameraFields, settle_camera
 from recon.formats.json_files import read_json
 from recon.formats.opencv_yaml import read_opencv_yaml
@@ -83,7 +83,7 @@ def load_cameras(
     path: str | Path,
     *,
     unit: CameraUnit | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     image_size: tuple[int, int] | None = None,
 ) -> Calibration:
     """Read a calibration file, or a folder of `intri.yml` and `extri.yml` or of single cameras.
@@ -200,7 +200,7 @@ def _settle_unit(
     )
 
 
-def _placed(camera: CameraArrays, metres: float, up: Axis) -> CameraArrays:
+def _placed(camera: CameraArrays, metres: float, up: Up) -> CameraArrays:
     """The camera with its pose in metres to a world with z up."""
     if camera.T_camera_world is None:
         return camera

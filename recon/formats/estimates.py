@@ -18,9 +18,10 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from recon.core import limits
+from recon.core.coordinates import along
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
-from recon.core.units import Axis
+from recon.core.units import Up, to_z_up
 from recon.formats.opening import check_tree, existing, load_arrays
 from recon.formats.pickles import read_tree
 
@@ -57,13 +58,13 @@ class BodyEstimate:
     """Shape coefficients of the body model that the program used, which need not be ours."""
     fps: float | None
     """Frames per second; None where the file does not say."""
-    up: tuple[int, Axis]
-    """Sign and axis of the file's world that points up."""
+    up: Up
+    """Axis of the file's world that points up or down."""
     notes: tuple[str, ...]
     """What was chosen and told, one sentence each."""
 
 
-def read_estimate(path: Path, person: int | None = None, up: Axis | None = None) -> BodyEstimate:
+def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -> BodyEstimate:
     """The body that a file holds.
 
     Args:
@@ -301,24 +302,22 @@ def _on_clock(
     return rotations[held], translation[held], there
 
 
-def _up(
-    path: Path, rotations: np.ndarray, given: Axis | None, notes: list[str]
-) -> tuple[int, Axis]:
-    """The axis that the trunk points along; a SMPL body's y axis leads from pelvis to head."""
+def _up(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
+    """The direction that the trunk points in; a SMPL body's y axis leads from pelvis to head."""
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:
-        axis = "xyz".index(given)
-        return (1 if mean[axis] >= 0 else -1), given
+        if mean @ to_z_up(given)[2] < -_UPRIGHT:
+            notes.append(f"up axis {given}: given, so that the body is upside down")
+        return given
     axis = int(np.abs(mean).argmax())
     if np.abs(mean[axis]) < _UPRIGHT:
         raise FormatError(
             f"{path}: the body is not upright along any axis, so that nothing tells which one is "
             "up; say it (--up)"
         )
-    sign = 1 if mean[axis] > 0 else -1
-    names: tuple[Axis, ...] = ("x", "y", "z")
-    notes.append(f"{'-' if sign < 0 else ''}{names[axis]} is up, as the body stands along it")
-    return sign, names[axis]
+    up = along(axis, mean[axis])
+    notes.append(f"{'-' if up.endswith('down') else ''}{up[0]} is up, as the body stands along it")
+    return up
 
 
 def _listed(tree: Tree) -> str:

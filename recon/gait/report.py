@@ -11,7 +11,7 @@ from recon.api.results import MotionResult, Tables
 from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.diagnosis.movement import belt_velocity
 from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
@@ -26,7 +26,7 @@ def report(
     source: MotionLike,
     *,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     mapping: str | Path | None = None,
     body: BodyLike = None,
 ) -> LaboratoryReport:
@@ -160,7 +160,7 @@ def report_file(
     out: Path | None = None,
     *,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     mapping: Path | None = None,
     overwrite: bool = False,
 ) -> WrittenReport:

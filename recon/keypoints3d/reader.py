@@ -9,10 +9,10 @@ from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.detections.tables import holds_detections
-from recon.formats.foreign import holds_sam3d_body
 from recon.formats.json_files import read_json
 from recon.formats.observations import PositionsFile
 from recon.formats.opening import load_arrays
+from recon.formats.producers import holds_sam3d_body
 from recon.formats.text_tables import first_rows, numbers, read_rows
 from recon.keypoints3d.json_files import is_points_3d, read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
@@ -163,8 +163,6 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
     Raises:
         FileNotFoundError, ValueError: as `recon.mocap.reader.read_recording` does.
     """
-    if up is not None and up not in ("x", "y", "z"):
-        raise FormatError(f"{path}: recordings have an axis that points up, x, y or z; got {up}")
     found = read_recording(path, unit=unit, up=up)
     if not isinstance(found, MarkerRecording):
         raise FormatError(f"{path}: expected labelled points, got a skeleton; `recon convert` it")

@@ -14,9 +14,9 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
-from recon.formats.foreign import SAM3D_POINTS
 from recon.formats.opening import DAMAGE, HEADERS, check_sizes
 from recon.formats.pickles import read_pickle
+from recon.formats.producers import SAM3D_POINTS
 from recon.keypoints3d.records import Points3D, followed, taken
 
 _POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.formats.opening import decode, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
@@ -58,7 +58,7 @@ def read_amc(
     skeleton: Path | None = None,
     fps: float = CMU_RATE,
     unit: str | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
 ) -> SkeletonRecording:
     """Read an .amc or .amc.xz file with its .asf.
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.formats.opening import decode, numbers_in, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
@@ -70,7 +70,7 @@ class _Joint:
     """(axis, is a rotation), in the order of the file."""
 
 
-def read_bvh(path: Path, *, unit: str | None = None, up: Axis | None = None) -> SkeletonRecording:
+def read_bvh(path: Path, *, unit: str | None = None, up: Up | None = None) -> SkeletonRecording:
     """Read a .bvh or .bvh.xz file.
 
     Raises:
@@ -81,7 +81,7 @@ def read_bvh(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
 
 
 def parse_bvh(
-    text: str, name: str, *, unit: str | None = None, up: Axis | None = None
+    text: str, name: str, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
     """The recording in the text of a BVH file; see `read_bvh`."""
     head, keyword, body = text.partition("MOTION")

@@ -14,7 +14,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
-from recon.core.units import Axis, parse_unit
+from recon.core.units import Up, parse_unit
 from recon.formats.opening import read_binary
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
@@ -66,7 +66,7 @@ class _Header:
         return first, last
 
 
-def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> MarkerRecording:
+def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
     """Read the markers of a .c3d file; angles, forces and the like among them are left out.
 
     A marker is not visible where its residual is negative, or it is NaN or exactly the origin.
@@ -90,7 +90,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         raise FormatError(f"{path}: damaged C3D file, it ends where more was promised") from error
     point = groups.get("POINT", {})
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
-    usual: Axis | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
+    usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
     first = max(1, header.bounds(groups.get("TRIAL", {}))[0])  # some writers count from 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"

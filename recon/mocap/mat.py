@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, JOINTS, SAMPLES
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.formats.opening import existing
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
@@ -23,7 +23,7 @@ _PATIENCE = 120.0
 
 
 def read_mat(
-    path: Path, variable: str | None = None, *, unit: str | None = None, up: Axis | None = None
+    path: Path, variable: str | None = None, *, unit: str | None = None, up: Up | None = None
 ) -> MarkerRecording:
     """Read one recording of a .mat file; it may be left unnamed when it is the only one.
 

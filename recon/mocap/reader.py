@@ -12,7 +12,7 @@ from typing import cast
 
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
-from recon.core.units import Axis
+from recon.core.units import Up
 from recon.formats.opening import decode, existing, read_bytes
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, read_bvh
@@ -28,7 +28,7 @@ _READERS = {".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_t
 
 
 def read_recording(
-    path: str | Path, unit: str | None = None, up: Axis | None = None
+    path: str | Path, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording | MarkerRecording:
     """Read a recording of any known format, in metres and z up.
 
@@ -57,7 +57,7 @@ def read_recording(
     if name.endswith((".asf", ".asf.xz")):
         raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
     if name.endswith((".npz", ".npz.xz")):
-        raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
+        raise FormatError(f"{path}: arrays, and no recording of motion capture")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
 
 
@@ -83,7 +83,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def read_member(
-    path: Path, member: str | None, *, unit: str | None = None, up: Axis | None = None
+    path: Path, member: str | None, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
     """One recording of an archive; it may be left unnamed when it is the only one.
 

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from recon.core import coordinates as told
 from recon.core import limits, units
-from recon.core.errors import FormatError, UnitsError
-from recon.core.units import Axis
+from recon.core.errors import FormatError
+from recon.core.units import Up
 
 LEAD_IN_SPEED = 10.0
 """Metres per second, mean over joints: no body moves so, a jump out of a T-pose does."""
@@ -135,7 +135,7 @@ def settle_skeleton(
     raw: SkeletonRecording,
     *,
     unit: str | None,
-    up: Axis | None,
+    up: Up | None,
     declared: str | None = None,
 ) -> SkeletonRecording:
     """Bring a skeleton in a file's unit and axes to metres and z up, saying how it was decided.
@@ -143,7 +143,7 @@ def settle_skeleton(
     Args:
         raw: as in the file; by custom of its format y points up.
         unit: what the user says; the file and the body are not asked then.
-        up: axis that points up, given by the user; the body is not asked then.
+        up: axis that points up or down, given by the user; the body is not asked then.
         declared: unit that the file states.
 
     Raises:
@@ -158,8 +158,9 @@ def settle_skeleton(
     length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
     unit, reason = _unit(unit, declared, length, told.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
-    rise = told.head_above_feet(raw.joint_names, raw.positions, visible)
-    up, up_reason = (up, f"up axis {up}: given") if up else told.decide_up(rise, "y", raw.name)
+    up_reason = f"up axis {up}: given"
+    if up is None:
+        up, up_reason = told.settled_up(raw.joint_names, raw.positions, visible, "y", raw.name)
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
     limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
@@ -176,9 +177,9 @@ def settle_markers(
     raw: MarkerRecording,
     *,
     unit: str | None,
-    up: Axis | None,
+    up: Up | None,
     declared: str | None = None,
-    usual_up: Axis | None = None,
+    usual_up: Up | None = None,
 ) -> MarkerRecording:
     """Bring markers in a file's unit and axes to metres and z up; see `settle_skeleton`.
 
@@ -204,19 +205,11 @@ def settle_markers(
     ends = [np.where(visible[..., None], positions, far)[shown] for far in (math.inf, -math.inf)]
     extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
     unit, reason = _unit(unit, declared, float(extent.max()), told.unit_from_markers, raw.name)
+    up_reason = f"up axis {up}: given"
     if up is None:
-        rise = told.head_above_feet(raw.marker_names, positions, visible)
-        if rise is None and usual_up is None:
-            rise = extent
-        try:
-            up, up_reason = told.decide_up(rise, usual_up, raw.name)
-        except UnitsError:
-            floor = None if rise is None else told.axis_of_floor(rise, positions, visible)
-            if floor is None:
-                raise
-            up, up_reason = floor
-    else:
-        up_reason = f"up axis {up}: given"
+        up, up_reason = told.settled_up(
+            raw.marker_names, positions, visible, usual_up, raw.name, extent
+        )
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
     limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
     times_seen: Counter[str] = Counter()

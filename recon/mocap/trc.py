@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.coordinates import along
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
-from recon.core.units import METRES, Axis, parse_unit, snapped_rate, to_z_up
+from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.formats.opening import decode, read_bytes, replacing
 from recon.mocap.recording import MarkerRecording, settle_markers
 
@@ -16,7 +17,7 @@ _POSE2SIM = {f"{side}{joint}" for side in "LR" for joint in ("Hip", "Knee", "Ank
 """Labels that all files of Pose2Sim have, whichever detector it used."""
 
 
-def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> MarkerRecording:
+def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
     """Read a .trc file; a blank cell, NaN or three exact zeros are a marker not seen.
 
     Pose2Sim, which leaves out the blank line after the header, writes (y, z, x) of its cameras'
@@ -43,12 +44,12 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
     notes = [f"{beyond} columns of points without a label left out"] if beyond else []
-    custom: Axis = "y"
+    custom: Up = "y"
     if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
         notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")
         values, custom = values[..., [2, 0, 1]], "z"
-        renamed: dict[Axis, Axis] = {"x": "y", "y": "z", "z": "x"}
-        up = renamed[up] if up else None
+        if up is not None:
+            up = along((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
     fps, note = _rate(header.get("DataRate", ""), times, name)
     raw = MarkerRecording(
         name=name,

@@ -20,6 +20,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -36,7 +37,7 @@ from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of
 from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes, masked
-from recon.reading.points import positions_of
+from recon.reading.points import points_settled, positions_of
 from recon.reading.readers import Reader, read_by, readers
 from recon.reading.views import read_views
 
@@ -109,15 +110,16 @@ def _read(
         )
     if (seen := read_by(own, path, body)) is not None:
         return seen, ()
+    refuse_others(path, "fit")
     if path.suffix.lower() in RECORDINGS and path.is_file():
         return _recorded(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
         person = None if settings.person == "all" else settings.person
         file = settled(
             read_points_3d(path, person=person), body, fps=settings.frame_rate,
-            unit=settings.unit, up=settings.up, layout=settings.layout,
+            unit=settings.unit, up=settings.up, hand=settings.hand, layout=settings.layout,
         )  # fmt: skip
-        return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
+        return _points(file, path, body, settings)
     if holds_detections(path):
         return None
     if path.suffix.lower() == ".npz":
@@ -146,11 +148,23 @@ def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Senso
     if skin or settings.mapping is not None:
         from recon.ingest.marker_observation import seen_markers
 
-        return seen_markers(recording, body, settings.mapping, settings.robust)
+        return seen_markers(recording, body, settings.mapping, settings.robust, settings.hand)
     if file is None:
         points = from_recording(recording)
-        file = settled(points, body, fps=settings.frame_rate, layout=settings.layout)
-    return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
+        file = settled(
+            points, body, fps=settings.frame_rate, hand=settings.hand, layout=settings.layout
+        )
+    else:
+        file = points_settled(file, path, body, up="z", hand=settings.hand)
+    return _points(file, path, body, settings)
+
+
+def _points(
+    file: PositionsFile, path: str | Path, body: BodyModel, settings: FitSettings
+) -> tuple[Sensor, Sequence[str]]:
+    """Points whose coordinates are settled, as an observation, and what was decided of them."""
+    found = positions_of(file, path, body, up="z", hand="right", robust=settings.robust)
+    return found, file.decisions
 
 
 @contextmanager
@@ -246,9 +260,11 @@ def together(
             if not posed[k] and T is None:
                 T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
         elif isinstance(file, PositionsFile):
-            found[k] = positions_of(
-                file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
+            points = points_settled(
+                file, name, body, unit=settings.unit, up=settings.up, hand=settings.hand
             )
+            found[k], said = _points(points, name, body, settings)
+            notes += [f"{name}: {decision}" for decision in said]
         else:
             found[k] = file
     observations = tuple(found[k] for k in range(len(files)))

@@ -38,13 +38,14 @@ def load_observation(
     body: BodyModel | None = None,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
+    hand: Literal["left", "right"] | None = None,
     frame_rate: float | None = None,
     layout: str | None = None,
     person: int | None = None,
     masks: Path | str | None = None,
     camera: Path | str | None = None,
     camera_unit: Literal["m", "mm"] | None = None,
-    camera_up: Literal["x", "y", "z"] | None = None,
+    camera_up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
     image_size: tuple[int, int] | None = None,
     camera_track: Path | str | None = None,
     ground: tuple[float, float, float, float] | None = None,
@@ -64,14 +65,15 @@ def load_observation(
         path: file or folder, or several of one clip.
         body: whose points markers and keypoints are; None is the bundled body.
         unit: of positions and scans, where the file is wrong about it.
-        up: axis that points up, where the file is wrong about it.
+        up: axis that points up, or down, where the file is wrong about it.
+        hand: handedness of the coordinates; None tells it from the body, where points have names.
         frame_rate: frames per second of detections and images, where files do not tell.
         layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
         person: number of the person to follow where detections show several.
         masks: silhouettes of the person; keypoints outside are taken as occluded.
         camera: calibration of the cameras that detections and depth images come from.
         camera_unit: unit of the calibration, where it does not tell.
-        camera_up: axis of the calibration's world that points up.
+        camera_up: axis of the calibration's world that points up, or down.
         image_size: width and height, pixels, where no calibration tells.
         camera_track: how the one camera was carried, as COLMAP, TUM, DROID-SLAM or ARKit write it.
         ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
@@ -88,7 +90,7 @@ def load_observation(
     """
     paths = [path] if isinstance(path, Path | str) else path
     settings = FitSettings(
-        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
+        unit=unit, up=up, hand=hand, frame_rate=frame_rate, layout=layout, person=person,
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
         camera_up=camera_up, image_size=image_size,

@@ -10,7 +10,7 @@ from typing import Any
 
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
-from recon.formats.foreign import holds_sam3d_body
+from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path

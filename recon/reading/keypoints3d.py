@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import decide_any_up, head_above_feet
+from recon.core.coordinates import right_handed, settled_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
-from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.reader import with_rate
@@ -46,6 +46,7 @@ def settled(
     fps: float | None = None,
     unit: str | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     layout: str | None = None,
 ) -> PositionsFile:
     """3D keypoints in metres with z up.
@@ -56,6 +57,7 @@ def settled(
         fps: frames per second; None where the file states it.
         unit: of the positions; None to read it from the file, or to tell it from the size.
         up: axis that points up, or down; None to tell it from head and feet.
+        hand: handedness of the axes; None to tell it from the body.
         layout: which keypoints an array without names holds; None to tell it.
 
     Raises:
@@ -67,12 +69,14 @@ def settled(
     metres, unit_reason = _unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
-    up, up_reason = _up(known.name, head_above_feet(known.names, positions, visible), up)
-    positions = positions @ (to_z_up(up).T * metres)
+    up, up_reason = _up(known.names, positions, visible, up, known.name)
     names = known.names
+    positions = positions @ (to_z_up(up).T * metres)
+    factors, mirrored = right_handed(names, positions, visible, hand)
+    positions *= factors
     placed = not _about_the_pelvis(names, positions, visible)
     level = not up.endswith("down")
-    said = [*known.decisions, unit_reason, up_reason]
+    said = [*known.decisions, unit_reason, up_reason, *mirrored]
     if not level and not placed and _upright(names, positions, visible):
         level = True
         said.append("shoulders are straight above the ankles: the camera is taken to be level")
@@ -181,21 +185,22 @@ def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, s
     return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
 
 
-def _up(name: str, rise: Float[np.ndarray, "3"] | None, given: Up | None) -> tuple[Up, str]:
-    """The direction that is up, and the reason; the vector from feet to head tells it."""
-    if rise is None and given is None:
-        raise UnitsError(
-            f"{name}: no frame shows head and feet, so nothing tells which axis points up; "
-            "give it with --up"
-        )
+def _up(
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    given: Up | None,
+    name: str,
+) -> tuple[Up, str]:
+    """The direction that is up, and the reason; where it is given, whether the person lies so."""
     try:
-        found, reason = (given, "") if rise is None else decide_any_up(rise, name)
+        found, reason = settled_up(names, positions, visible, None, name)
     except UnitsError:
         if given is None:
             raise
         found, reason = given, ""
-    if given is None or found is None:
-        return found or "z", reason
+    if given is None:
+        return found, reason
     lies = (
         f", so that the person lies; {reason.partition(': ')[2]} along {found}: if they stand, "
         f"leave --up out or give --up {found}"

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from recon.core.coordinates import head_above_feet
+from recon.core.coordinates import surely_up
 from recon.core.errors import ObservationError
-from recon.core.units import AXES, Axis
 from recon.reading.tracks import Track, TrackedView, Triangulated, triangulated
 
 _CONSISTENT = 0.03
@@ -25,8 +24,6 @@ _DOUBTFUL = 0.5
 """Share of the person's completeness from which somebody in one view alone is doubtful."""
 _TRUNK = (0.2, 0.9)
 """Metres between shoulder and hip of a side: children to the tallest adults."""
-_UPRIGHT = 1.5
-"""The rise from feet to head along the up axis exceeds the others by this when standing."""
 
 
 def across_views(
@@ -229,17 +226,12 @@ class _Pairs:
                 f"the calibration makes the body's trunk {trunk:.3g} m long, not {_TRUNK[0]} to "
                 f"{_TRUNK[1]} m; give its unit with --camera-unit"
             )
-        rise = head_above_feet(pair.names, pair.points, pair.seen)
-        if rise is not None and not up_given:
-            best: Axis = AXES[int(np.argmax(np.abs(rise)))]
-            others = [abs(rise[k]) for k in range(3) if AXES[k] != best]
-            down = rise[AXES.index(best)] < 0
-            if abs(rise[AXES.index(best)]) >= _UPRIGHT * max(others) and (best != "z" or down):
-                raise ObservationError(
-                    f"in the calibration's world the body stands along {'-' if down else ''}{best}"
-                    ", z was believed to point up; give --camera-up x, y or z (z also for "
-                    "somebody who lies); a world whose axis points down must be calibrated anew"
-                )
+        found = None if up_given else surely_up("z", pair.names, pair.points, pair.seen)
+        if found is not None:
+            raise ObservationError(
+                f"in the calibration's world the body stands along {found}, z was believed to "
+                f"point up; give --camera-up {found} (z for somebody who lies)"
+            )
         return float(np.median([pair.error for pair in made]))
 
 

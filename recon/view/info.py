@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from recon.body.model import BodyModel
+from recon.detections.tables import holds_detections
 from recon.formats.estimates import read_estimate
-from recon.formats.foreign import refuse_foreign
 from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import MotionFile, load_motion
 from recon.formats.observations import (
@@ -19,6 +19,7 @@ from recon.formats.observations import (
 )
 from recon.formats.opening import existing, load_arrays
 from recon.formats.pickles import read_tree
+from recon.formats.producers import producer_of, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
@@ -58,6 +59,14 @@ def info(file: Path) -> dict[str, Any]:
     """
     if not file.exists():
         raise FileNotFoundError(f"{file}: no such file")
+    refuse_others(file, "info")
+    found = producer_of(file)
+    verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
+    told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}
+    return {**_held(file), **told}
+
+
+def _held(file: Path) -> dict[str, Any]:
     if (project := project_at(file)) is not None:
         return _project(project)
     if holds_points_3d(file):
@@ -72,12 +81,13 @@ def info(file: Path) -> dict[str, Any]:
     if ending == ".json":
         return describe_json(file)
     if ending == ".csv":
-        refuse_foreign([file])
         return describe_detections(file)
     if ending in (".toml", ".yml", ".yaml"):
         return describe_calibration(file)
     if ending != ".npz":
         return _recording(file)
+    if holds_detections(file):
+        return describe_detections(file)
     keys = set(load_arrays(existing(file)))
     if "kind" in keys:
         return _observation(file)
@@ -242,14 +252,13 @@ def _estimate(path: Path) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path)
-    sign, axis = found.up
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),
         "frames_without_person": int((~found.known).sum()),
         "fps": found.fps,
         "shape_coefficients": len(found.betas),
-        "up": f"{'-' if sign < 0 else ''}{axis}",
+        "up": found.up,
         "units": "metres",
         "decisions": list(found.notes),
     }

@@ -12,7 +12,7 @@ from priors.pose.prior import PosePrior
 from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera, transform
 from recon.core.motion import Motion
-from recon.core.scene import GROUND, TILT, Scene, UnknownGround
+from recon.core.scene import GROUND, TILT, ZOOM, Scene, UnknownGround, UnknownLens
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
 from recon.method.priors import Prior
@@ -188,3 +188,27 @@ def test_variables_that_cannot_be_carried_are_refused_with_a_way_out(toy_body):
     laws.minimised(stage, toy_body, Plain(motion), known)
     with pytest.raises(ValueError, match="needs to know the ground"):
         laws.minimised(stage, toy_body, Plain(motion), scene_with(a_ground()))
+
+
+def test_another_focal_length_keeps_the_size_of_what_stands_at_the_distance():
+    # camera looking along +x from the origin; two points 4 m before it, a metre apart
+    origin, forward = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]).double()
+    one = full_hd_camera().to(dtype=torch.float64).placed(origin, forward)
+    camera = one.map(lambda t: t.expand(1, 1, *t.shape))
+    places = [[4.0, -0.5, 1.0], [4.0, 0.5, 1.0], [8.0, 0.5, 1.0]]
+    points = torch.tensor(places).double()[None, None]
+    lens = UnknownLens(torch.full((1,), 2.0).double(), torch.full((1,), 4.0).double())
+    factor = torch.tensor(2.0 * ZOOM).exp()
+    torch.testing.assert_close(lens.factor.float(), factor[None])
+    other = lens.of(camera)
+    focal, centre = camera.camera_matrix[..., :2, :2], camera.camera_matrix[..., 2]
+    torch.testing.assert_close(other.camera_matrix[..., :2, :2], factor * focal)
+    torch.testing.assert_close(other.camera_matrix[..., 2], centre)
+    before, after = camera.project(points).pixels, other.project(points).pixels
+    torch.testing.assert_close(after[..., :2, :], before[..., :2, :])
+    # farther things grow with the focal length: 8 m become 4 m times the factor, plus 4 m
+    middle = camera.camera_matrix[0, 0, 0, 2]
+    grown = (after[0, 0, 2, 0] - middle) / (before[0, 0, 2, 0] - middle)
+    torch.testing.assert_close(grown.float(), 8 * factor / (4 + 4 * factor))
+    unchanged = UnknownLens.create(lens.distance).of(camera)
+    torch.testing.assert_close(unchanged.T_camera_world, camera.T_camera_world)

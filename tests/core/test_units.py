@@ -1,5 +1,7 @@
 """Unit and up axis: told by the file or the body, never guessed when ambiguous."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from recon.core.coordinates import (
     check_declared,
     decide_up,
     head_above_feet,
+    settled_up,
     surely_up,
     unit_from_bones,
     unit_from_markers,
@@ -67,11 +70,31 @@ def test_an_upright_body_decides_even_against_the_files_hint() -> None:
     assert decide_up(np.array([0.1, 0.2, 1.4]), "y", "clip")[0] == "z"
 
 
+@pytest.mark.parametrize("up", get_args(Up))
+def test_feet_that_stand_tell_each_of_six_directions(up: Up) -> None:
+    """Markers whose vertical axis points down were laid on the side."""
+    heights = np.linspace(0.0, 0.1, 9)
+    walker = np.zeros((9, 2, 3))
+    walker[:, :, 0], walker[:, 0, 2] = 10 * heights[:, None], 1.6 + heights
+    names, seen = ("Head", "LeftToeBase"), np.ones((9, 2), dtype=bool)
+    for usual in (None, "y", "z"):
+        assert settled_up(names, walker @ to_z_up(up), seen, usual, "clip")[0] == up
+
+
+def test_who_stands_on_the_hands_leaves_it_to_the_custom_of_the_format() -> None:
+    swing = np.linspace(-0.2, 0.2, 9)
+    acrobat = np.zeros((9, 3, 3))
+    acrobat[:, :, 2] = np.stack([np.full(9, 0.3), 1.7 + swing, np.zeros(9)], -1)
+    seen, names = np.ones((9, 3), dtype=bool), ("Head", "LeftToeBase", "Hand")
+    assert settled_up(names, acrobat, seen, "z", "clip")[0] == "z"
+    assert settled_up(names, acrobat, seen, None, "clip")[0] == "z-down"
+
+
 def test_a_lying_body_leaves_it_to_the_custom_of_the_format() -> None:
     assert decide_up(np.array([0.8, 0.7, 0.1]), "y", "clip")[0] == "y"
 
 
-@pytest.mark.parametrize("rise", [None, np.array([0.8, 0.7, 0.1]), np.array([0.0, 0.0, -1.5])])
+@pytest.mark.parametrize("rise", [None, np.array([0.8, 0.7, 0.1])])
 def test_an_ambiguous_axis_is_refused_and_names_the_option(rise: np.ndarray | None) -> None:
     with pytest.raises(ValueError, match="--up"):
         decide_up(rise, None, "clip")

@@ -46,6 +46,63 @@ def test_the_first_frame_of_a_c3d_tells_its_time(tmp_path: Path) -> None:
     assert back.window(2, 5).start_time == pytest.approx(7.26)
 
 
+def test_more_frames_than_sixteen_bits_count_are_read_from_trial(tmp_path: Path) -> None:
+    import ezc3d
+
+    write_c3d(tmp_path / "clip.c3d", make_markers())
+    file = ezc3d.c3d(str(tmp_path / "clip.c3d"))
+    # 70,001 to 70,005, as pairs of 16 bits, low ones first
+    for key, frame in (("ACTUAL_START_FIELD", 70_001), ("ACTUAL_END_FIELD", 70_005)):
+        file.add_parameter("TRIAL", key, [frame & 0xFFFF, frame >> 16])
+    file.write(str(tmp_path / "long.c3d"))
+    data = bytearray((tmp_path / "long.c3d").read_bytes())
+    struct.pack_into("<HH", data, 6, 0xFFFF, 0xFFFF)
+    (tmp_path / "long.c3d").write_bytes(bytes(data))
+    back = read(tmp_path / "long.c3d")
+    assert (back.frames, back.start_time) == (5, pytest.approx(700.0))
+    struct.pack_into("<HH", data, 6, 1, 5)  # where 16 bits are enough, the header counts
+    (tmp_path / "long.c3d").write_bytes(bytes(data))
+    assert read(tmp_path / "long.c3d").start_time == 0
+
+
+def test_the_rate_of_the_header_is_taken_where_none_is_stated(tmp_path: Path) -> None:
+    write_c3d(tmp_path / "clip.c3d", make_markers())
+    data = bytearray((tmp_path / "clip.c3d").read_bytes().replace(b"RATE", b"PACE"))
+    struct.pack_into("<f", data, 20, 50.0)
+    (tmp_path / "clip.c3d").write_bytes(bytes(data))
+    assert read(tmp_path / "clip.c3d").fps == 50
+
+
+def test_integers_are_scaled_and_analog_samples_passed_over(tmp_path: Path) -> None:
+    """Old files store 16-bit integers, and two analog samples behind the points of a frame."""
+    markers = make_markers()
+    write_c3d(tmp_path / "clip.c3d", markers)
+    data = (tmp_path / "clip.c3d").read_bytes()
+    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+    head, scale = bytearray(data[:start]), 0.1
+    struct.pack_into("<H", head, 4, 2)
+    struct.pack_into("<f", head, 12, scale)
+    frames = np.zeros((5, 18), dtype="<i2")
+    points = frames[:, :16].reshape(5, 4, 4)
+    points[..., :3] = np.rint(markers.positions * 1000 / scale)
+    points[..., 3] = np.where(markers.visible, 1, -1)
+    frames[:, 16:] = -5
+    (tmp_path / "integers.c3d").write_bytes(bytes(head) + frames.tobytes())
+    back = read(tmp_path / "integers.c3d")
+    assert np.array_equal(back.visible, markers.visible)
+    assert np.abs(back.positions - markers.positions).max() < 0.6e-3 * scale  # metres, rounded
+    assert "analog channels left out: without names" in back.decisions
+    (tmp_path / "integers.c3d").write_bytes(bytes(head) + frames.tobytes()[:-1])
+    with pytest.raises(ValueError, match="which hold 4 frames"):
+        read(tmp_path / "integers.c3d")
+
+
+def test_only_the_subject_before_the_first_colon_is_taken_off(tmp_path: Path) -> None:
+    names = ["Ann:LFHD:1", "Ann:C7", "Ann:RKNE", "Ann:LHEE"]
+    write_c3d(tmp_path / "clip.c3d", make_markers(), LABELS=names)
+    assert read(tmp_path / "clip.c3d").marker_names[0] == "LFHD:1"
+
+
 def test_outputs_and_analog_channels_are_named(tmp_path: Path) -> None:
     import ezc3d
 

@@ -1,0 +1,294 @@
+"""Who writes files of motion: how each is recognised, and which verb takes it or what to do.
+
+`PRODUCERS` is the one table of them. What a verb does not take it refuses by `refuse_others`, with
+the same sentence in every verb; the manual's table has its rows.
+"""
+
+import re
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.core.errors import FormatError
+
+
+@dataclass(frozen=True)
+class Producer:
+    """Files of one kind, and the programs that write them."""
+
+    name: str
+    """Of the programs; empty where any may have written it."""
+    holds: str
+    form: str
+    """How its files look, for the manual."""
+    endings: tuple[str, ...]
+    """Of its files; "/" is a folder, of which the names of the files are looked at."""
+    mark: bytes
+    """Regular expression that is found at the start of its files, or in the names of arrays."""
+    verbs: tuple[str, ...]
+    """Verbs that take it, the usual one first; `recon info` takes all that any verb does."""
+    note: str
+    """What its files say themselves, for the manual; or what to do where no verb takes it."""
+    folder: bool = False
+    """Whether a folder of such files is one recording or view."""
+
+    def answer(self) -> str:
+        """What it is, who writes it, and which command takes it or what to do instead."""
+        what = f"{self.holds} of {self.name}" if self.name else self.holds
+        if self.verbs == ("info",):
+            return f"{what}: {self.note}"
+        if self.verbs:
+            return f"{what}: `recon {self.verbs[0]}` takes it"
+        return f"{what}, which no verb takes: {self.note}"
+
+
+SAM3D_POINTS = "pred_keypoints_3d"
+"""The key of a person's keypoints in results of SAM 3D Body."""
+_FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
+_POINTS3D, _POINTS2D, _BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+PRODUCERS = (
+    Producer(
+        "FreeMoCap", _POINTS3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
+        "`body_3d_xyz.csv`", ("/",), rb"body_3d_xyz", _FIT,
+        "millimetres; rate where `*_by_frame.csv` is beside",
+    ),
+    Producer(
+        "SAM 3D Body", _POINTS3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
+        "every frame, or frame and person, in a folder; `.npz` of stacked arrays: "
+        "`pred_keypoints_3d`, `pred_cam_t`, if there `pred_keypoints_2d`, `focal_length`",
+        (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
+        "names, metres in the camera", folder=True,
+    ),
+    Producer(
+        "MediaPipe", _POINTS3D, "JSON with `pose_world_landmarks`", (".json",),
+        rb"orldLandmarks|world_landmarks", _FIT, "metres about the hips, y down",
+    ),
+    Producer(
+        "Azure Kinect", _POINTS3D, "JSON of the offline processor: `frames`, `bodies`, "
+        "`joint_positions`", (".json",), rb'"bodies"', _FIT,
+        "millimetres in the camera, rate by `timestamp_usec`",
+    ),
+    Producer(
+        "OpenPose, Pose2Sim", _POINTS2D, "folder (`pose`, `pose-associated`); "
+        "`people[].pose_keypoints_2d`", (".json",), rb'"people"', _FIT, "confidence", folder=True,
+    ),
+    Producer(
+        "EasyMocap", _POINTS2D, "folder `annots/CAMERA`; `annots[].keypoints`", (".json",),
+        rb'"annots"', _FIT, "confidence, negative is missing", folder=True,
+    ),
+    Producer(
+        "AlphaPose", _POINTS2D, "JSON; `image_id`, `keypoints`", (".json",), rb'"image_id"', _FIT,
+        "confidence, divided by 6 where any exceeds 1",
+    ),
+    Producer(
+        "MMPose, rtmlib", _POINTS2D, "folder or JSON; `keypoints` with `keypoint_scores` or "
+        "`scores`", (".json",), rb'"(?:keypoint_)?scores"|"instance_info"|"predictions"', _FIT,
+        "confidence, clipped to [0, 1]", folder=True,
+    ),
+    Producer(
+        "MediaPipe", _POINTS2D, "JSON; 33 landmarks in fractions of the image", (".json",),
+        rb'andmarks"|"visibility"', _FIT, "visibility", folder=True,
+    ),
+    Producer(
+        "DeepLabCut", _POINTS2D, "CSV; body parts matched by name", (".csv",),
+        rb"(?i)\A(?:scorer|bodyparts)\b(?![^\0]*\ncoords[^\n]*,z\b)", _FIT, "likelihood",
+        folder=True,
+    ),
+    Producer(
+        "SLEAP", _POINTS2D, "its analysis CSV; nodes matched by name", (".csv",),
+        rb"\A[^\n]*\bframe_idx\b[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
+    ),
+    Producer(
+        "rtmlib, ViTPose, your own", _POINTS2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
+        "(T,P,K)`, or `(T,K,3)`", (".npz",), rb"(?m)^scores$|^keypoint_scores$", _FIT, "scores",
+    ),
+    Producer(
+        "OptiTrack Motive", "a table of markers", "CSV from `Format Version` on", (".csv",),
+        rb"\A\W*Format Version", (), "export C3D, TRC or BVH from Motive",
+    ),
+    Producer(
+        "Anipose, DeepLabCut, your own", _POINTS3D, "CSV with columns `NAME_x`, `NAME_y`, "
+        "`NAME_z`, or rows of `frame`, `keypoint`, `x`, `y`, `z`; `timestamp` in seconds",
+        (".csv",), rb"(?i)\A[^\n]*(?<![a-z])z\b|\ncoords[^\n]*,z\b", _FIT, "names, rate",
+    ),
+    Producer(
+        "your own", _POINTS3D, "JSON with `names` and `frames` of x, y, z; `fps`, `unit`",
+        (".json",), rb'names"|"labels"', _FIT, "names",
+    ),
+    Producer(
+        "MotionBERT, your own", _POINTS3D, "`.npy` or `.npz` with one array (frames, points, 3); "
+        "`.npz` also `names`, `fps`", (".npy",), rb"\A\x93NUMPY[^\n]*'descr': '<", _FIT, "",
+    ),
+    Producer(
+        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", "markers or joint centres",
+        "`.c3d`, `.trc`; joint centres are `RHip`, `LKnee`, ...", (".c3d", ".trc"), b"",
+        ("convert", "fit"), "labels, rate, unit",
+    ),
+    Producer(
+        "", "a skeleton's motion", "`.bvh`, `.amc` with `.asf`, also `.xz`; archives of `.bvh` "
+        "(`FILE::MEMBER`)", (".bvh", ".amc", ".tar", ".tgz"), b"", ("convert",), "rate",
+    ),
+    Producer(
+        "Motion Capture Toolbox", "a recording of motion capture", "`.mat`", (".mat",), b"",
+        ("convert",), "labels, rate",
+    ),
+    Producer(
+        "", "a skeleton without motion", "`.asf`", (".asf",), b"", (),
+        "give `recon convert` one of its .amc files",
+    ),
+    Producer(
+        "NTU RGB+D", "skeletons of Kinect v2", "`.skeleton`", (".skeleton",), b"", (),
+        "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
+    ),
+    Producer(
+        "", "scans", "folder of `.ply` or `.pcd`, one per frame", (".ply", ".pcd"), b"", _FIT,
+        "times in `times.csv`", folder=True,
+    ),
+    Producer(
+        "", "meshes of OBJ", "`.obj`", (".obj",), b"", (),
+        "save their vertices as .ply (`trimesh.load(f).export('a.ply')`)", folder=True,
+    ),
+    Producer(
+        "recon", "an observation", "`.npz` with `kind`", (".npz",), rb"(?m)^kind$", _FIT,
+        "all ([above](#formats))",
+    ),
+    Producer(
+        "recon", "a motion", "`.npz` with `trans`, `poses`, `body_checksum`", (".npz",),
+        rb"(?m)^body_checksum$", ("refine",), "all ([above](#formats))",
+    ),
+    Producer(
+        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"), rb"v_template",
+        _INFO, "give it with --body",
+    ),
+    Producer(
+        "", "a calibration of cameras", "`.npz` with `camera_matrix`, JSON with `camera_mtx`",
+        (".npz", ".json"), rb"camera_matrix|camera_mtx", _INFO, "give it with --camera",
+    ),
+    Producer(
+        "", "a calibration of cameras", "`.toml`, `.yml`, `.yaml`", (".toml", ".yml", ".yaml"),
+        b"", _INFO, "give it with --camera",
+    ),
+    Producer(
+        "", "silhouettes", "`.npz` with `mask`", (".npz",), rb"(?m)^mask$", _INFO,
+        "give them with --masks",
+    ),
+    Producer(
+        "GVHMR", _BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
+        _REFINE, "",
+    ),
+    Producer(
+        "WHAM", _BODIES, "`.pkl`; `pose_world`, `trans_world` by person", (".pkl",),
+        rb"trans_world", _REFINE, "",
+    ),
+    Producer(
+        "PHALP (4D-Humans)", _BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
+        (".pkl",), rb"smpl(?s:.*)tid|tid(?s:.*)smpl", _REFINE, "in the camera",
+    ),
+    Producer(
+        "AMASS", _BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
+        rb"poses(?s:.*)trans|trans(?s:.*)poses", _REFINE, "rate",
+    ),
+    Producer(
+        "SLAHMR", _BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
+        (".npz",), rb"pose_body(?s:.*)trans|trans(?s:.*)pose_body", _REFINE, "",
+    ),
+    Producer(
+        "SMPL, SMPL-X", _BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
+        (".npz",), rb"pose(?s:.*)trans|trans(?s:.*)pose", _REFINE, "",
+    ),
+    Producer("", _BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
+    Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
+    Producer(
+        "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
+        (), "run a 2D detector on it, and give its keypoints",
+    ),
+    Producer(
+        "Autodesk", "a scene", "`.fbx`", (".fbx",), b"", (), "export BVH, as Blender does",
+    ),
+)  # fmt: skip
+"""The first whose ending and mark fit is meant."""
+
+
+def producer_of(path: Path) -> Producer | None:
+    """Who wrote a file, or the files of a folder, by endings and first bytes; None is unknown."""
+    if not path.is_dir():
+        return _of_file(path) if path.is_file() else None
+    inside = list(path.iterdir())
+    listed = "\n".join(one.name for one in (*inside, *path.glob("output_data/*"))).encode()
+    for one in PRODUCERS:
+        if "/" in one.endings and re.search(one.mark, listed):
+            return one
+    endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
+    alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
+    # an empty frame shows of which kind it is in no file
+    found = _of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
+    return found if found is None or found.folder or len(alike) == len(inside) else None
+
+
+def _of_file(path: Path) -> Producer | None:
+    ending, head = Path(path.name.lower().removesuffix(".xz")).suffix, None
+    for one in PRODUCERS:
+        if ending in one.endings:
+            head = _head(path, ending) if head is None and one.mark else head
+            if not one.mark or re.search(one.mark, head or b""):
+                return one
+    return None
+
+
+_HEAD = 1 << 16
+"""Bytes at the start of a file that are looked at."""
+_PICKLED = 1 << 22
+"""The same of pickles, some of whose keys stand behind arrays."""
+
+
+def _head(path: Path, ending: str) -> bytes:
+    """The first bytes of a file, inflated; the names of the arrays of an archive, by lines."""
+    if ending == ".npz":
+        return "\n".join(sorted(_arrays_of(path))).encode()
+    pickled = ending in (".pkl", ".npy", ".pt", ".pth")
+    with path.open("rb") as file:
+        head = file.read(_PICKLED if pickled else _HEAD)
+    if not pickled or not head.startswith((b"x", b"\x1f\x8b")):
+        return head
+    try:
+        return zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(head, _PICKLED)
+    except zlib.error:
+        return head
+
+
+def _arrays_of(path: Path) -> set[str]:
+    """Names of the arrays of an .npz file; none where it is damaged, which its reader tells."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return set()
+
+
+def refuse_others(path: Path, verb: str) -> None:
+    """Refuse a file that a verb does not take, with what it is and the way out.
+
+    Raises:
+        FormatError: when it is known and for another verb, or for none.
+    """
+    found = producer_of(path)
+    if found is not None and verb not in found.verbs and not (verb == "info" and found.verbs):
+        raise FormatError(f"{path}: {found.answer()}")
+
+
+def holds_sam3d_body(path: Path) -> bool:
+    """Whether a file, or the files of a folder, are results of SAM 3D Body."""
+    found = producer_of(path)
+    return found is not None and found.name == "SAM 3D Body"
+
+
+def is_estimate(paths: Sequence[Path]) -> bool:
+    """Whether the one file seems to hold body parameters of every frame; reads little of it.
+
+    Motion files of recon, which name their body by its checksum, are none.
+    """
+    found = producer_of(paths[0]) if len(paths) == 1 and paths[0].is_file() else None
+    return found is not None and found.holds == _BODIES

@@ -1,0 +1,331 @@
+"""A file of every producer of `recon.formats.producers`, by its saving call or as documented."""
+
+import json
+import pickle
+import tarfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.io import savemat
+
+from observations.correspondences import BodyPoints
+from recon.core.skeleton import keypoint_names
+from recon.core.units import to_z_up
+from recon.formats.motions import MotionFile, save_motion
+from recon.formats.scans import write_ply_sequence
+from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.sam3d_body import MHR70
+from tests.filmed import bundled, walk
+from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
+
+FRAMES = 12
+_DOWN = to_z_up("y-down")
+
+
+def points(layout: str) -> np.ndarray:
+    """The keypoints of a walk, metres, z up."""
+    body = bundled()
+    return BodyPoints.of_layout(layout, body).of(body.pose(walk(FRAMES))).double().numpy()
+
+
+def of_labels(labels: Sequence[str]) -> np.ndarray:
+    """Points of a walk by any labels; those that are no keypoints are at the wrists."""
+    meant = [one or "left_wrist" for one in meant_keypoints(labels)]
+    body = bundled()
+    return BodyPoints.of_names(meant, body).of(body.pose(walk(FRAMES))).double().numpy()
+
+
+def as_json(path: Path, value: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value))
+    return path
+
+
+def as_table(path: Path, rows: list[list[Any]]) -> Path:
+    path.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    return path
+
+
+def _dumped(path: Path, value: Any, joblib: bool = False) -> Path:
+    if joblib:
+        import joblib as library
+
+        library.dump(value, path)
+    else:
+        path.write_bytes(pickle.dumps(value))
+    return path
+
+
+def _saved(path: Path, **arrays: Any) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def _world(at: Path) -> Path:
+    x = points("mediapipe33")
+    x = (x - x[:, 23:25].mean(1, keepdims=True)) @ _DOWN
+    return as_json(at / "a.json", [
+        {"pose_world_landmarks": [dict(zip("xyz", p, strict=True), visibility=0.9) for p in one]}
+        for one in x.tolist()
+    ])  # fmt: skip
+
+
+def _azure(at: Path) -> Path:
+    x = points("azure32") @ _DOWN * 1000 + (0, 0, 3000)
+    return as_json(at / "a.json", {"frames": [
+        {"timestamp_usec": t * 33333, "bodies": [{"body_id": 4, "joint_positions": one}]}
+        for t, one in enumerate(x.tolist())
+    ]})  # fmt: skip
+
+
+def _sam3d(at: Path) -> Path:
+    return _dumped(at / "a.pkl", [
+        [{"pred_keypoints_3d": one, "pred_cam_t": np.array([0, 0, 4.0])}]
+        for one in of_labels(MHR70) @ _DOWN - (0, 0.9, 0)
+    ])  # fmt: skip
+
+
+def _pixels() -> np.ndarray:
+    return image(figure("coco17"), camera(20))
+
+
+def _instances() -> list[dict[str, Any]]:
+    seen = _pixels()
+    return [{"keypoints": seen[:, :2].tolist(), "keypoint_scores": [0.9] * 17}]
+
+
+def _deeplabcut(at: Path, axes: str = "xy") -> Path:
+    names, x = keypoint_names("coco17"), points("coco17")[..., : len(axes)] * 1000
+    columns = [*axes, "likelihood"] if axes == "xy" else [*axes]
+    cells = np.concatenate((x, np.ones((*x.shape[:2], 1))), -1)[..., : len(columns)]
+    head = [
+        ["scorer", *["net"] * len(names) * len(columns)],
+        ["bodyparts", *(name for name in names for _ in columns)],
+        ["coords", *columns * len(names)],
+    ]
+    return as_table(at / "a.csv", [*head, *([t, *one.ravel()] for t, one in enumerate(cells))])
+
+
+def _sleap(at: Path) -> Path:
+    names, seen = keypoint_names("coco17"), _pixels()
+    head = ["track", "frame_idx", "instance.score"]
+    head += [f"{name}.{axis}" for name in names for axis in ("x", "y", "score")]
+    return as_table(at / "a.csv", [head, *(["", t, 0.9, *seen.ravel()] for t in range(FRAMES))])
+
+
+def _freemocap(at: Path) -> Path:
+    (at / "output_data").mkdir()
+    x = 1000 * points("mediapipe33")
+    np.save(at / "output_data" / "mediapipe_body_3d_xyz.npy", x)
+    return at
+
+
+def _wide(at: Path) -> Path:
+    names, x = keypoint_names("coco17"), points("coco17")
+    head = [f"{name}_{axis}" for name in names for axis in "xyz"]
+    return as_table(at / "a.csv", [head, *x.reshape(FRAMES, -1).tolist()])
+
+
+def _bvh() -> str:
+    return (
+        "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition "
+        "Zrotation Xrotation Yrotation\n End Site\n {\n OFFSET 0 170 0\n }\n}\n"
+        "MOTION\nFrames: 2\nFrame Time: 0.0333333\n0 90 0 0 0 0\n0 90 0 0 0 0\n"
+    )
+
+
+def _text(name: str, text: str) -> Callable[[Path], Path]:
+    def write(at: Path) -> Path:
+        (at / name).write_text(text)
+        return at / name
+
+    return write
+
+
+def _archive(at: Path) -> Path:
+    with tarfile.open(at / "a.tar.xz", "w:xz") as archive:
+        archive.add(_text("a.bvh", _bvh())(at), "a.bvh")
+    return at / "a.tar.xz"
+
+
+def _trc(at: Path) -> Path:
+    from recon.mocap.recording import MarkerRecording
+    from recon.mocap.trc import write_trc
+
+    names = ("LHip", "RHip", "LKnee", "RKnee", "LAnkle", "RAnkle", "LShoulder", "RShoulder")
+    words = [f"{'left' if n[0] == 'L' else 'right'}_{n[1:].lower()}" for n in names]
+    x = points("coco17")[:, [keypoint_names("coco17").index(word) for word in words]]
+    write_trc(at / "a.trc", MarkerRecording("a", names, x, np.ones(x.shape[:2], bool), 30.0, ()))
+    return at / "a.trc"
+
+
+def _mat(at: Path) -> Path:
+    data = 1000 * points("coco17").reshape(FRAMES, -1)
+    names = np.array([[name] for name in keypoint_names("coco17")], dtype=object)
+    record = {"type": "MoCap data", "nFrames": FRAMES, "nMarkers": 17, "freq": 30.0,
+              "data": data, "markerName": names}  # fmt: skip
+    savemat(at / "a.mat", {"d": record})
+    return at / "a.mat"
+
+
+def _parameters() -> dict[str, np.ndarray]:
+    motion = walk(FRAMES)
+    from recon.core import rotations as so3
+
+    vectors = so3.log(motion.rotations).numpy().reshape(FRAMES, 66)
+    return {"root": vectors[:, :3], "body": vectors[:, 3:], "all": vectors,
+            "place": motion.translation.numpy(), "betas": np.zeros(10)}  # fmt: skip
+
+
+def _wham(at: Path) -> Path:
+    one = _parameters()
+    long = np.concatenate((one["all"], np.zeros((FRAMES, 6))), 1)
+    record = {"pose": long, "trans": one["place"], "pose_world": long, "trans_world": one["place"],
+              "betas": np.zeros((FRAMES, 10)), "frame_ids": np.arange(FRAMES)}  # fmt: skip
+    return _dumped(at / "a.pkl", {0: record}, joblib=True)
+
+
+def _phalp(at: Path) -> Path:
+    turns = walk(FRAMES).rotations.numpy()
+    frames = {
+        f"images/{t:06d}.jpg": {
+            "tid": [1],
+            "smpl": [{
+                "global_orient": one[:1], "body_pose": np.concatenate((one[1:], one[:2])),
+                "betas": np.zeros(10),
+            }],
+            "camera": [np.array([0.0, 0.0, 4.0])],
+        }
+        for t, one in enumerate(turns)
+    }  # fmt: skip
+    return _dumped(at / "a.pkl", frames, joblib=True)
+
+
+def _gvhmr(at: Path) -> Path:
+    one = {key: torch.from_numpy(value) for key, value in _parameters().items()}
+    found = {"global_orient": one["root"], "body_pose": one["body"], "transl": one["place"]}
+    torch.save({"smpl_params_global": found, "smpl_params_incam": found}, at / "a.pt")
+    return at / "a.pt"
+
+
+def _motion(at: Path) -> Path:
+    body = bundled()
+    save_motion(at / "a.npz", MotionFile(walk(FRAMES), body.name, body.checksum))
+    return at / "a.npz"
+
+
+def _amass(at: Path) -> Path:
+    one = _parameters()
+    return _saved(at / "a.npz", poses=one["all"], trans=one["place"], betas=np.zeros(16),
+                  gender="neutral", mocap_framerate=30.0)  # fmt: skip
+
+
+def _slahmr(at: Path) -> Path:
+    one = _parameters()
+    return _saved(at / "a.npz", root_orient=one["root"][None], pose_body=one["body"][None],
+                  trans=one["place"][None])  # fmt: skip
+
+
+def _smplx(at: Path) -> Path:
+    one = _parameters()
+    return _saved(
+        at / "a.npz", global_orient=one["root"], body_pose=one["body"], transl=one["place"]
+    )
+
+
+def _any_body(at: Path) -> Path:
+    one = _parameters()
+    record = {"global_orient": one["root"], "body_pose": one["body"], "transl": one["place"]}
+    return _dumped(at / "a.pkl", {"results": record})
+
+
+def _observation(at: Path) -> Path:
+    x = points("smpl22")
+    return _saved(at / "a.npz", kind="joints3d", positions=x, visible=np.ones(x.shape[:2], bool),
+                  names=np.array(keypoint_names("smpl22")), fps=30.0, up_axis="z")  # fmt: skip
+
+
+def _calibration(at: Path) -> Path:
+    lens = camera(0)
+    return _saved(at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
+
+
+def _scans(at: Path) -> Path:
+    write_ply_sequence(at / "scans", of_labels(MHR70))
+    return at / "scans"
+
+
+def _meshes(at: Path) -> Path:
+    (at / "meshes").mkdir()
+    for t, one in enumerate(points("smpl22")):
+        lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in one]
+        (at / "meshes" / f"{t:04d}.obj").write_text("\n".join([*lines, "f 1 2 3", ""]))
+    return at / "meshes"
+
+
+_ANNOTS = {"annots": [{"personID": 0, "keypoints": _pixels().tolist()}]}
+_LANDMARKS = [[{"x": 0.3 + 0.01 * k, "y": 0.3, "visibility": 0.9} for k in range(33)]] * 2
+SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
+    ("FreeMoCap", "3D keypoints", "/"): _freemocap,
+    ("SAM 3D Body", "3D keypoints", ".npz"): _sam3d,
+    ("MediaPipe", "3D keypoints", ".json"): _world,
+    ("Azure Kinect", "3D keypoints", ".json"): _azure,
+    ("OpenPose, Pose2Sim", "2D keypoints", ".json"): lambda at: write_openpose(
+        at / "cam", [[image(figure("openpose25"), camera(20))]] * 2
+    ),
+    ("EasyMocap", "2D keypoints", ".json"): lambda at: as_json(
+        at / "annots" / "000000.json", _ANNOTS
+    ).parent,
+    ("AlphaPose", "2D keypoints", ".json"): lambda at: as_json(
+        at / "a.json", [{"image_id": "0.jpg", "keypoints": _pixels().ravel().tolist()}]
+    ),
+    ("MMPose, rtmlib", "2D keypoints", ".json"): lambda at: as_json(
+        at / "a.json", {"instance_info": [{"frame_id": 1, "instances": _instances()}]}
+    ),
+    ("MediaPipe", "2D keypoints", ".json"): lambda at: as_json(at / "a.json", _LANDMARKS),
+    ("DeepLabCut", "2D keypoints", ".csv"): _deeplabcut,
+    ("SLEAP", "2D keypoints", ".csv"): _sleap,
+    ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: _saved(
+        at / "a.npz", keypoints=_pixels()[None, None, :, :2], scores=np.ones((1, 1, 17))
+    ),
+    ("OptiTrack Motive", "a table of markers", ".csv"): _text(
+        "a.csv", "\ufeffFormat Version,1.25,Take Name,walk\n"
+    ),
+    ("Anipose, DeepLabCut, your own", "3D keypoints", ".csv"): _wide,
+    ("your own", "3D keypoints", ".json"): lambda at: as_json(
+        at / "a.json", {"names": keypoint_names("coco17"), "frames": points("coco17").tolist()}
+    ),
+    ("MotionBERT, your own", "3D keypoints", ".npy"): lambda at: (
+        np.save(at / "X3D.npy", points("h36m17")), at / "X3D.npy",
+    )[1],
+    ("Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", "markers or joint centres", ".c3d"):
+        _trc,
+    ("", "a skeleton's motion", ".bvh"): _archive,
+    ("Motion Capture Toolbox", "a recording of motion capture", ".mat"): _mat,
+    ("", "a skeleton without motion", ".asf"): _text("a.asf", ":version 1.10\n:root\n"),
+    ("NTU RGB+D", "skeletons of Kinect v2", ".skeleton"): _text("a.skeleton", "1\n0\n"),
+    ("", "scans", ".ply"): _scans,
+    ("", "meshes of OBJ", ".obj"): _meshes,
+    ("recon", "an observation", ".npz"): _observation,
+    ("recon", "a motion", ".npz"): _motion,
+    ("", "a body model", ".npz"): lambda at: _saved(at / "a.npz", v_template=np.zeros((9, 3))),
+    ("", "a calibration of cameras", ".npz"): _calibration,
+    ("", "a calibration of cameras", ".toml"): lambda at: write_toml(
+        at / "a.toml", {"cam": camera(0)}
+    ),
+    ("", "silhouettes", ".npz"): lambda at: _saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
+    ("GVHMR", "body parameters of every frame", ".pt"): _gvhmr,
+    ("WHAM", "body parameters of every frame", ".pkl"): _wham,
+    ("PHALP (4D-Humans)", "body parameters of every frame", ".pkl"): _phalp,
+    ("AMASS", "body parameters of every frame", ".npz"): _amass,
+    ("SLAHMR", "body parameters of every frame", ".npz"): _slahmr,
+    ("SMPL, SMPL-X", "body parameters of every frame", ".npz"): _smplx,
+    ("", "body parameters of every frame", ".pt"): _any_body,
+    ("", "a pickle", ".pickle"): _text("a.pickle", "pickled"),
+    ("", "a video", ".mp4"): _text("a.mp4", "film"),
+    ("Autodesk", "a scene", ".fbx"): _text("a.fbx", "Kaydara FBX Binary"),
+}  # fmt: skip
+"""By name, what it holds and its first ending: writes a sample into a folder, gives its path."""

@@ -1,0 +1,88 @@
+"""Every producer's files are known, and four verbs give one answer to each of them."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import recon
+from recon.detections.reader import read_keypoints
+from recon.fitting.settings import FitSettings
+from recon.formats.estimates import read_estimate
+from recon.formats.producers import PRODUCERS, Producer, is_estimate, producer_of
+from recon.keypoints3d.reader import holds_points_3d, read_points_3d
+from recon.mocap.reader import read_recording
+from recon.reading.clip import load_clip
+from recon.view.info import info
+from tests.filmed import bundled
+from tests.formats.producer_files import SAMPLES
+
+VERBS: dict[str, Callable[[Path], object]] = {
+    "info": info, "fit": recon.fit, "refine": recon.refine, "convert": recon.convert,
+}  # fmt: skip
+
+
+def _key(one: Producer) -> tuple[str, str, str]:
+    return one.name, one.holds, one.endings[0]
+
+
+every = pytest.mark.parametrize("producer", PRODUCERS, ids=lambda one: "-".join(_key(one)))
+
+
+def test_the_table_is_complete():
+    assert [_key(one) for one in PRODUCERS] == list(SAMPLES)
+
+
+@every
+def test_the_four_verbs_give_one_answer(tmp_path, producer):
+    """One file had three answers, some of them untrue ("all frames are empty")."""
+    path = SAMPLES[_key(producer)](tmp_path)
+    assert producer_of(path) == producer
+    answers = {}
+    for name, verb in VERBS.items():
+        if name in producer.verbs or (name == "info" and producer.verbs):
+            continue
+        begun = time.perf_counter()
+        with pytest.raises(recon.ReconError) as refused:
+            verb(path)
+        assert time.perf_counter() - begun < 0.5
+        answers[name] = str(refused.value)
+    assert set(answers.values()) <= {f"{path}: {producer.answer()}"}
+    assert producer.verbs or producer.note in producer.answer()
+
+
+@every
+def test_the_verbs_that_are_named_take_it(tmp_path, producer):
+    path = SAMPLES[_key(producer)](tmp_path)
+    if producer.verbs and producer.holds != "a body model":
+        assert info(path)["producer"] == producer.name
+    for verb in producer.verbs:
+        match verb:
+            case "convert":
+                assert read_recording(path).frames > 0
+            case "refine" if is_estimate([path]) and producer.name != "SAM 3D Body":
+                assert len(read_estimate(path).translation) > 0
+            case "fit" if producer.holds == "2D keypoints":
+                assert not holds_points_3d(path)
+                assert len(read_keypoints(path, image_size=(640, 480)).frame) > 0
+            case "fit" if producer.name == "SAM 3D Body":
+                assert holds_points_3d(path)
+                assert len(read_points_3d(path).positions) > 0
+            case "fit" if not is_estimate([path]):
+                assert load_clip([path], FitSettings(frame_rate=30.0), bundled()).observations
+            case _:
+                assert verb in ("info", "refine", "fit")
+
+
+@every
+def test_the_manual_has_its_row(producer):
+    manual = Path(__file__).parents[2] / "docs" / "files.md"
+    assert row(producer) in manual.read_text(encoding="utf-8").splitlines()
+
+
+def row(one: Producer) -> str:
+    """The producer in the manual's table."""
+    what = f"{one.name}: {one.holds}" if one.name else one.holds
+    verbs = ", ".join(f"`{verb}`" for verb in one.verbs) or "none"
+    return f"| {what} | {one.form} | {verbs} | {one.note} |"
