@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import right_handed
+from recon.core.hands import right_handed
 from recon.core.units import Hand, Unit, Up
 from recon.detections.tables import holds_detections
 from recon.formats.estimates import read_estimate

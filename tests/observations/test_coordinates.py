@@ -10,8 +10,9 @@ import torch
 from observations.correspondences import BodyPoints
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.core.coordinates import facing, unit_of_path
+from recon.core.coordinates import unit_of_path
 from recon.core.errors import ObservationError, UnitsError
+from recon.core.hands import facing
 from recon.core.skeleton import FEET, JOINTS, keypoint_names
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.observations import PositionsFile
