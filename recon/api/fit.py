@@ -254,7 +254,7 @@ def refine(
             for which coefficients of another body model mean nothing; None is the average shape.
         frame_rate: frames per second of an estimate that does not say it.
         up: axis of the estimate's world that points up; None tells it from how the body stands.
-        person: which of several people in a file, from 1 on; None takes the one of most frames.
+        person: which of several people in a file, from 0 on; None takes the one of most frames.
         ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
         how: others of `recon.fit`.
 
@@ -268,10 +268,9 @@ def refine(
     if isinstance(motion, str | Path):
         refuse_others(Path(motion), "refine")
     if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
-        who = None if person is None else person - 1
         return fit(
             [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate, up=up,
-            person=who, **how,
+            person=person, **how,
         )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
