@@ -48,61 +48,82 @@ class Producer:
 SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
-_POINTS3D, _POINTS2D, _BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+"""What the files of most producers hold."""
+_NUMBER = rb"\s*[-+\dN][\w.+-]*\s*"
 PRODUCERS = (
     Producer(
-        "FreeMoCap", _POINTS3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
+        "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
         "`body_3d_xyz.csv`", ("/",), rb"body_3d_xyz", _FIT,
         "millimetres; rate where `*_by_frame.csv` is beside",
     ),
     Producer(
-        "SAM 3D Body", _POINTS3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
+        "SAM 3D Body", POINTS_3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
         "every frame, or frame and person, in a folder; `.npz` of stacked arrays: "
         "`pred_keypoints_3d`, `pred_cam_t`, if there `pred_keypoints_2d`, `focal_length`",
         (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
         "names, metres in the camera", folder=True,
     ),
     Producer(
-        "MediaPipe", _POINTS3D, "JSON with `pose_world_landmarks`", (".json",),
+        "MediaPipe", POINTS_3D, "JSON with `pose_world_landmarks`", (".json",),
         rb"orldLandmarks|world_landmarks", _FIT, "metres about the hips, y down",
     ),
     Producer(
-        "Azure Kinect", _POINTS3D, "JSON of the offline processor: `frames`, `bodies`, "
+        "Azure Kinect", POINTS_3D, "JSON of the offline processor: `frames`, `bodies`, "
         "`joint_positions`", (".json",), rb'"bodies"', _FIT,
         "millimetres in the camera, rate by `timestamp_usec`",
     ),
     Producer(
-        "OpenPose, Pose2Sim", _POINTS2D, "folder (`pose`, `pose-associated`); "
+        "EasyMocap", POINTS_3D, "folder `keypoints3d`; `[{id, keypoints3d}]`", (".json",),
+        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence, not positive is missing",
+        folder=True,
+    ),
+    Producer(
+        "OpenPose", POINTS_3D, "folder; `people[].pose_keypoints_3d`", (".json",),
+        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence, not positive is missing",
+        folder=True,
+    ),
+    Producer(
+        "ZED", POINTS_3D, "JSON of objects with `timestamp` and `body_list[].keypoint`: BODY_18, "
+        "BODY_34, BODY_38", (".json",), rb'"body_list"', _FIT, "names, rate, NaN is missing",
+    ),
+    Producer(
+        "OpenPose, Pose2Sim", POINTS_2D, "folder (`pose`, `pose-associated`); "
         "`people[].pose_keypoints_2d`", (".json",), rb'"people"', _FIT, "confidence", folder=True,
     ),
     Producer(
-        "EasyMocap", _POINTS2D, "folder `annots/CAMERA`; `annots[].keypoints`", (".json",),
+        "EasyMocap", POINTS_2D, "folder `annots/CAMERA`; `annots[].keypoints`", (".json",),
         rb'"annots"', _FIT, "confidence, negative is missing", folder=True,
     ),
     Producer(
-        "AlphaPose", _POINTS2D, "JSON; `image_id`, `keypoints`", (".json",), rb'"image_id"', _FIT,
+        "AlphaPose", POINTS_2D, "JSON; `image_id`, `keypoints`", (".json",), rb'"image_id"', _FIT,
         "confidence, divided by 6 where any exceeds 1",
     ),
     Producer(
-        "MMPose, rtmlib", _POINTS2D, "folder or JSON; `keypoints` with `keypoint_scores` or "
+        "MMPose", POINTS_3D, "folder or JSON; `keypoints` of three numbers", (".json",),
+        rb'"keypoints"\s*:[\s\[]*' + rb",".join([_NUMBER] * 3) + rb"\]", _FIT, "",
+        folder=True,
+    ),
+    Producer(
+        "MMPose, rtmlib", POINTS_2D, "folder or JSON; `keypoints` with `keypoint_scores` or "
         "`scores`", (".json",), rb'"(?:keypoint_)?scores"|"instance_info"|"predictions"', _FIT,
         "confidence, clipped to [0, 1]", folder=True,
     ),
     Producer(
-        "MediaPipe", _POINTS2D, "JSON; 33 landmarks in fractions of the image", (".json",),
+        "MediaPipe", POINTS_2D, "JSON; 33 landmarks in fractions of the image", (".json",),
         rb'andmarks"|"visibility"', _FIT, "visibility", folder=True,
     ),
     Producer(
-        "DeepLabCut", _POINTS2D, "CSV; body parts matched by name", (".csv",),
+        "DeepLabCut", POINTS_2D, "CSV; body parts matched by name", (".csv",),
         rb"(?i)\A(?:scorer|bodyparts)\b(?![^\0]*\ncoords[^\n]*,z\b)", _FIT, "likelihood",
         folder=True,
     ),
     Producer(
-        "SLEAP", _POINTS2D, "its analysis CSV; nodes matched by name", (".csv",),
+        "SLEAP", POINTS_2D, "its analysis CSV; nodes matched by name", (".csv",),
         rb"\A[^\n]*\bframe_idx\b[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
     ),
     Producer(
-        "rtmlib, ViTPose, your own", _POINTS2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
+        "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
         "(T,P,K)`, or `(T,K,3)`", (".npz",), rb"(?m)^scores$|^keypoint_scores$", _FIT, "scores",
         folder=True,
     ),
@@ -111,17 +132,17 @@ PRODUCERS = (
         rb"\A\W*Format Version", (), "export C3D, TRC or BVH from Motive",
     ),
     Producer(
-        "Anipose, DeepLabCut, your own", _POINTS3D, "CSV with columns `NAME_x`, `NAME_y`, "
+        "Anipose, DeepLabCut, your own", POINTS_3D, "CSV with columns `NAME_x`, `NAME_y`, "
         "`NAME_z`, or rows of `frame`, `keypoint`, `x`, `y`, `z`; `timestamp` in seconds",
         (".csv",), rb"(?i)\A[^\n]*(?<![a-z])z\b|\ncoords[^\n]*,z\b", _FIT, "names, rate",
     ),
     Producer(
-        "your own", _POINTS3D, "JSON with `names` and `frames` of x, y, z; `fps`, `unit`",
+        "your own", POINTS_3D, "JSON with `names` and `frames` of x, y, z; `fps`, `unit`",
         (".json",), rb'names"|"labels"', _FIT, "names",
     ),
     Producer(
-        "MotionBERT, your own", _POINTS3D, "`.npy` or `.npz` with one array (frames, points, 3); "
-        "`.npz` also `names`, `fps`", (".npy",), rb"\A\x93NUMPY[^\n]*'descr': '<", _FIT, "",
+        "MotionBERT, your own", POINTS_3D, "`.npy` or `.npz` with one array (frames, points, 3); "
+        "`.npz` also `names`, `fps`", (".npy",), b"", _FIT, "",
     ),
     Producer(
         "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", "markers or joint centres",
@@ -177,30 +198,30 @@ PRODUCERS = (
         "give them with --masks",
     ),
     Producer(
-        "GVHMR", _BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
+        "GVHMR", BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
         _REFINE, "",
     ),
     Producer(
-        "WHAM", _BODIES, "`.pkl`; `pose_world`, `trans_world` by person", (".pkl",),
+        "WHAM", BODIES, "`.pkl`; `pose_world`, `trans_world` by person", (".pkl",),
         rb"trans_world", _REFINE, "",
     ),
     Producer(
-        "PHALP (4D-Humans)", _BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
+        "PHALP (4D-Humans)", BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
         (".pkl",), rb"smpl(?s:.*)tid|tid(?s:.*)smpl", _REFINE, "in the camera",
     ),
     Producer(
-        "AMASS", _BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
+        "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
         rb"poses(?s:.*)trans|trans(?s:.*)poses", _REFINE, "rate",
     ),
     Producer(
-        "SLAHMR", _BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
+        "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
         (".npz",), rb"pose_body(?s:.*)trans|trans(?s:.*)pose_body", _REFINE, "",
     ),
     Producer(
-        "SMPL, SMPL-X", _BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
+        "SMPL, SMPL-X", BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
         (".npz",), rb"pose(?s:.*)trans|trans(?s:.*)pose", _REFINE, "",
     ),
-    Producer("", _BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
+    Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
     Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
     Producer(
         "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
@@ -292,4 +313,4 @@ def is_estimate(paths: Sequence[Path]) -> bool:
     Motion files of recon, which name their body by its checksum, are none.
     """
     found = producer_of(paths[0]) if len(paths) == 1 and paths[0].is_file() else None
-    return found is not None and found.holds == _BODIES
+    return found is not None and found.holds == BODIES

@@ -17,32 +17,13 @@ from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.opening import DAMAGE, HEADERS, check_sizes
 from recon.formats.pickles import read_pickle
 from recon.formats.producers import SAM3D_POINTS
+from recon.keypoints3d.layouts import MHR70
 from recon.keypoints3d.records import Points3D, followed, taken
 
 _POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"
 _FOCAL = "focal_length"
 _SHAPES = {_POINTS: (70, 3), _PLACE: (3,), _PIXELS: (70, 2), _FOCAL: ()}
 _MAGIC = b"\x93NUMPY"
-
-
-def _hand(side: str) -> tuple[str, ...]:
-    fingers = ("thumb", "index", "middle", "ring", "pinky")
-    places = ("tip", "first_joint", "second_joint", "third_joint")
-    return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
-
-
-def _both(*names: str) -> tuple[str, ...]:
-    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
-
-
-_FOOT = ("big_toe", "small_toe", "heel")
-MHR70 = (
-    "nose", *_both("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
-    *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
-    *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
-    *_both("olecranon", "cubital_fossa", "acromion"), "neck",
-)  # fmt: skip
-"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
 _HIPS = [MHR70.index("left_hip"), MHR70.index("right_hip")]
 _BONES = np.array(
     [

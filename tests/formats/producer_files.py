@@ -17,7 +17,7 @@ from recon.core.units import to_z_up
 from recon.formats.motions import MotionFile, save_motion
 from recon.formats.scans import write_ply_sequence
 from recon.keypoints3d.labels import meant_keypoints
-from recon.keypoints3d.sam3d_body import MHR70
+from recon.keypoints3d.layouts import MHR70, ZED38
 from tests.filmed import bundled, walk
 from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
 
@@ -79,6 +79,51 @@ def _azure(at: Path) -> Path:
         {"timestamp_usec": t * 33333, "bodies": [{"body_id": 4, "joint_positions": one}]}
         for t, one in enumerate(x.tolist())
     ]})  # fmt: skip
+
+
+def _easymocap(at: Path) -> Path:
+    """easymocap/mytools/file_utils.py, write_keypoints3d: four decimals; nobody in one frame."""
+    for t, one in enumerate(points("openpose25")):
+        rows = [[*(round(x, 3) for x in point), 0.8] for point in one.tolist()]
+        rows[4] = [0.0, 0.0, 0.0, 0.0] if t % 3 else rows[4]
+        other = [[x + 2, *rest] for x, *rest in rows]
+        people = [{"id": 0, "keypoints3d": rows}, {"id": 1, "keypoints3d": other}]
+        as_json(at / "keypoints3d" / f"{t:06d}.json", [] if t == 5 else people[:: 1 - 2 * (t % 2)])
+    return at / "keypoints3d"
+
+
+def _openpose(at: Path) -> Path:
+    x = points("openpose25") @ _DOWN + (0, 0, 4)
+    for t, one in enumerate(x):
+        record = {
+            "person_id": [-1], "pose_keypoints_2d": [],
+            "pose_keypoints_3d": np.concatenate((one, np.full((25, 1), 0.8)), 1).ravel().tolist(),
+        }  # fmt: skip
+        as_json(at / "json" / f"film_{t:012d}_keypoints.json", {"people": [record]})
+    return at / "json"
+
+
+def _mmpose(at: Path) -> Path:
+    """mmpose/apis/inferencers/pose3d_inferencer.py: 17 keypoints of Human3.6M, z up."""
+    frames = [
+        {"frame_id": t + 1, "instances": [{"keypoints": one, "keypoint_scores": [0.9] * 17}]}
+        for t, one in enumerate(points("h36m17").tolist())
+    ]
+    return as_json(at / "a.json", {"meta_info": {"dataset_name": "h36m"}, "instance_info": frames})
+
+
+def _zed(at: Path) -> Path:
+    """zed-sdk, body tracking/export: an object by time stamps, NaN where nothing is found."""
+    x = of_labels(ZED38) @ to_z_up("y")
+    x[3, 7] = np.nan
+    frames = {}
+    for t, one in enumerate(x.tolist()):
+        stamp = 1700000000000 + round(t * 1000 / 30)
+        body = {"id": 3, "keypoint": one, "keypoint_confidence": [80.0] * 38}
+        frames[str(stamp)] = {
+            "is_new": True, "timestamp": stamp * 10**6, "body_list": [] if t == 5 else [body],
+        }  # fmt: skip
+    return as_json(at / "a.json", frames)
 
 
 def _sam3d(at: Path) -> Path:
@@ -273,6 +318,9 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("SAM 3D Body", "3D keypoints", ".npz"): _sam3d,
     ("MediaPipe", "3D keypoints", ".json"): _world,
     ("Azure Kinect", "3D keypoints", ".json"): _azure,
+    ("EasyMocap", "3D keypoints", ".json"): _easymocap,
+    ("OpenPose", "3D keypoints", ".json"): _openpose,
+    ("ZED", "3D keypoints", ".json"): _zed,
     ("OpenPose, Pose2Sim", "2D keypoints", ".json"): lambda at: write_openpose(
         at / "cam", [[image(figure("openpose25"), camera(20))]] * 2
     ),
@@ -282,6 +330,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("AlphaPose", "2D keypoints", ".json"): lambda at: as_json(
         at / "a.json", [{"image_id": "0.jpg", "keypoints": _pixels().ravel().tolist()}]
     ),
+    ("MMPose", "3D keypoints", ".json"): _mmpose,
     ("MMPose, rtmlib", "2D keypoints", ".json"): lambda at: as_json(
         at / "a.json", {"instance_info": [{"frame_id": 1, "instances": _instances()}]}
     ),

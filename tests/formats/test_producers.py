@@ -4,19 +4,25 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import recon
+from observations.keypoints3d import Keypoints3D
+from recon.core.skeleton import keypoint_names
+from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings
 from recon.formats.estimates import read_estimate
 from recon.formats.producers import PRODUCERS, Producer, is_estimate, producer_of
+from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.reader import read_recording
 from recon.reading.clip import load_clip
 from recon.view.info import info
 from tests.filmed import bundled
-from tests.formats.producer_files import SAMPLES
+from tests.formats.producer_files import FRAMES, SAMPLES, of_labels, points
 
 VERBS: dict[str, Callable[[Path], object]] = {
     "info": info, "fit": recon.fit, "refine": recon.refine, "convert": recon.convert,
@@ -86,3 +92,52 @@ def row(one: Producer) -> str:
     what = f"{one.name}: {one.holds}" if one.name else one.holds
     verbs = ", ".join(f"`{verb}`" for verb in one.verbs) or "none"
     return f"| {what} | {one.form} | {verbs} | {one.note} |"
+
+
+def _of(name: str, holds: str) -> Callable[[Path], Path]:
+    return next(write for key, write in SAMPLES.items() if key[:2] == (name, holds))
+
+
+@pytest.mark.parametrize(
+    ("name", "layout", "unit", "metres"),
+    [
+        ("EasyMocap", "openpose25", "m", 2e-3),
+        ("OpenPose", "openpose25", "m", 2e-3),
+        ("MMPose", "h36m17", "m", 2e-3),
+        ("ZED", ZED38, "m", 2e-3),
+    ],
+)
+def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, metres):
+    """Their files were called empty of 2D keypoints."""
+    path = _of(name, "3D keypoints")(tmp_path)
+    (seen,) = load_clip([path], FitSettings(frame_rate=30.0, unit=unit), bundled()).observations
+    assert isinstance(seen, Keypoints3D)
+    truth = points(layout) if isinstance(layout, str) else of_labels(layout)
+    names = keypoint_names(layout) if isinstance(layout, str) else meant_keypoints(layout)
+    rows = [names.index(one) for one in seen.point_names(bundled())]
+    found, visible = seen.positions[0].numpy(), seen.visible[0].numpy()
+    if name == "OpenPose":  # in its camera
+        truth = truth @ to_z_up("y-down") + (0, 0, 4)
+        truth = truth @ to_z_up("y-down").T
+    away = np.linalg.norm(found - truth[:, rows], axis=-1)
+    assert away[visible].max() < metres
+    assert len(found) == FRAMES
+    assert visible.mean() > 0.85
+
+
+def test_a_second_person_can_be_asked_for(tmp_path):
+    path = _of("EasyMocap", "3D keypoints")(tmp_path)
+    one, two = (read_points_3d(path, person=k).positions for k in range(2))
+    shift = two - one
+    assert np.nanmax(np.abs(shift - (2, 0, 0))) < 1e-9
+    assert np.isfinite(shift).mean() > 0.85
+
+
+def test_points_of_longer_layouts_are_named_by_their_number(tmp_path):
+    """133 points, and the 70 of SAM 3D Body, were no layout."""
+    whole = np.concatenate((points("coco133"), np.ones((FRAMES, 110, 3))), 1)
+    for x, kept in ((whole, 23), (of_labels(MHR70), 70), (of_labels(ZED38), 38)):
+        np.save(tmp_path / "x.npy", x)
+        assert read_points_3d(tmp_path / "x.npy").positions.shape[1] == kept
+        seen = load_clip([tmp_path / "x.npy"], FitSettings(frame_rate=30.0), bundled())
+        assert seen.observations[0].kind == "keypoints3d"
