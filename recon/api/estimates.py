@@ -42,7 +42,7 @@ def estimate_given(
         frame_rate: frames per second of an estimate that does not say it.
         unit: of its translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up; None tells it from how the body stands.
-        person: which of several people in a file, from 1 on.
+        person: which of several people in a file, from 0 on.
 
     Raises:
         ReconError: when it is damaged, no estimate, lasts less than four frames, or its frame rate

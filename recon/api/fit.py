@@ -257,7 +257,7 @@ def refine(
         frame_rate: frames per second of an estimate that does not say it.
         unit: of the estimate's translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up, or down; None tells it from the body.
-        person: which of several people in a file, from 1 on; None takes the one of most frames.
+        person: which of several people in a file, from 0 on; None takes the one of most frames.
         ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
         how: others of `recon.fit`.
 
@@ -271,10 +271,9 @@ def refine(
     if isinstance(motion, str | Path):
         refuse_others(Path(motion), "refine")
     if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
-        who = None if person is None else person - 1
         return fit(
             [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
-            unit=unit, up=up, person=who, **how,
+            unit=unit, up=up, person=person, **how,
         )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given

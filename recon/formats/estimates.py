@@ -69,7 +69,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
 
     Args:
         path: the file.
-        person: which of several people, by their order in the file, from 1 on; None takes the one
+        person: which of several people, by their order in the file, from 0 on; None takes the one
             of the most frames.
         up: axis that points up; None tells it from how the body stands.
 
@@ -202,16 +202,16 @@ def _in_camera(where: tuple[Any, ...]) -> bool:
 def _chosen(
     path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
 ) -> tuple[int, list[str]]:
-    if person is not None and not 1 <= person <= len(people):
-        raise FormatError(f"{path}: expected a person from 1 to {len(people)}, got {person}")
+    if person is not None and not 0 <= person < len(people):
+        raise FormatError(f"{path}: expected a person from 0 to {len(people) - 1}, got {person}")
     if person is not None:
-        return person - 1, []
+        return person, []
     frames = [len(_numbers(next(a[k] for k in _PLACE if k in a))) for _, a in people]
     number = int(np.argmax(frames))
     if len(people) == 1:
         return 0, []
     return number, [
-        f"person {number + 1} of {len(people)} is taken, the one of the most frames "
+        f"person {number} of {len(people)} is taken, the one of the most frames "
         f"({frames[number]}); --person chooses another"
     ]
 
