@@ -31,7 +31,6 @@ _BODY = ("body_pose", "pose_body")
 _WHOLE = ("pose_world", "poses", "pose", "fullpose", "pred_rotmat", "smpl_poses")
 _PLACE = ("trans_world", "transl", "trans", "pred_trans", "smpl_trans")
 _SHAPE = ("betas", "shape", "pred_shape")
-_SCALE = "smpl_scaling"
 _FRAMES = ("frame_ids", "frame")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _IN_CAMERA = ("incam", "_cam", "camera")
@@ -71,7 +70,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
 
     Args:
         path: the file.
-        person: which of several people, by their order in the file, from 1 on; None takes the one
+        person: which of several people, by their order in the file, from 0 on; None takes the one
             of the most frames.
         up: axis that points up; None tells it from how the body stands.
 
@@ -95,9 +94,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array(path, arrays, _PLACE).reshape(-1, 3)
-    scale = _numbers(arrays.get(_SCALE, 1.0))
-    if scale.dtype.kind in "fiu" and scale.size == 1 and (value := float(scale.reshape(()))) > 0:
-        translation = translation / value
+    if "smpl_scaling" in arrays:  # AIST++ scales the body, not the world
+        translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
+        notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
         raise FormatError(
             f"{path}: expected as many frames of translation as of rotations, got "
@@ -204,16 +203,16 @@ def _in_camera(where: tuple[Any, ...]) -> bool:
 def _chosen(
     path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
 ) -> tuple[int, list[str]]:
-    if person is not None and not 1 <= person <= len(people):
-        raise FormatError(f"{path}: expected a person from 1 to {len(people)}, got {person}")
+    if person is not None and not 0 <= person < len(people):
+        raise FormatError(f"{path}: expected a person from 0 to {len(people) - 1}, got {person}")
     if person is not None:
-        return person - 1, []
+        return person, []
     frames = [len(_numbers(next(a[k] for k in _PLACE if k in a))) for _, a in people]
     number = int(np.argmax(frames))
     if len(people) == 1:
         return 0, []
     return number, [
-        f"person {number + 1} of {len(people)} is taken, the one of the most frames "
+        f"person {number} of {len(people)} is taken, the one of the most frames "
         f"({frames[number]}); --person chooses another"
     ]
 

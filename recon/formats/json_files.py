@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import FRAME_NUMBER, JSON, PERSON
+from recon.core.limits import FRAME_NUMBER, JSON, PERSON, Limit
 from recon.formats.opening import decode, read_bytes
 
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""
 
+_RECORDS = Limit(
+    "number of lists, where dictionaries count as three", 0.0, 4e6, "",
+    "a list takes a hundred bytes beside its numbers: cut the recording",
+)  # fmt: skip
 _NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
 _NAME = 200
 """Characters at the end of a name among which its number is."""
@@ -29,8 +33,19 @@ def read_json(path: Path) -> Any:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty or damaged.
     """
+    return _parsed(path, *_contents([path], path))
+
+
+def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
+    """Contents of files, refused where the lists and dictionaries in them would take too much."""
+    found = [read_bytes(path, JSON) for path in paths]
+    _RECORDS.check(sum(one.count(b"[") + 3 * one.count(b"{") for one in found), source)
+    return found
+
+
+def _parsed(path: Path, data: bytes) -> Any:
     try:
-        return json.loads(decode(read_bytes(path, JSON)))
+        return json.loads(decode(data))
     except (RecursionError, json.JSONDecodeError) as error:
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     except ValueError as error:
@@ -51,7 +66,9 @@ def read_frame_folder(folder: Path) -> Frames:
         raise FormatError(f"{folder}: expected one .json file per frame, found none")
     JSON.check(sum(path.stat().st_size for path in paths), folder)
     numbers = frame_numbers([path.stem for path in paths], str(folder))
-    return [(numbers[k], read_json(paths[k])) for k in np.argsort(numbers, kind="stable").tolist()]
+    found = _contents(paths, folder)
+    order = np.argsort(numbers, kind="stable").tolist()
+    return [(numbers[k], _parsed(paths[k], found[k])) for k in order]
 
 
 def frame_numbers(stems: Sequence[str], name: str) -> list[int]:

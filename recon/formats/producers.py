@@ -133,6 +133,7 @@ PRODUCERS = (
     Producer(
         "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
         "(T,P,K)`, or `(T,K,3)`", (".npz",), rb"(?m)^scores$|^keypoint_scores$", _FIT, "scores",
+        folder=True,
     ),
     Producer(
         "OptiTrack Motive", "a table of markers", "CSV from `Format Version` on", (".csv",),
