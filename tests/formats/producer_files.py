@@ -17,6 +17,7 @@ from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from tests.filmed import bundled, walk
 from tests.formats import body_files
+from tests.formats.body_files import dumped, saved
 from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
 
 FRAMES = body_files.FRAMES
@@ -110,7 +111,7 @@ def _zed(at: Path) -> Path:
 
 
 def _sam3d(at: Path) -> Path:
-    return body_files.dumped(at / "a.pkl", [
+    return dumped(at / "a.pkl", [
         [{"pred_keypoints_3d": one, "pred_cam_t": np.array([0, 0, 4.0])}]
         for one in of_labels(MHR70) @ _DOWN - (0, 0.9, 0)
     ])  # fmt: skip
@@ -201,20 +202,18 @@ def _mat(at: Path) -> Path:
 
 def _aist_points(at: Path) -> Path:
     x = 100 * points("coco17") @ to_z_up("y")
-    return body_files.dumped(at / "a.pkl", {"keypoints3d": x + 50, "keypoints3d_optim": x})
+    return dumped(at / "a.pkl", {"keypoints3d": x + 50, "keypoints3d_optim": x})
 
 
 def _observation(at: Path) -> Path:
     x = points("smpl22")
-    return body_files.saved(at / "a.npz", kind="joints3d", positions=x, visible=np.ones(x.shape[:2], bool),
+    return saved(at / "a.npz", kind="joints3d", positions=x, visible=np.ones(x.shape[:2], bool),
                   names=np.array(keypoint_names("smpl22")), fps=30.0, up_axis="z")  # fmt: skip
 
 
 def _calibration(at: Path) -> Path:
     lens = camera(0)
-    return body_files.saved(
-        at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size
-    )
+    return saved(at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
 
 
 def _scans(at: Path) -> Path:
@@ -258,7 +257,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("MediaPipe", "2D keypoints", ".json"): lambda at: as_json(at / "a.json", _LANDMARKS),
     ("DeepLabCut", "2D keypoints", ".csv"): _deeplabcut,
     ("SLEAP", "2D keypoints", ".csv"): _sleap,
-    ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: body_files.saved(
+    ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: saved(
         at / "a.npz", keypoints=_pixels()[None, None, :, :2], scores=np.ones((1, 1, 17))
     ),
     ("OptiTrack Motive", "a table of markers", ".csv"): _text(
@@ -281,12 +280,12 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("", "meshes of OBJ", ".obj"): _meshes,
     ("recon", "an observation", ".npz"): _observation,
     ("recon", "a motion", ".npz"): body_files.motion,
-    ("", "a body model", ".npz"): lambda at: body_files.saved(at / "a.npz", v_template=np.zeros((9, 3))),
+    ("", "a body model", ".npz"): lambda at: saved(at / "a.npz", v_template=np.zeros((9, 3))),
     ("", "a calibration of cameras", ".npz"): _calibration,
     ("", "a calibration of cameras", ".toml"): lambda at: write_toml(
         at / "a.toml", {"cam": camera(0)}
     ),
-    ("", "silhouettes", ".npz"): lambda at: body_files.saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
+    ("", "silhouettes", ".npz"): lambda at: saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
     ("AIST++", "body parameters of every frame", ".pkl"): body_files.aist_motion,
     ("GVHMR", "body parameters of every frame", ".pt"): body_files.gvhmr,
     ("WHAM", "body parameters of every frame", ".pkl"): body_files.wham,
