@@ -65,6 +65,14 @@ PRODUCERS = (
         "names, metres in the camera", folder=True,
     ),
     Producer(
+        "AIST++", POINTS_3D, "`.pkl`; `keypoints3d_optim` or `keypoints3d`", (".pkl",),
+        rb"keypoints3d", _FIT, "",
+    ),
+    Producer(
+        "TRAM", BODIES, "`hps_track_*.npy`; `pred_rotmat`, `pred_trans`, `frame`", (".npy",),
+        rb"pred_rotmat", _REFINE, "in the camera",
+    ),
+    Producer(
         "MediaPipe", POINTS_3D, "JSON with `pose_world_landmarks`", (".json",),
         rb"orldLandmarks|world_landmarks", _FIT, "metres about the hips, y down",
     ),
@@ -125,6 +133,7 @@ PRODUCERS = (
     Producer(
         "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
         "(T,P,K)`, or `(T,K,3)`", (".npz",), rb"(?m)^scores$|^keypoint_scores$", _FIT, "scores",
+        folder=True,
     ),
     Producer(
         "OptiTrack Motive", "a table of markers", "CSV from `Format Version` on", (".csv",),
@@ -190,11 +199,15 @@ PRODUCERS = (
     ),
     Producer(
         "", "a calibration of cameras", "`.toml`, `.yml`, `.yaml`", (".toml", ".yml", ".yaml"),
-        b"", _INFO, "give it with --camera",
+        b"", _INFO, "give it with --camera", folder=True,
     ),
     Producer(
         "", "silhouettes", "`.npz` with `mask`", (".npz",), rb"(?m)^mask$", _INFO,
         "give them with --masks",
+    ),
+    Producer(
+        "AIST++", BODIES, "`.pkl`, `.npz`; `smpl_poses`, `smpl_trans`, `smpl_scaling`",
+        (".pkl", ".npz"), rb"smpl_trans", _REFINE, "size",
     ),
     Producer(
         "GVHMR", BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
@@ -296,8 +309,12 @@ def refuse_others(path: Path, verb: str) -> None:
         FormatError: when it is known and for another verb, or for none.
     """
     found = producer_of(path)
-    if found is not None and verb not in found.verbs and not (verb == "info" and found.verbs):
+    if found is None:
+        return
+    if verb not in found.verbs and not (verb == "info" and found.verbs):
         raise FormatError(f"{path}: {found.answer()}")
+    if path.is_dir() and not found.folder and "/" not in found.endings:
+        raise FormatError(f"{path}: give one of its files; {found.answer()}")
 
 
 def holds_sam3d_body(path: Path) -> bool:

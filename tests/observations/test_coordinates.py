@@ -10,9 +10,10 @@ import torch
 from observations.correspondences import BodyPoints
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.core.coordinates import facing
-from recon.core.errors import ObservationError
-from recon.core.skeleton import JOINTS, keypoint_names
+from recon.core.coordinates import unit_of_path
+from recon.core.errors import ObservationError, UnitsError
+from recon.core.hands import facing
+from recon.core.skeleton import FEET, JOINTS, keypoint_names
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.ingest.marker_sets import full_body_markers, right_handed_markers
@@ -92,3 +93,16 @@ def test_an_axis_that_a_lying_person_may_have_is_asked_for_and_a_wrong_one_put_r
     found = points_settled(below, "walk.npz", BODY)
     assert np.allclose(found.positions, file.positions)
     assert "z-down" in found.decisions[0]
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_the_unit_of_an_estimates_path_is_told_by_feet_that_stand(unit: str) -> None:
+    """A path 94 times too long was refined with the feet 86 m above the ground."""
+    motion = a_walk(BODY)
+    feet = (BODY.pose(motion).joints[:, list(FEET)] - motion.translation[:, None]).double().numpy()
+    path = motion.translation.double().numpy() / METRES[unit]
+    assert unit_of_path(path, feet, motion.fps, "walk.npz")[0] == unit
+    away = path + np.array([50.0, 0.0, 0.0])
+    assert unit_of_path(away, feet, motion.fps, "walk.npz")[0] == unit
+    with pytest.raises(UnitsError, match="--unit cm or mm"):
+        unit_of_path(path[:1] + 0 * path + 100.0, feet, motion.fps, "stand.npz")

@@ -12,8 +12,10 @@ from recon.core.rotations import transform
 from recon.fitting.settings import FitSettings
 from recon.people.together import load_people
 from recon.reading.clip import load_clip
+from recon.reading.places import expand
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
+from recon.view.info import info
 from tests.filmed import BESIDE, before_two, bundled, cameras, two_people, view, walk
 from tests.verbs import report_of
 
@@ -104,3 +106,18 @@ def test_keypoints_at_the_border_of_the_image_are_not_seen(tmp_path):
     )
     hidden = (read.confidence[0] == 0).nonzero().tolist()
     assert hidden == [[2, 0], [3, 1], [4, 2]]
+
+
+def test_arrays_of_keypoints_are_taken_by_every_verb(tmp_path):
+    """`info`, `refine` and a folder of views refused what `fit` took."""
+    views = [view(walk(8), camera) for camera in cameras(walk(8), 2)]
+    (tmp_path / "rig").mkdir()
+    for k, seen in enumerate(views):
+        pixels, scores = seen.pixels[0].numpy(), seen.confidence[0].numpy()
+        np.savez(tmp_path / "rig" / f"cam{k}.npz", keypoints=pixels, scores=scores)
+    assert info(tmp_path / "rig" / "cam0.npz")["people"][0].startswith("person 0: 8 frames")
+    assert info(tmp_path / "rig")["format"] == "2D keypoints of 2 views"
+    assert [one.name for one in expand([tmp_path / "rig"])[0]] == ["cam0.npz", "cam1.npz"]
+    for path in (tmp_path / "rig", tmp_path / "rig" / "cam0.npz"):
+        with pytest.raises(recon.ReconError, match="`recon fit` takes it"):
+            recon.refine(path, "pose")
