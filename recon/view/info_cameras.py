@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.limits import CALIBRATION
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
@@ -66,8 +67,8 @@ def describe_json(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: when it is damaged or neither.
     """
-    value = read_json(path)
-    if isinstance(value, dict) and "camera_mtx" in value:
+    small = path.stat().st_size <= CALIBRATION.high
+    if small and isinstance(value := read_json(path), dict) and "camera_mtx" in value:
         return describe_calibration(path)
     return describe_detections(path)
 
