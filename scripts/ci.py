@@ -119,23 +119,8 @@ def docs() -> None:
     run("-m", "mkdocs", "build", "--quiet", NO_MKDOCS_2_WARNING="1")
 
 
-STEPS: dict[str, Callable[[], None]] = {
-    step.__name__: step
-    for step in (
-        install,
-        develop,
-        demo,
-        lint,
-        types,
-        test,
-        numerics,
-        slow,
-        open3d,
-        figures,
-        dist,
-        docs,
-    )  # fmt: skip
-}
+_STEPS = (install, develop, demo, lint, types, test, numerics, slow, extras, figures, dist, docs)
+STEPS: dict[str, Callable[[], None]] = {step.__name__: step for step in _STEPS}
 
 
 def changelog(root: Path, base: str) -> None:

@@ -56,7 +56,7 @@ def load_observation(
     """Read observations as `recon fit` does: one, or a list where there are several.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
-    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of
+    folders of scans (.ply, .pcd, .obj); folders of depth images (.png) with `camera`; markers of
     laboratories (.c3d, .trc); files of sensors that other packages registered. All have a leading
     axis of length one. What was assumed in reading is logged (logger `recon`).
 
