@@ -84,7 +84,7 @@ def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if file.is_dir():
         return describe_folder(file)
     ending = file.suffix.lower()
-    if ending in (".pt", ".pth"):
+    if ending in (".pt", ".pth", ".npy"):
         return _estimate(file, axes["up"])
     if ending == ".pkl":
         return _body(file) if "v_template" in read_tree(file) else _estimate(file, axes["up"])
