@@ -1,7 +1,6 @@
 """`recon.convert`: a recording of motion capture as a motion of the body."""
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.made import Made
 from recon.api.result import described
 from recon.core.arrays import positive
-from recon.core.units import Hand, Up
+from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.findings import Finding
 from recon.ingest import single
 from recon.ingest.transfer import transfer
@@ -19,7 +18,7 @@ from recon.mocap.recording import MarkerRecording, SkeletonRecording
 def convert(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    unit: Unit | None = None,
     up: Up | None = None,
     hand: Hand | None = None,
     mapping: str | Path | None = None,

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.errors import UnitsError
-from recon.core.skeleton import JOINT
-from recon.core.units import AXES, METRES, Axis, Hand, Up, to_z_up
+from recon.core.units import AXES, METRES, Axis, Up, to_z_up
 
 _DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 _BODY_LENGTH = (1.0, 2.2)
@@ -19,6 +18,15 @@ _MARKER_EXTENT = (0.5, 2.5)
 """Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
 _SANE_EXTENT = (0.05, 10.0)
 """Metres; outside it no body was recorded and the unit a file declares is wrong."""
+
+_FASTEST_SLIDE = 2.5
+"""Metres per second that the slowest foot has at most, half of the time, under a true scale."""
+_FAR = 30.0
+"""Metres from the origin from which on it must be the feet that say that they are metres."""
+_STEP_S = 0.15
+"""Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_SLOWER = 0.5
+"""Share of the speed of feet under one scale that a better one leaves."""
 
 _LOW = re.compile(
     r"foot|toe|heel|hee$|hel$|ank|calc|cal$|mt\d|\dmt|meta|mal$|^[lr]_?f(cc|al|m\d)$"
@@ -93,6 +101,46 @@ def check_declared(unit: str, size: float, name: str) -> str:
             f"{metres:.4g} m; give the true unit with --unit"
         )
     return f"unit {unit}: stated by the file"
+
+
+def unit_of_path(
+    path: Float[np.ndarray, "time 3"],
+    feet: Float[np.ndarray, "time points 3"],
+    fps: float,
+    name: str,
+) -> tuple[str, tuple[str, ...]]:
+    """Unit in which a body's path leaves a foot standing, and the reason where it is not metres.
+
+    Args:
+        path: of the body, in the unknown unit.
+        feet: points of both feet relative to it, metres; some are at rest most of the time.
+        fps: frames per second.
+        name: of the file, for messages.
+
+    Raises:
+        UnitsError: when it is not metres and nothing tells what else.
+    """
+    if len(path) < 2:
+        return "m", ()
+    step = min(max(round(_STEP_S * fps), 1), len(path) - 1)
+    moved = (path[step:] - path[:-step])[:, None] * (fps / step)
+    swung = (feet[step:] - feet[:-step]) * (fps / step)
+    m, cm, mm, still = (
+        float(np.median(np.linalg.norm(scale * moved + swung, axis=-1).min(1)))
+        for scale in (1.0, METRES["cm"], METRES["mm"], 0.0)
+    )
+    far = float(np.median(np.linalg.norm(path, axis=-1)))
+    if m < _FASTEST_SLIDE and (far < _FAR or m < _SLOWER * still):
+        return "m", ()
+    unit = "cm" if cm < _SLOWER * min(m, mm) else "mm" if mm < _SLOWER * min(m, cm) else ""
+    if unit == "cm" or (unit == "mm" and cm > _FASTEST_SLIDE):
+        slides = f"{m:.0f} m/s, so at {cm if unit == 'cm' else mm:.1f}"
+        return unit, (f"unit of the translation {unit}: as metres, feet would slide at {slides}",)
+    raise UnitsError(
+        f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
+        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
+        "is so), or divide it by the scale of the body"
+    )
 
 
 def head_above_feet(
@@ -287,100 +335,3 @@ def surely_up(
     if best != own and abs(mean[best]) < _CLEAR * abs(mean[own]):
         return None
     return along(best, mean[best])
-
-
-_FORWARDS: tuple[tuple[tuple[str, ...], ...], ...] = (
-    (
-        ("*_big_toe", "*_foot", "*_toe1_base", "*_toe2_base", "*_toe5_base", "*_toe_tip"),
-        ("*_heel", "*_ankle", "*_ankle_lateral"),
-        ("*_knee", "*_knee_lateral"),
-        ("*_ankle", "*_ankle_lateral", "*_heel"),
-    ),
-    (("*_asis",), ("*_psis", "sacrum"), ("c7", "*_acromion"), ("*_asis",)),
-    (("xiphoid", "sternum", "sternal_notch"), ("t10", "t7", "c7"), ("c7",), ("sacrum", "*_asis")),
-    (("nose",), ("*_ear",), ("*_shoulder",), ("*_hip",)),
-)
-"""Points in front of others, those others, and two above each other, by side: any of each."""
-_REACH, _BEND = 0.1, 0.06
-"""Metres by which a foot, pelvis, chest or face surely points forwards, and a knee is bent."""
-_MIRRORED = -0.3
-"""Mean agreement below which coordinates are mirrored. Of 456 good recordings and clips with 15 mm
-of noise, the least is 0.14; that of mirrored ones is the opposite."""
-
-
-def facing(
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> float:
-    """Agreement, from -1 to 1, of feet, knees, trunk and face with where left and right say front.
-
-    Each limb has an up of its own, u, and the hips or shoulders a right, r; u x r points forwards.
-    It is that of right-handed coordinates: in mirrored ones knees bend backwards and toes point
-    there. 0 where nothing of this is seen, and half as much where one kind of limb is alone.
-
-    Args:
-        names: joints, keypoints or landmarks of the body.
-        positions: metres.
-        visible: whether each is seen.
-    """
-    shown = np.where(visible[..., None], positions, np.nan)
-    places = {
-        name.removesuffix(JOINT): shown[:, k]
-        for k, name in enumerate(names)
-        if visible[:, k].any()
-    }
-
-    def at(side: str, *options: str) -> np.ndarray:
-        return next(
-            (places[key] for one in options if (key := one.replace("*", side)) in places),
-            np.full((len(positions), 3), np.nan),
-        )
-
-    def towards(way: np.ndarray) -> np.ndarray:
-        return way / np.linalg.norm(way, axis=-1, keepdims=True).clip(1e-9)
-
-    right = np.zeros((len(positions), 3))
-    for parts in (("*_hip", "*_asis", "*_psis", "*_trochanter"), ("*_shoulder", "*_acromion")):
-        right += np.nan_to_num(towards(at("right", *parts) - at("left", *parts)))
-    found: list[float] = []
-    for part in (*_FORWARDS, None):
-        cosines = []
-        for side in ("left", "right"):
-            if part is None:
-                top, bottom = at(side, "*_hip"), at(side, "*_ankle")
-                ahead, reach = at(side, "*_knee") - (top + bottom) / 2, _BEND
-            else:
-                front, back, top, bottom = (at(side, *options) for options in part)
-                ahead, reach = front - back, _REACH
-            forwards = np.cross(towards(top - bottom), towards(right))
-            cosines.append(((ahead * forwards).sum(-1) / reach).clip(-1, 1))
-        if (known := np.isfinite(cosines)).any():
-            found.append(float(np.mean(cosines, where=known)))
-    return sum(found) / max(len(found), 2)
-
-
-def right_handed(
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-    hand: Hand | None = None,
-) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
-    """Factors of the axes that make coordinates right-handed, and what is said of it.
-
-    Args:
-        names: as of `facing`.
-        positions: metres, z up.
-        visible: whether each is seen.
-        hand: handedness, given by the user; None to tell it from the body.
-    """
-    if hand == "right" or (hand is None and facing(names, positions, visible) > _MIRRORED):
-        return np.ones(3), ()
-    said = "left-handed coordinates: given; they were mirrored back (x negated)"
-    if hand is None:
-        said = (
-            "the coordinates are left-handed, or mirrored: feet, knees or trunk point backwards "
-            "by the names left and right; they were mirrored back (x negated). If the names are "
-            "exchanged instead, give --hand right"
-        )
-    return np.array([-1.0, 1.0, 1.0]), (said,)

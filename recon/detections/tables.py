@@ -36,8 +36,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
         ValueError: when it is damaged or too few body parts are known by name.
     """
     name = path.name
-    table = read_rows(path, JSON)
-    header = {row[0].lower(): row[1:] for row in table[: len(_HEADERS)]}
+    header = {row[0].lower(): row[1:] for row in first_rows(path, len(_HEADERS)) if row}
     header = {key: header[key] for key in _HEADERS if key in header}
     if not {"bodyparts", "coords"} <= header.keys():
         raise FormatError(
@@ -49,8 +48,8 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     people = list(dict.fromkeys(individuals))
     PEOPLE.check(len(people), name, "individuals")
     KEYPOINTS.check(len(set(parts)), name, "bodyparts")
-    SAMPLES.check(max(len(table) * width, 1), name)
-    rows = table[len(header) :]
+    rows = read_rows(path, JSON)[len(header) :]
+    SAMPLES.check(max(len(rows) * width, 1), name)
     values = numbers(rows, range(1, width + 1), name, most=width + 1)
     found = [re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:]) for row in rows]
     frames = [int(number[1]) if number else line for line, number in enumerate(found)]

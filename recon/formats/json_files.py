@@ -16,10 +16,13 @@ from recon.formats.opening import decode, read_bytes
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""
 
-_RECORDS = Limit(
-    "number of lists, where dictionaries count as three", 0.0, 4e6, "",
-    "a list takes a hundred bytes beside its numbers: cut the recording",
+_ENTRIES = Limit(
+    "number of entries in JSON, where a list counts as two more and a dictionary as six", 0.0,
+    1.2e7, "", "each takes fifty bytes in memory: cut the recording",
 )  # fmt: skip
+_JSON_FRAMES = Limit(
+    "number of frames in a JSON file", 0.0, 1e6, "", "nine hours at 30 Hz: cut the recording"
+)
 _NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
 _NAME = 200
 """Characters at the end of a name among which its number is."""
@@ -39,7 +42,10 @@ def read_json(path: Path) -> Any:
 def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
     """Contents of files, refused where the lists and dictionaries in them would take too much."""
     found = [read_bytes(path, JSON) for path in paths]
-    _RECORDS.check(sum(one.count(b"[") + 3 * one.count(b"{") for one in found), source)
+    # letters beyond ASCII make all of a text two to four times as large
+    JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
+    sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
+    _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
     return found
 
 
@@ -111,6 +117,11 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     Raises:
         ValueError: when only some state one, or two the same.
     """
+    _JSON_FRAMES.check(len(entries), name)
+    if strange := [one for one in entries if not isinstance(one, dict | list | None)]:
+        raise FormatError(
+            f"{name}: expected a record or list of each frame, got {strange[0]!r:.40}"
+        )
     stated = [_stated_number(entry) for entry in entries]
     if all(number is None for number in stated):
         return list(enumerate(entries))

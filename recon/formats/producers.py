@@ -65,6 +65,14 @@ PRODUCERS = (
         "names, metres in the camera", folder=True,
     ),
     Producer(
+        "AIST++", POINTS_3D, "`.pkl`; `keypoints3d_optim` or `keypoints3d`", (".pkl",),
+        rb"keypoints3d", _FIT, "",
+    ),
+    Producer(
+        "TRAM", BODIES, "`hps_track_*.npy`; `pred_rotmat`, `pred_trans`, `frame`", (".npy",),
+        rb"pred_rotmat", _REFINE, "in the camera",
+    ),
+    Producer(
         "MediaPipe", POINTS_3D, "JSON with `pose_world_landmarks`", (".json",),
         rb"orldLandmarks|world_landmarks", _FIT, "metres about the hips, y down",
     ),
@@ -166,12 +174,8 @@ PRODUCERS = (
         "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
     ),
     Producer(
-        "", "scans", "folder of `.ply` or `.pcd`, one per frame", (".ply", ".pcd"), b"", _FIT,
-        "times in `times.csv`", folder=True,
-    ),
-    Producer(
-        "", "meshes of OBJ", "`.obj`", (".obj",), b"", (),
-        "save their vertices as .ply (`trimesh.load(f).export('a.ply')`)", folder=True,
+        "", "scans", "folder of `.obj`, `.ply` or `.pcd`, one per frame", (".obj", ".ply", ".pcd"),
+        b"", _FIT, "times in `times.csv`", folder=True,
     ),
     Producer(
         "recon", "an observation", "`.npz` with `kind`", (".npz",), rb"(?m)^kind$", _FIT,
@@ -191,11 +195,15 @@ PRODUCERS = (
     ),
     Producer(
         "", "a calibration of cameras", "`.toml`, `.yml`, `.yaml`", (".toml", ".yml", ".yaml"),
-        b"", _INFO, "give it with --camera",
+        b"", _INFO, "give it with --camera", folder=True,
     ),
     Producer(
         "", "silhouettes", "`.npz` with `mask`", (".npz",), rb"(?m)^mask$", _INFO,
         "give them with --masks",
+    ),
+    Producer(
+        "AIST++", BODIES, "`.pkl`, `.npz`; `smpl_poses`, `smpl_trans`, `smpl_scaling`",
+        (".pkl", ".npz"), rb"smpl_trans", _REFINE, "size",
     ),
     Producer(
         "GVHMR", BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
@@ -297,8 +305,12 @@ def refuse_others(path: Path, verb: str) -> None:
         FormatError: when it is known and for another verb, or for none.
     """
     found = producer_of(path)
-    if found is not None and verb not in found.verbs and not (verb == "info" and found.verbs):
+    if found is None:
+        return
+    if verb not in found.verbs and not (verb == "info" and found.verbs):
         raise FormatError(f"{path}: {found.answer()}")
+    if path.is_dir() and not found.folder and "/" not in found.endings:
+        raise FormatError(f"{path}: give one of its files; {found.answer()}")
 
 
 def holds_sam3d_body(path: Path) -> bool:

@@ -11,6 +11,10 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit
 from recon.formats.opening import decode, read_bytes
 
+_CELLS = Limit(
+    "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
+)
+
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     """The cells of every row that is not blank, without white space around them.
@@ -19,8 +23,10 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty, no table, or larger than the limit.
     """
+    data = read_bytes(path, limit)
+    _CELLS.check(data.count(b",") + data.count(b"\n"), path.name)
     try:
-        rows = list(csv.reader(decode(read_bytes(path, limit)).splitlines()))
+        rows = list(csv.reader(decode(data).splitlines()))
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
     return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]

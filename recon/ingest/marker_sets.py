@@ -19,8 +19,8 @@ from recon.body.marker_labels import (
     match_markers,
 )
 from recon.body.model import BodyModel
-from recon.core.coordinates import right_handed
 from recon.core.errors import ReconError
+from recon.core.hands import right_handed
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed

@@ -140,7 +140,7 @@ def read_points_3d(
     match path.suffix.lower():
         case ".npy":
             found = read_array(path)
-        case ".npz":
+        case ".npz" | ".pkl":
             found = read_arrays(path)
         case ".csv":
             found = read_table(path)

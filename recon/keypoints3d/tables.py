@@ -9,6 +9,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.formats.opening import load_array, load_arrays
+from recon.formats.pickles import read_tree
 from recon.formats.text_tables import numbers, read_rows
 from recon.keypoints3d.records import Points3D
 
@@ -152,13 +153,15 @@ def holds_points(arrays: dict[str, np.ndarray]) -> str | None:
 
 
 def read_arrays(path: Path) -> Points3D:
-    """Read an .npz file that holds one such array, with its names and rate where it has them.
+    """Read an .npz or .pkl file that holds one such array, with its names and rate if there.
+
+    Of AIST++'s points those are taken that its authors optimised.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, or holds none or several such arrays.
     """
-    arrays = load_arrays(path)
+    arrays = load_arrays(path) if path.suffix.lower() == ".npz" else _arrays_of(path)
     key = holds_points(arrays)
     found = None if key is None else as_points(arrays[key])
     if found is None:
@@ -172,6 +175,13 @@ def read_arrays(path: Path) -> Points3D:
     rate = next((arrays[name] for name in _RATES if name in arrays), np.zeros(0))
     told = rate.size == 1 and rate.dtype.kind in "fiu"
     return Points3D(path.name, found, labels).stated(float(rate.reshape(())) if told else None)
+
+
+def _arrays_of(path: Path) -> dict[str, np.ndarray]:
+    tree = read_tree(path)
+    if "keypoints3d_optim" in tree:
+        del tree["keypoints3d"]
+    return {str(key): one for key, one in tree.items() if isinstance(one, np.ndarray)}
 
 
 def as_points(array: np.ndarray) -> np.ndarray | None:

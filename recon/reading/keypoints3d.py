@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import right_handed, settled_up
+from recon.core.coordinates import settled_up
 from recon.core.errors import FormatError, UnitsError
+from recon.core.hands import right_handed
 from recon.core.skeleton import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile

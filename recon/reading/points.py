@@ -16,8 +16,9 @@ from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import right_handed, surely_up
+from recon.core.coordinates import surely_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
+from recon.core.hands import right_handed
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up

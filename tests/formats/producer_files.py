@@ -1,27 +1,25 @@
 """A file of every producer of `recon.formats.producers`, by its saving call or as documented."""
 
 import json
-import pickle
 import tarfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.io import savemat
 
 from observations.correspondences import BodyPoints
 from recon.core.skeleton import keypoint_names
 from recon.core.units import to_z_up
-from recon.formats.motions import MotionFile, save_motion
-from recon.formats.scans import write_ply_sequence
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from tests.filmed import bundled, walk
+from tests.formats import body_files
+from tests.formats.body_files import dumped, saved
 from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
 
-FRAMES = 12
+FRAMES = body_files.FRAMES
 _DOWN = to_z_up("y-down")
 
 
@@ -46,21 +44,6 @@ def as_json(path: Path, value: Any) -> Path:
 
 def as_table(path: Path, rows: list[list[Any]]) -> Path:
     path.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
-    return path
-
-
-def _dumped(path: Path, value: Any, joblib: bool = False) -> Path:
-    if joblib:
-        import joblib as library
-
-        library.dump(value, path)
-    else:
-        path.write_bytes(pickle.dumps(value))
-    return path
-
-
-def _saved(path: Path, **arrays: Any) -> Path:
-    np.savez(path, **arrays)
     return path
 
 
@@ -127,7 +110,7 @@ def _zed(at: Path) -> Path:
 
 
 def _sam3d(at: Path) -> Path:
-    return _dumped(at / "a.pkl", [
+    return dumped(at / "a.pkl", [
         [{"pred_keypoints_3d": one, "pred_cam_t": np.array([0, 0, 4.0])}]
         for one in of_labels(MHR70) @ _DOWN - (0, 0.9, 0)
     ])  # fmt: skip
@@ -216,97 +199,26 @@ def _mat(at: Path) -> Path:
     return at / "a.mat"
 
 
-def _parameters() -> dict[str, np.ndarray]:
-    motion = walk(FRAMES)
-    from recon.core import rotations as so3
-
-    vectors = so3.log(motion.rotations).numpy().reshape(FRAMES, 66)
-    return {"root": vectors[:, :3], "body": vectors[:, 3:], "all": vectors,
-            "place": motion.translation.numpy(), "betas": np.zeros(10)}  # fmt: skip
-
-
-def _wham(at: Path) -> Path:
-    one = _parameters()
-    long = np.concatenate((one["all"], np.zeros((FRAMES, 6))), 1)
-    record = {"pose": long, "trans": one["place"], "pose_world": long, "trans_world": one["place"],
-              "betas": np.zeros((FRAMES, 10)), "frame_ids": np.arange(FRAMES)}  # fmt: skip
-    return _dumped(at / "a.pkl", {0: record}, joblib=True)
-
-
-def _phalp(at: Path) -> Path:
-    turns = walk(FRAMES).rotations.numpy()
-    frames = {
-        f"images/{t:06d}.jpg": {
-            "tid": [1],
-            "smpl": [{
-                "global_orient": one[:1], "body_pose": np.concatenate((one[1:], one[:2])),
-                "betas": np.zeros(10),
-            }],
-            "camera": [np.array([0.0, 0.0, 4.0])],
-        }
-        for t, one in enumerate(turns)
-    }  # fmt: skip
-    return _dumped(at / "a.pkl", frames, joblib=True)
-
-
-def _gvhmr(at: Path) -> Path:
-    one = {key: torch.from_numpy(value) for key, value in _parameters().items()}
-    found = {"global_orient": one["root"], "body_pose": one["body"], "transl": one["place"]}
-    torch.save({"smpl_params_global": found, "smpl_params_incam": found}, at / "a.pt")
-    return at / "a.pt"
-
-
-def _motion(at: Path) -> Path:
-    body = bundled()
-    save_motion(at / "a.npz", MotionFile(walk(FRAMES), body.name, body.checksum))
-    return at / "a.npz"
-
-
-def _amass(at: Path) -> Path:
-    one = _parameters()
-    return _saved(at / "a.npz", poses=one["all"], trans=one["place"], betas=np.zeros(16),
-                  gender="neutral", mocap_framerate=30.0)  # fmt: skip
-
-
-def _slahmr(at: Path) -> Path:
-    one = _parameters()
-    return _saved(at / "a.npz", root_orient=one["root"][None], pose_body=one["body"][None],
-                  trans=one["place"][None])  # fmt: skip
-
-
-def _smplx(at: Path) -> Path:
-    one = _parameters()
-    return _saved(
-        at / "a.npz", global_orient=one["root"], body_pose=one["body"], transl=one["place"]
-    )
-
-
-def _any_body(at: Path) -> Path:
-    one = _parameters()
-    record = {"global_orient": one["root"], "body_pose": one["body"], "transl": one["place"]}
-    return _dumped(at / "a.pkl", {"results": record})
+def _aist_points(at: Path) -> Path:
+    x = 100 * points("coco17") @ to_z_up("y")
+    return dumped(at / "a.pkl", {"keypoints3d": x + 50, "keypoints3d_optim": x})
 
 
 def _observation(at: Path) -> Path:
     x = points("smpl22")
-    return _saved(at / "a.npz", kind="joints3d", positions=x, visible=np.ones(x.shape[:2], bool),
+    return saved(at / "a.npz", kind="joints3d", positions=x, visible=np.ones(x.shape[:2], bool),
                   names=np.array(keypoint_names("smpl22")), fps=30.0, up_axis="z")  # fmt: skip
 
 
 def _calibration(at: Path) -> Path:
     lens = camera(0)
-    return _saved(at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
-
-
-def _scans(at: Path) -> Path:
-    write_ply_sequence(at / "scans", of_labels(MHR70))
-    return at / "scans"
+    return saved(at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
 
 
 def _meshes(at: Path) -> Path:
     (at / "meshes").mkdir()
-    for t, one in enumerate(points("smpl22")):
-        lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in one]
+    for t, one in enumerate(of_labels(MHR70)):
+        lines = ["# OBJ", "mtllib a.mtl", *(f"v {x:.4f} {y:.4f} {z:.4f} 1 1 1" for x, y, z in one)]
         (at / "meshes" / f"{t:04d}.obj").write_text("\n".join([*lines, "f 1 2 3", ""]))
     return at / "meshes"
 
@@ -316,6 +228,8 @@ _LANDMARKS = [[{"x": 0.3 + 0.01 * k, "y": 0.3, "visibility": 0.9} for k in range
 SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("FreeMoCap", "3D keypoints", "/"): _freemocap,
     ("SAM 3D Body", "3D keypoints", ".npz"): _sam3d,
+    ("AIST++", "3D keypoints", ".pkl"): _aist_points,
+    ("TRAM", "body parameters of every frame", ".npy"): body_files.tram,
     ("MediaPipe", "3D keypoints", ".json"): _world,
     ("Azure Kinect", "3D keypoints", ".json"): _azure,
     ("EasyMocap", "3D keypoints", ".json"): _easymocap,
@@ -337,7 +251,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("MediaPipe", "2D keypoints", ".json"): lambda at: as_json(at / "a.json", _LANDMARKS),
     ("DeepLabCut", "2D keypoints", ".csv"): _deeplabcut,
     ("SLEAP", "2D keypoints", ".csv"): _sleap,
-    ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: _saved(
+    ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: saved(
         at / "a.npz", keypoints=_pixels()[None, None, :, :2], scores=np.ones((1, 1, 17))
     ),
     ("OptiTrack Motive", "a table of markers", ".csv"): _text(
@@ -356,23 +270,23 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("Motion Capture Toolbox", "a recording of motion capture", ".mat"): _mat,
     ("", "a skeleton without motion", ".asf"): _text("a.asf", ":version 1.10\n:root\n"),
     ("NTU RGB+D", "skeletons of Kinect v2", ".skeleton"): _text("a.skeleton", "1\n0\n"),
-    ("", "scans", ".ply"): _scans,
-    ("", "meshes of OBJ", ".obj"): _meshes,
+    ("", "scans", ".obj"): _meshes,
     ("recon", "an observation", ".npz"): _observation,
-    ("recon", "a motion", ".npz"): _motion,
-    ("", "a body model", ".npz"): lambda at: _saved(at / "a.npz", v_template=np.zeros((9, 3))),
+    ("recon", "a motion", ".npz"): body_files.motion,
+    ("", "a body model", ".npz"): lambda at: saved(at / "a.npz", v_template=np.zeros((9, 3))),
     ("", "a calibration of cameras", ".npz"): _calibration,
     ("", "a calibration of cameras", ".toml"): lambda at: write_toml(
         at / "a.toml", {"cam": camera(0)}
     ),
-    ("", "silhouettes", ".npz"): lambda at: _saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
-    ("GVHMR", "body parameters of every frame", ".pt"): _gvhmr,
-    ("WHAM", "body parameters of every frame", ".pkl"): _wham,
-    ("PHALP (4D-Humans)", "body parameters of every frame", ".pkl"): _phalp,
-    ("AMASS", "body parameters of every frame", ".npz"): _amass,
-    ("SLAHMR", "body parameters of every frame", ".npz"): _slahmr,
-    ("SMPL, SMPL-X", "body parameters of every frame", ".npz"): _smplx,
-    ("", "body parameters of every frame", ".pt"): _any_body,
+    ("", "silhouettes", ".npz"): lambda at: saved(at / "a.npz", mask=np.ones((2, 4, 4), bool)),
+    ("AIST++", "body parameters of every frame", ".pkl"): body_files.aist_motion,
+    ("GVHMR", "body parameters of every frame", ".pt"): body_files.gvhmr,
+    ("WHAM", "body parameters of every frame", ".pkl"): body_files.wham,
+    ("PHALP (4D-Humans)", "body parameters of every frame", ".pkl"): body_files.phalp,
+    ("AMASS", "body parameters of every frame", ".npz"): body_files.amass,
+    ("SLAHMR", "body parameters of every frame", ".npz"): body_files.slahmr,
+    ("SMPL, SMPL-X", "body parameters of every frame", ".npz"): body_files.smplx,
+    ("", "body parameters of every frame", ".pt"): body_files.any_body,
     ("", "a pickle", ".pickle"): _text("a.pickle", "pickled"),
     ("", "a video", ".mp4"): _text("a.mp4", "film"),
     ("Autodesk", "a scene", ".fbx"): _text("a.fbx", "Kaydara FBX Binary"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import recon
 from observations.keypoints3d import Keypoints3D
@@ -14,14 +15,15 @@ from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings
 from recon.formats.estimates import read_estimate
-from recon.formats.producers import PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.producers import BODIES, PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.reader import read_recording
 from recon.reading.clip import load_clip
 from recon.view.info import info
-from tests.filmed import bundled
+from tests.filmed import bundled, walk
 from tests.formats.producer_files import FRAMES, SAMPLES, of_labels, points
 
 VERBS: dict[str, Callable[[Path], object]] = {
@@ -105,6 +107,7 @@ def _of(name: str, holds: str) -> Callable[[Path], Path]:
         ("OpenPose", "openpose25", "m", 2e-3),
         ("MMPose", "h36m17", "m", 2e-3),
         ("ZED", ZED38, "m", 2e-3),
+        ("AIST++", "coco17", "cm", 2e-3),
     ],
 )
 def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, metres):
@@ -141,3 +144,36 @@ def test_points_of_longer_layouts_are_named_by_their_number(tmp_path):
         assert read_points_3d(tmp_path / "x.npy").positions.shape[1] == kept
         seen = load_clip([tmp_path / "x.npy"], FitSettings(frame_rate=30.0), bundled())
         assert seen.observations[0].kind == "keypoints3d"
+
+
+@pytest.mark.parametrize("name", ["TRAM", "AIST++", "WHAM", "PHALP (4D-Humans)", "GVHMR"])
+def test_body_parameters_are_what_they_were(tmp_path, name):
+    """A dictionary in an .npy file was refused, and AIST++'s unit put feet 86 m high."""
+    found = read_estimate(_of(name, BODIES)(tmp_path))
+    truth = walk(FRAMES)
+    np.testing.assert_allclose(found.rotations, truth.rotations.numpy(), atol=1e-5)
+    if not name.startswith("PHALP"):
+        np.testing.assert_allclose(found.translation, truth.translation.numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize("verb", [info, recon.fit, recon.refine])
+def test_of_a_folder_of_separate_files_one_is_asked_for(tmp_path, verb):
+    _of("TRAM", BODIES)(tmp_path)
+    with pytest.raises(recon.ReconError, match=r"one of its files; .* TRAM: `recon refine`"):
+        verb(tmp_path)
+
+
+def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
+    wide = torch.zeros(1).expand(10**9)
+    np.save(tmp_path / "a.npy", np.array({"pred_rotmat": wide}, dtype=object), allow_pickle=True)
+    with pytest.raises(recon.ReconError, match="a tensor of"):
+        read_estimate(tmp_path / "a.npy")
+
+
+def test_vertices_of_obj_files_are_scans(tmp_path):
+    folder = _of("", "scans")(tmp_path)
+    found = read_scans(folder, fps=30.0, outliers=None)
+    np.testing.assert_allclose(found.points, of_labels(MHR70).reshape(-1, 3), atol=1e-4)
+    (folder / "0003.obj").write_text("v 1 2\nv 1 2 3\n")
+    with pytest.raises(ValueError, match=r"0003\.obj: damaged OBJ file"):
+        read_scans(folder, fps=30.0)

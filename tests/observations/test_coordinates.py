@@ -10,9 +10,12 @@ import torch
 from observations.correspondences import BodyPoints
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.core.coordinates import facing
-from recon.core.errors import ObservationError
-from recon.core.skeleton import JOINTS, keypoint_names
+from recon.core import rotations as so3
+from recon.core.clouds import unit_of_clouds, up_of_clouds
+from recon.core.coordinates import unit_of_path
+from recon.core.errors import ObservationError, UnitsError
+from recon.core.hands import facing
+from recon.core.skeleton import FEET, JOINTS, keypoint_names
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.ingest.marker_sets import full_body_markers, right_handed_markers
@@ -21,6 +24,7 @@ from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
 from recon.reading.keypoints3d import settled
 from recon.reading.points import points_settled
+from recon.simulation.points import Corruption, scan_points
 from tests.walking import a_walk
 
 BODY = BodyModel.load()
@@ -92,3 +96,38 @@ def test_an_axis_that_a_lying_person_may_have_is_asked_for_and_a_wrong_one_put_r
     found = points_settled(below, "walk.npz", BODY)
     assert np.allclose(found.positions, file.positions)
     assert "z-down" in found.decisions[0]
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_the_unit_of_an_estimates_path_is_told_by_feet_that_stand(unit: str) -> None:
+    """A path 94 times too long was refined with the feet 86 m above the ground."""
+    motion = a_walk(BODY)
+    feet = (BODY.pose(motion).joints[:, list(FEET)] - motion.translation[:, None]).double().numpy()
+    path = motion.translation.double().numpy() / METRES[unit]
+    assert unit_of_path(path, feet, motion.fps, "walk.npz")[0] == unit
+    away = path + np.array([50.0, 0.0, 0.0])
+    assert unit_of_path(away, feet, motion.fps, "walk.npz")[0] == unit
+    with pytest.raises(UnitsError, match="--unit cm or mm"):
+        unit_of_path(path[:1] + 0 * path + 100.0, feet, motion.fps, "stand.npz")
+
+
+@pytest.mark.parametrize("up", get_args(Up))
+def test_scans_of_a_walker_are_turned_and_scaled(up: Up) -> None:
+    """Scans with y up were refused for a ground that nobody saw, those of unit height fitted."""
+    motion = a_walk(BODY, speed=0.4)
+    for side, sign in (("left_shoulder", -1.2), ("right_shoulder", 1.2)):
+        motion.rotations[:, JOINTS.index(side)] = so3.about_z(torch.tensor(sign))
+    file = scan_points(motion, BODY, Corruption(), 0, points=400)
+    scans = [file.points[file.frame == frame] for frame in range(0, motion.frames, 5)]
+    scans = [cloud - cloud.min(0) * (0.0, 0.0, 1.0) for cloud in scans]
+    for unit in ("m", "cm", "mm"):
+        clouds = [cloud @ to_z_up(up) / METRES[unit] for cloud in scans]
+        assert unit_of_clouds(clouds, "scans") == unit
+        metres = [cloud * METRES[unit] for cloud in clouds]
+        found, said = up_of_clouds(metres, "scans", told=False)
+        assert found == up
+        assert bool(said) == (up != "z")
+    small = [0.55 * (cloud - np.concatenate(metres).mean(0)) for cloud in metres]
+    with pytest.raises(UnitsError, match="unit height"):
+        up_of_clouds(small, "scans", told=False)
+    assert up_of_clouds(small, "scans", told=True)[0] == up
