@@ -78,7 +78,7 @@ def fit(
     or your own (.npy, .npz, .csv, .json, .trc); markers of a laboratory (.c3d, .trc); with a frame
     rate and a camera (which one view of a phone does not need), 2D detections of OpenPose, MMPose,
     AlphaPose, MediaPipe, DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder
-    of views); a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with a
+    of views); a folder of scans (.ply, .pcd, .obj); a folder of 16-bit depth images (.png, with a
     camera). A file of SMPL parameters that a network told from video (.pt, .pkl, .npz) is refined,
     as `recon.refine` does.
 

@@ -174,12 +174,8 @@ PRODUCERS = (
         "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
     ),
     Producer(
-        "", "scans", "folder of `.ply` or `.pcd`, one per frame", (".ply", ".pcd"), b"", _FIT,
-        "times in `times.csv`", folder=True,
-    ),
-    Producer(
-        "", "meshes of OBJ", "`.obj`", (".obj",), b"", (),
-        "save their vertices as .ply (`trimesh.load(f).export('a.ply')`)", folder=True,
+        "", "scans", "folder of `.obj`, `.ply` or `.pcd`, one per frame", (".obj", ".ply", ".pcd"),
+        b"", _FIT, "times in `times.csv`", folder=True,
     ),
     Producer(
         "recon", "an observation", "`.npz` with `kind`", (".npz",), rb"(?m)^kind$", _FIT,

@@ -22,7 +22,7 @@ from recon.formats.observations import (
 )
 from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
-from recon.formats.scans import read_scans
+from recon.formats.scans import CLOUDS, read_scans
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import (
     RECORDINGS,
@@ -41,7 +41,7 @@ from recon.reading.points import points_settled, positions_of
 from recon.reading.readers import Reader, read_by, readers
 from recon.reading.views import read_views
 
-_CLOUDS, _IMAGES, DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
+_IMAGES, DETECTIONS = {".png"}, {".json", ".csv"}
 Content = ObservationFile | Sensor
 """What a file holds: arrays, or an observation that needs no more."""
 
@@ -52,7 +52,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
     observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
     `--camera`; 3D keypoints of other programs, by file or session folder; markers (.c3d, .trc); a
-    folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with `--camera`. Sensors
+    folder of scans (.ply, .pcd, .obj); a folder of depth images (.png) with `--camera`. Sensors
     without a pose are taken to be one and the same camera.
 
     Raises:
@@ -105,7 +105,7 @@ def _read(
     """What a file or folder holds, and what was decided; None where it holds 2D detections."""
     if path.is_dir() and next(path.iterdir(), None) is None:
         raise ObservationError(
-            f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
+            f"{path}: the folder is empty; expected scans (.ply, .pcd, .obj), depth images (.png) "
             "or 2D detections (.json, .csv) in it"
         )
     if (seen := read_by(own, path, body)) is not None:
@@ -124,7 +124,7 @@ def _read(
         return None
     if path.suffix.lower() == ".npz":
         return load_observation(path, unit=settings.unit), ()
-    if kinds := _inside(path) & (_CLOUDS | _IMAGES):
+    if kinds := _inside(path) & (CLOUDS.keys() | _IMAGES):
         return _read_folder(path, kinds, settings), ()
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
@@ -292,10 +292,9 @@ def _has_pose(file: Content) -> bool:
 
 def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
     """A folder of scans or of depth images."""
-    if kinds & _CLOUDS:
-        up = "z" if settings.up is None else settings.up
+    if kinds & CLOUDS.keys():
         return read_scans(
-            path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
+            path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed
         )
     if settings.camera is None or settings.frame_rate is None:
         raise ObservationError(

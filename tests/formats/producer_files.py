@@ -12,7 +12,6 @@ from scipy.io import savemat
 from observations.correspondences import BodyPoints
 from recon.core.skeleton import keypoint_names
 from recon.core.units import to_z_up
-from recon.formats.scans import write_ply_sequence
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from tests.filmed import bundled, walk
@@ -216,15 +215,10 @@ def _calibration(at: Path) -> Path:
     return saved(at / "a.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
 
 
-def _scans(at: Path) -> Path:
-    write_ply_sequence(at / "scans", of_labels(MHR70))
-    return at / "scans"
-
-
 def _meshes(at: Path) -> Path:
     (at / "meshes").mkdir()
-    for t, one in enumerate(points("smpl22")):
-        lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in one]
+    for t, one in enumerate(of_labels(MHR70)):
+        lines = ["# OBJ", "mtllib a.mtl", *(f"v {x:.4f} {y:.4f} {z:.4f} 1 1 1" for x, y, z in one)]
         (at / "meshes" / f"{t:04d}.obj").write_text("\n".join([*lines, "f 1 2 3", ""]))
     return at / "meshes"
 
@@ -276,8 +270,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("Motion Capture Toolbox", "a recording of motion capture", ".mat"): _mat,
     ("", "a skeleton without motion", ".asf"): _text("a.asf", ":version 1.10\n:root\n"),
     ("NTU RGB+D", "skeletons of Kinect v2", ".skeleton"): _text("a.skeleton", "1\n0\n"),
-    ("", "scans", ".ply"): _scans,
-    ("", "meshes of OBJ", ".obj"): _meshes,
+    ("", "scans", ".obj"): _meshes,
     ("recon", "an observation", ".npz"): _observation,
     ("recon", "a motion", ".npz"): body_files.motion,
     ("", "a body model", ".npz"): lambda at: saved(at / "a.npz", v_template=np.zeros((9, 3))),

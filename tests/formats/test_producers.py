@@ -16,6 +16,7 @@ from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings
 from recon.formats.estimates import read_estimate
 from recon.formats.producers import BODIES, PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
@@ -167,3 +168,12 @@ def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.array({"pred_rotmat": wide}, dtype=object), allow_pickle=True)
     with pytest.raises(recon.ReconError, match="a tensor of"):
         read_estimate(tmp_path / "a.npy")
+
+
+def test_vertices_of_obj_files_are_scans(tmp_path):
+    folder = _of("", "scans")(tmp_path)
+    found = read_scans(folder, fps=30.0, outliers=None)
+    np.testing.assert_allclose(found.points, of_labels(MHR70).reshape(-1, 3), atol=1e-4)
+    (folder / "0003.obj").write_text("v 1 2\nv 1 2 3\n")
+    with pytest.raises(ValueError, match=r"0003\.obj: damaged OBJ file"):
+        read_scans(folder, fps=30.0)
