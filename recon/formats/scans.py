@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
@@ -134,8 +135,6 @@ POINTS = 4096
 """Points kept of a frame."""
 _SEARCHED = 500_000
 """Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
-_BODY = (0.4, 8.0)
-"""Metres that a cloud with a person, and some of the room, extends over."""
 
 
 def read_scans(
@@ -143,7 +142,7 @@ def read_scans(
     *,
     fps: float | None = None,
     unit: str | None = None,
-    up: Up = "z",
+    up: Up | None = None,
     points: int = POINTS,
     outliers: float | None = 3.0,
     seed: int = 0,
@@ -158,7 +157,7 @@ def read_scans(
         folder: with .ply, .pcd or .obj files.
         fps: frames per second where there is no times.csv.
         unit: of the files (m, cm, mm, inch); None finds it by the clouds' size.
-        up: axis that points up.
+        up: axis that points up, or down; None finds it by how the person stands.
         points: most points kept of a frame, drawn at random.
         outliers: points whose neighbours are farther than the frame's mean by this many standard
             deviations are left out; None keeps all.
@@ -166,7 +165,7 @@ def read_scans(
 
     Raises:
         FileNotFoundError: when there is no such folder.
-        ValueError: when it holds no clouds or two kinds, a file is damaged, or clock or unit
+        ValueError: when it holds no clouds or two kinds, a file is damaged, or clock, unit or axis
             cannot be told; the message says what to do.
     """
     folder = Path(folder)
@@ -190,9 +189,14 @@ def read_scans(
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
         raise FormatError(f"{folder}: no file holds any point")
+    told = unit is not None
     if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
         decisions.append(f"by the size of the clouds, their unit is {unit}")
     metres = METRES[unit]
+    if up is None:
+        scaled = [cloud * metres for cloud in clouds]
+        up, said = up_of_clouds(scaled, str(folder), told=told)
+        decisions += said
     for path, cloud in zip(paths, clouds, strict=True):
         POSITION.check(cloud * metres, path, "[point, axis]")
     generator = np.random.default_rng(seed)
@@ -268,29 +272,6 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 
     return sorted(paths, key=key)
-
-
-def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
-    """Metres or millimetres, by the size of the clouds.
-
-    Raises:
-        ValueError: when the size fits neither.
-    """
-    sizes = [
-        float(np.linalg.norm(np.subtract(*np.percentile(cloud, (98, 2), axis=0))))
-        for cloud in clouds
-        if len(cloud) >= 10
-    ]
-    if not sizes:
-        raise FormatError(f"{name}: too few points to tell their unit; give it with --unit")
-    size = float(np.median(sizes))
-    for unit in ("m", "mm"):
-        if _BODY[0] <= size * METRES[unit] <= _BODY[1]:
-            return unit
-    raise FormatError(
-        f"{name}: the clouds measure {size:.3g} units, which is {_BODY[0]} to {_BODY[1]} m "
-        "neither in m nor in mm; give it with --unit"
-    )
 
 
 def thinned(

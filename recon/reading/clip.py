@@ -293,9 +293,8 @@ def _has_pose(file: Content) -> bool:
 def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
     """A folder of scans or of depth images."""
     if kinds & CLOUDS.keys():
-        up = "z" if settings.up is None else settings.up
         return read_scans(
-            path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
+            path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed
         )
     if settings.camera is None or settings.frame_rate is None:
         raise ObservationError(

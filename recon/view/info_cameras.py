@@ -5,14 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.limits import CALIBRATION
+from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
 from recon.formats.scan_times import timed
-from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths, unit_of_clouds
+from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
 from recon.reading.tracks import follow
 
@@ -142,6 +144,11 @@ def _scans(path: Path) -> dict[str, Any]:
         decisions.append(str(error))
     else:
         decisions.append(f"unit {unit}: by the size of the clouds")
+        try:
+            scaled = [cloud * METRES[unit] for cloud in clouds]
+            decisions += up_of_clouds(scaled, str(path), told=False)[1] or ("up axis z",)
+        except ValueError as error:
+            decisions.append(str(error))
     return {
         "format": f"scans ({paths[0].suffix.lower()})",
         "frames": len(paths),

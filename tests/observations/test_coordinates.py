@@ -10,6 +10,8 @@ import torch
 from observations.correspondences import BodyPoints
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.coordinates import unit_of_path
 from recon.core.errors import ObservationError, UnitsError
 from recon.core.hands import facing
@@ -22,6 +24,7 @@ from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
 from recon.reading.keypoints3d import settled
 from recon.reading.points import points_settled
+from recon.simulation.points import Corruption, scan_points
 from tests.walking import a_walk
 
 BODY = BodyModel.load()
@@ -106,3 +109,25 @@ def test_the_unit_of_an_estimates_path_is_told_by_feet_that_stand(unit: str) -> 
     assert unit_of_path(away, feet, motion.fps, "walk.npz")[0] == unit
     with pytest.raises(UnitsError, match="--unit cm or mm"):
         unit_of_path(path[:1] + 0 * path + 100.0, feet, motion.fps, "stand.npz")
+
+
+@pytest.mark.parametrize("up", get_args(Up))
+def test_scans_of_a_walker_are_turned_and_scaled(up: Up) -> None:
+    """Scans with y up were refused for a ground that nobody saw, those of unit height fitted."""
+    motion = a_walk(BODY, speed=0.4)
+    for side, sign in (("left_shoulder", -1.2), ("right_shoulder", 1.2)):
+        motion.rotations[:, JOINTS.index(side)] = so3.about_z(torch.tensor(sign))
+    file = scan_points(motion, BODY, Corruption(), 0, points=400)
+    scans = [file.points[file.frame == frame] for frame in range(0, motion.frames, 5)]
+    scans = [cloud - cloud.min(0) * (0.0, 0.0, 1.0) for cloud in scans]
+    for unit in ("m", "cm", "mm"):
+        clouds = [cloud @ to_z_up(up) / METRES[unit] for cloud in scans]
+        assert unit_of_clouds(clouds, "scans") == unit
+        metres = [cloud * METRES[unit] for cloud in clouds]
+        found, said = up_of_clouds(metres, "scans", told=False)
+        assert found == up
+        assert bool(said) == (up != "z")
+    small = [0.55 * (cloud - np.concatenate(metres).mean(0)) for cloud in metres]
+    with pytest.raises(UnitsError, match="unit height"):
+        up_of_clouds(small, "scans", told=False)
+    assert up_of_clouds(small, "scans", told=True)[0] == up
