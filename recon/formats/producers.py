@@ -174,7 +174,8 @@ PRODUCERS = (
         "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
     ),
     Producer(
-        "", "scans", "folder of `.obj`, `.ply` or `.pcd`, one per frame", (".obj", ".ply", ".pcd"),
+        "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
+        (".obj", ".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"),
         b"", _FIT, "times in `times.csv`", folder=True,
     ),
     Producer(
