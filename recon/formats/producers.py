@@ -178,7 +178,8 @@ PRODUCERS = (
         "NTU RGB+D", POINTS_3D, "`.skeleton`", (".skeleton",), b"", _FIT, "all",
     ),
     Producer(
-        "", "scans", "folder of `.obj`, `.ply` or `.pcd`, one per frame", (".obj", ".ply", ".pcd"),
+        "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
+        (".obj", ".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"),
         b"", _FIT, "times in `times.csv`", folder=True,
     ),
     Producer(
