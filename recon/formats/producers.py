@@ -49,6 +49,7 @@ SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+MARKERS = "markers or joint centres"
 """What the files of most producers hold."""
 _NUMBER = rb"\s*[-+\dN][\w.+-]*\s*"
 PRODUCERS = (
@@ -136,8 +137,12 @@ PRODUCERS = (
         folder=True,
     ),
     Producer(
-        "OptiTrack Motive", "a table of markers", "CSV from `Format Version` on", (".csv",),
-        rb"\A\W*Format Version", (), "export C3D, TRC or BVH from Motive",
+        "OptiTrack Motive", MARKERS, "CSV from `Format Version` on; bones are left out",
+        (".csv",), rb"\A\W*Format Version", ("convert", "fit"), "labels, rate, unit",
+    ),
+    Producer(
+        "Qualisys", MARKERS, "`.tsv` with `MARKER_NAMES`", (".tsv",), rb"MARKER_NAMES",
+        ("convert", "fit"), "labels, rate",
     ),
     Producer(
         "Anipose, DeepLabCut, your own", POINTS_3D, "CSV with columns `NAME_x`, `NAME_y`, "
@@ -153,7 +158,7 @@ PRODUCERS = (
         "`.npz` also `names`, `fps`", (".npy",), b"", _FIT, "",
     ),
     Producer(
-        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", "markers or joint centres",
+        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", MARKERS,
         "`.c3d`, `.trc`; joint centres are `RHip`, `LKnee`, ...", (".c3d", ".trc"), b"",
         ("convert", "fit"), "labels, rate, unit",
     ),
@@ -170,11 +175,11 @@ PRODUCERS = (
         "give `recon convert` one of its .amc files",
     ),
     Producer(
-        "NTU RGB+D", "skeletons of Kinect v2", "`.skeleton`", (".skeleton",), b"", (),
-        "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
+        "NTU RGB+D", POINTS_3D, "`.skeleton`", (".skeleton",), b"", _FIT, "all",
     ),
     Producer(
-        "", "scans", "folder of `.obj`, `.ply` or `.pcd`, one per frame", (".obj", ".ply", ".pcd"),
+        "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
+        (".obj", ".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"),
         b"", _FIT, "times in `times.csv`", folder=True,
     ),
     Producer(

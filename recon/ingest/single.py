@@ -1,5 +1,6 @@
 """One recording of any kind, on its own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from recon.body.model import BodyModel
@@ -56,6 +57,9 @@ def convert(
     else:
         recording = drop_lead_in(recording)
         if subject is None:
-            subject = calibrate([recording], recognise(recording, mapping), body)
+            skeleton = recognise(recording, mapping)
+            said = (*recording.decisions, f"skeleton: {skeleton.name}")
+            recording = replace(recording, decisions=said)
+            subject = calibrate([recording], skeleton, body)
         (found,) = convert_skeletons([recording], subject, body, keep_frame=keep_frame)
     return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)
