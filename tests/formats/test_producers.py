@@ -212,7 +212,8 @@ def test_a_skeleton_file_that_is_cut_short_is_refused(tmp_path):
 
 HOSTILE = (
     b'"keypoints":' + b" " * (1 << 16), b'"keypoints":[1,' * 5000, b"frame_idx," * 7000,
-    b"smpl" * (1 << 15), b"poses" * (1 << 15), b"pose_body\n" * (1 << 14), b"scorer\ncoords,,," * 5000,
+    b"smpl" * (1 << 15), b"poses" * (1 << 15), b"pose_body\n" * (1 << 14),
+    b"scorer\ncoords,,," * 5000,
     b"[{" * (1 << 15), b"\ncoords" + b"," * (1 << 16), b" " * (1 << 16),
 )  # fmt: skip
 
