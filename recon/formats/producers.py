@@ -51,7 +51,7 @@ _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
 MARKERS = "markers or joint centres"
 """What the files of most producers hold."""
-_NUMBER = rb"\s*[-+\dN][\w.+-]*\s*"
+_NUMBER = rb"[-+\dN][\w.+-]*\s*"
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -110,7 +110,7 @@ PRODUCERS = (
     ),
     Producer(
         "MMPose", POINTS_3D, "folder or JSON; `keypoints` of three numbers", (".json",),
-        rb'"keypoints"\s*:[\s\[]*' + rb",".join([_NUMBER] * 3) + rb"\]", _FIT, "",
+        rb'"keypoints"\s*:[\s\[]*' + rb",\s*".join([_NUMBER] * 3) + rb"\]", _FIT, "",
         folder=True,
     ),
     Producer(
@@ -129,7 +129,7 @@ PRODUCERS = (
     ),
     Producer(
         "SLEAP", POINTS_2D, "its analysis CSV; nodes matched by name", (".csv",),
-        rb"\A[^\n]*\bframe_idx\b[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
+        rb"\A(?=[^\n]*\bframe_idx\b)[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
     ),
     Producer(
         "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
@@ -220,19 +220,19 @@ PRODUCERS = (
     ),
     Producer(
         "PHALP (4D-Humans)", BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
-        (".pkl",), rb"smpl(?s:.*)tid|tid(?s:.*)smpl", _REFINE, "in the camera",
+        (".pkl",), rb"(?s)\A(?=.*smpl).*tid", _REFINE, "in the camera",
     ),
     Producer(
         "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
-        rb"poses(?s:.*)trans|trans(?s:.*)poses", _REFINE, "rate",
+        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
     ),
     Producer(
         "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
-        (".npz",), rb"pose_body(?s:.*)trans|trans(?s:.*)pose_body", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose_body).*trans", _REFINE, "",
     ),
     Producer(
         "SMPL, SMPL-X", BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
-        (".npz",), rb"pose(?s:.*)trans|trans(?s:.*)pose", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose).*trans", _REFINE, "",
     ),
     Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
     Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
