@@ -13,7 +13,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import decode, existing, read_bytes, replacing
+from recon.formats.opening import decode, existing, numbers_in, read_bytes, replacing
 from recon.formats.pcd import read_pcd
 from recon.formats.scan_times import timed
 
@@ -325,9 +325,34 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     return found
 
 
+def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+    """Points of lines x, y, z; normals, colours and intensities after them are left out.
+
+    Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
+    .pts how many lines follow. Invalid points (NaN) are left out.
+    """
+    text = decode(read_bytes(path)).replace(",", " ").replace(";", " ").strip()
+    first, _, rest = text.partition("\n")
+    promised = int(first[:20]) if first[:20].strip().isdecimal() else None
+    text = rest if promised is not None or first.startswith(("#", "//")) else text
+    width, count = len(text.partition("\n")[0].split()), text.count("\n") + 1
+    CLOUD.check(count, path, "lines")
+    try:
+        if width < 3 or promised not in (None, count) or 2 * width * count > len(text) + 1:
+            raise ValueError(f"{width} numbers in the first of {count} lines")
+        found = numbers_in(text, width * count).reshape(count, width)[:, :3]
+    except ValueError as error:
+        raise FormatError(
+            f"{path}: expected lines of x, y, z and what else is known of the point, all alike, "
+            f"but it is damaged ({error!s:.100})"
+        ) from error
+    return found[np.isfinite(found).all(1)]
+
+
 CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
     ".ply": lambda path: read_ply(path)[0],
     ".pcd": read_pcd,
     ".obj": _vertices_of_obj,
+    **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),
 }
 """Readers of a frame, by endings."""

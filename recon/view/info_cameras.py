@@ -42,7 +42,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
             return describe_calibration(path)
         raise ValueError(
             f"{path}: expected a folder of 2D keypoints (.json, .csv, or folders of them), scans "
-            f"(.ply, .pcd, .obj), depth images or masks (.png), or a calibration; it has "
+            f"(.ply, .pcd, .obj, .xyz), depth images or masks (.png), or a calibration; it has "
             f"{', '.join(sorted(endings)) or 'no files'}"
         ) from error
     if views == [path]:
