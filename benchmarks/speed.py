@@ -7,7 +7,8 @@ All on one thread. `speed` fits one clip of two seconds, and sixteen. `long` fit
 longest clip, run there and back until it lasts so long, each length in a process of its own whose
 peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
 change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
-clips of subjects moment by moment, beside fits at once. `batch` runs `recon batch` on the listed
+clips of subjects moment by moment, beside fits at once; `hour` pushes an hour of the longest as
+fast as it goes. `batch` runs `recon batch` on the listed
 windows, and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate.
 """
 
@@ -43,7 +44,7 @@ Row = dict[str, float]
 def main() -> None:
     """Measure, print and write."""
     arguments = over_windows(__doc__)
-    parts = ("speed", "long", "live", "batch")
+    parts = ("speed", "long", "live", "hour", "batch")
     arguments.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     arguments.add_argument("--clips", type=int, default=64, help="of the batch")
     arguments.add_argument("--processes", type=int, default=2, help="of the batch")
@@ -64,6 +65,8 @@ def main() -> None:
         tables["long"] = long_recordings(given.corpus, files[longest[0]], longest[0])
     if "live" in given.parts:
         tables["live"] = streams([recon.load_motion(files[clip]).motion for clip in longest])
+    if "hour" in given.parts:
+        tables["hour"] = hour(recon.load_motion(files[longest[0]]).motion.resample(FPS))
     if "batch" in given.parts:
         truth = load_windows(given.corpus, splits, given.part, BodyModel.load(), SEED).truth
         tables |= batches(truth, given.clips, given.processes)
@@ -144,9 +147,7 @@ def over_long(prior: str, file: Path, seconds: int) -> Row:
     row["mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     motion = result.motion
     joints, true = (body.pose(m).joints for m in (motion, truth.at(motion.times, motion.fps)))
-    row["error"] = float((joints - true).norm(dim=-1).mean())
-    jumps = [p.diff(n=2, dim=0).norm(dim=-1).max() * FPS for p in (joints, true)]
-    return row | {"jump": float(jumps[0]), "jump_truth": float(jumps[1])}
+    return row | compared(joints, true)
 
 
 def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
@@ -177,25 +178,46 @@ def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
     return Table([("4 cm of noise", None), *heads], rows)
 
 
-def pushed(seen: recon.Joints3D, true: Tensor, prior: str, lag: int) -> Row:
-    """A clip pushed moment by moment."""
-    stream = recon.Stream(prior, lag)
-    found: list[Tensor] = []
-    spent: list[float] = []
-    for moment in range(seen.moments):
-        one = seen[0].window(moment / FPS, moment / FPS)
+def hour(motion: Motion, minutes: int = 60) -> Table:
+    """A stream of a recording that is run there and back, under the pose prior."""
+    period, body = there_and_back(motion, 2 * (motion.frames - 1) / FPS), BodyModel.load()
+    seen = noisy_joints(period[None], body, SEED, NOISE)
+    row = pushed(seen, body.pose(period).joints, "pose", 15, minutes * 60 * round(FPS))
+    heads = {"median": "CPU ms a push, median", "p95": "95 %", "longest": "longest",
+             "mb": "MB more after the first minute", "jump": "largest change of velocity m/s",
+             "jump_truth": "the truth's m/s"}  # fmt: skip
+    columns = [("4 cm of noise", None), ("error cm", 2), *((name, 1) for name in heads.values())]
+    cells = [number(row["error"], 100), *(number(row[key]) for key in heads)]
+    return Table(columns, [[f"pose, lag 15, {minutes} minutes", *cells]])
+
+
+def pushed(
+    seen: recon.Joints3D, true: Tensor, prior: str, lag: int, moments: int | None = None
+) -> Row:
+    """A clip pushed moment by moment, again and again where there are to be more moments."""
+    known = true[torch.arange(moments or len(true)) % len(true)]
+    joints, rows = torch.full_like(known, torch.nan), iter(range(len(known)))
+    stream, spent, peaks = recon.Stream(prior, lag), list[float](), list[float]()
+    for k in range(len(known)):
+        one = seen[0].window(k % len(true) / FPS, k % len(true) / FPS)
         began = time.process_time()
-        estimate = stream.push(one, moment / FPS)
+        estimate = stream.push(one, k / FPS)
         spent.append(1000 * (time.process_time() - began))
-        found += [] if estimate is None else [each.joints for each in estimate.every]
-    found += [each.joints for each in stream.finish()]
-    joints = torch.stack(found)
-    return {"median": float(np.median(spent)), "longest": max(spent), **compared(joints, true)}
+        for told in () if estimate is None else estimate.every:
+            joints[next(rows)] = told.joints
+        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    for told in stream.finish():
+        joints[next(rows)] = told.joints
+    row = {"median": float(np.median(spent)), "p95": float(np.quantile(spent, 0.95))}
+    row |= {"longest": max(spent), "mb": peaks[-1] - peaks[: 60 * round(FPS)][-1]}
+    return row | compared(joints, known)
 
 
 def compared(joints: Tensor, true: Tensor) -> Row:
-    """The mean distance of joints, metres."""
-    return {"error": float((joints - true[: len(joints)]).norm(dim=-1).mean())}
+    """The mean distance of joints, metres, and the largest changes of velocity, m/s."""
+    true = true[: len(joints)]
+    own, best = (float(p.diff(n=2, dim=0).norm(dim=-1).max() * FPS) for p in (joints, true))
+    return {"error": float((joints - true).norm(dim=-1).mean()), "jump": own, "jump_truth": best}
 
 
 def cost_of(*words: str, folder: Path) -> tuple[float, float]:

@@ -14,9 +14,11 @@ from torch import Tensor
 
 from recon.core.arrays import (
     bool_tensor,
+    cloud_points,
     finite,
     first_where,
     float_tensor,
+    geometries_given,
     index_tuple,
     positive,
     require_shape,
@@ -63,6 +65,26 @@ def checked_positions(
     POSITION.check(positions.detach().cpu(), kind, name)
     _refuse_other_units(kind, name, positions.detach(), visible)
     return positions, visible
+
+
+def padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Clouds of any sizes, one per moment, as one array (moments, points, 3) and what it holds.
+
+    Args:
+        given: arrays (N, 3), or clouds and meshes of Open3D, metres.
+
+    Raises:
+        ValueError: when one has no points of three coordinates, or all are empty.
+    """
+    several = geometries_given(given) or given
+    clouds = [cloud_points(one, f"PointCloud, moment {k}") for k, one in enumerate(several)]
+    most = max(map(len, clouds), default=0)
+    if most == 0:
+        raise ObservationError("PointCloud: expected points, but no cloud has any")
+    present = np.arange(most) < np.array([len(one) for one in clouds])[:, None]
+    points = np.zeros((*present.shape, 3))
+    points[present] = np.concatenate(clouds)
+    return points, present
 
 
 def checked_std(

@@ -63,6 +63,7 @@ PLACES: Mapping[str, BodyPlace] = {
     "nose": BodyPlace(landmarks=("nose",)),
     "left_mouth": BodyPlace(landmarks=("nose", "chin")),
     "right_mouth": BodyPlace(landmarks=("nose", "chin")),
+    "head_centre": BodyPlace(landmarks=("left_ear", "right_ear")),
     "head_top": BodyPlace(landmarks=("head_top", "left_front_head", "right_front_head")),
     "neck": BodyPlace(joints=("left_shoulder", "right_shoulder")),
     "upper_neck": BodyPlace(joints=("neck",)),

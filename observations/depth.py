@@ -9,7 +9,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.checks import checked_clock, checked_positions, checked_view
+from observations.checks import (
+    checked_clock,
+    checked_positions,
+    checked_view,
+    padded_clouds,
+)
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
@@ -82,9 +87,9 @@ class PointCloud(Sensor):
     def __init__(
         self,
         points: Numbers,
-        present: Numbers,
-        surfels: Surfels,
-        fps: float,
+        present: Numbers | None = None,
+        surfels: Surfels | None = None,
+        fps: float | None = None,
         start_time: float = 0.0,
         camera: Camera | None = None,
         kernel: Callable[[Tensor, Tensor], Tensor] = tukey,
@@ -97,11 +102,16 @@ class PointCloud(Sensor):
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not present becomes zero.
 
-        A camera without leading axes stands still.
+        A camera without leading axes stands still. Without `present`, the points are one cloud
+        per moment, of any sizes: arrays (N, 3), or clouds and meshes of Open3D. Without
+        `surfels`, the surface is that of the bundled body. The rate `fps` must be given.
 
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
+        if present is None:
+            points, present = padded_clouds(points)
+        surfels = Surfels.of(BodyModel.load()) if surfels is None else surfels
         points, present = checked_positions("PointCloud", "points", points, "present", present)
         fps, start_time = checked_clock("PointCloud", fps, start_time)
         view = None if camera is None else checked_view("PointCloud", camera, points)

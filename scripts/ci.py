@@ -100,6 +100,13 @@ def slow() -> None:
     numerics(AVX2_KERNELS)
 
 
+def extras() -> None:
+    """Install the extra `open3d`, 0.9 GB, and run the tests that are skipped without it."""
+    run(*PIP, "--editable", ".[open3d]")
+    run("-c", "import open3d")  # on Linux it needs libusb of the system, and fails here without
+    run("-m", "pytest", "-q", "-n", "0", "tests/api/test_open3d.py")
+
+
 def figures() -> None:
     run("-m", "scripts.figures", "--gate")
 
@@ -112,10 +119,8 @@ def docs() -> None:
     run("-m", "mkdocs", "build", "--quiet", NO_MKDOCS_2_WARNING="1")
 
 
-STEPS: dict[str, Callable[[], None]] = {
-    step.__name__: step
-    for step in (install, develop, demo, lint, types, test, numerics, slow, figures, dist, docs)
-}
+_STEPS = (install, develop, demo, lint, types, test, numerics, slow, extras, figures, dist, docs)
+STEPS: dict[str, Callable[[], None]] = {step.__name__: step for step in _STEPS}
 
 
 def changelog(root: Path, base: str) -> None:

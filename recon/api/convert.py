@@ -1,7 +1,6 @@
 """`recon.convert`: a recording of motion capture as a motion of the body."""
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.made import Made
 from recon.api.result import described
 from recon.core.arrays import positive
-from recon.core.units import Up
+from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.findings import Finding
 from recon.ingest import single
 from recon.ingest.transfer import transfer
@@ -19,8 +18,9 @@ from recon.mocap.recording import MarkerRecording, SkeletonRecording
 def convert(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    unit: Unit | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     mapping: str | Path | None = None,
     fps: float | None = None,
     body: BodyLike = None,
@@ -41,7 +41,8 @@ def convert(
         recording: a file (.bvh, .amc, .c3d, .trc, .mat, also .xz, or FILE::MEMBER of an archive),
             or what `recon.mocap.reader.read_recording` made of it.
         unit: of the file; default: found out.
-        up: axis of the file that points up; default: found out.
+        up: axis of the file that points up, or down; default: found out.
+        hand: handedness of the coordinates of markers; default: found out.
         mapping: JSON or TOML file that says which of its joints or markers are which.
         fps: rate of the result, frames per second; default: the recording's.
         body: whose motion it becomes; a SMPL-family file; default: the bundled body.
@@ -57,7 +58,7 @@ def convert(
     rate = None if fps is None else positive(fps, "fps")
     source = str(recording) if isinstance(recording, Path) else recording
     found = single.convert(
-        source, model, unit=unit, up=up, mapping=mapping, fps=rate,
+        source, model, unit=unit, up=up, hand=hand, mapping=mapping, fps=rate,
         keep_frame=keep_frame,
     )  # fmt: skip
     about = {

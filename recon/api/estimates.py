@@ -9,10 +9,12 @@ from torch import Tensor
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
 from recon.body.model import BodyModel
 from recon.core.arrays import positive
+from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Up, to_z_up
+from recon.core.skeleton import FEET
+from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.estimates import BodyEstimate, read_estimate
 from recon.formats.opening import load_arrays
 
@@ -26,6 +28,7 @@ def estimate_given(
     own_body: bool,
     shape: ShapeLike | None,
     frame_rate: float | None,
+    unit: str | None,
     up: Up | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
@@ -37,8 +40,9 @@ def estimate_given(
         own_body: whether the caller gave the body, so that coefficients of a file are of it.
         shape: that is held; None takes the estimate's or the average.
         frame_rate: frames per second of an estimate that does not say it.
+        unit: of its translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up; None tells it from how the body stands.
-        person: which of several people in a file, from 1 on.
+        person: which of several people in a file, from 0 on.
 
     Raises:
         ReconError: when it is damaged, no estimate, lasts less than four frames, or its frame rate
@@ -67,6 +71,13 @@ def estimate_given(
         fps=rate,
     )
     pelvis = body.rest_joints(coefficients)[0]
+    check_override(unit)
+    if unit is None:
+        feet = body.pose(placed).joints[:, list(FEET)] - placed.translation[:, None]
+        path, steps = read.translation[read.known], feet.double().numpy()[read.known]
+        unit, said = unit_of_path(path, steps, rate, str(motion))
+        words = (*said, *words)
+    placed = placed.replace(translation=METRES[unit] * placed.translation)
     turn = torch.eye(4)
     turn[:3, :3] = torch.from_numpy(to_z_up(read.up))
     upright = placed.carried(turn, pelvis)

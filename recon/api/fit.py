@@ -28,13 +28,13 @@ from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Up
+from recon.core.units import Unit, Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
-from recon.formats.foreign import holds_sam3d_body
+from recon.formats.producers import holds_sam3d_body, is_estimate, refuse_others
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -78,7 +78,7 @@ def fit(
     or your own (.npy, .npz, .csv, .json, .trc); markers of a laboratory (.c3d, .trc); with a frame
     rate and a camera (which one view of a phone does not need), 2D detections of OpenPose, MMPose,
     AlphaPose, MediaPipe, DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder
-    of views); a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with a
+    of views); a folder of scans (.ply, .pcd, .obj); a folder of 16-bit depth images (.png, with a
     camera). A file of SMPL parameters that a network told from video (.pt, .pkl, .npz) is refined,
     as `recon.refine` does.
 
@@ -134,11 +134,12 @@ def fit(
         observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
-    if paths and _is_estimate(paths):
+    if paths and is_estimate(paths):
         _refuse_others(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
-            frame_rate=how_read.frame_rate, up=how_read.up, person=how_read.person,  # pyright: ignore[reportArgumentType]
+            frame_rate=how_read.frame_rate, unit=how_read.unit, up=how_read.up,
+            person=how_read.person,  # pyright: ignore[reportArgumentType]
             ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
@@ -229,6 +230,7 @@ def refine(
     body: BodyLike = None,
     shape: ShapeLike | None = None,
     frame_rate: float | None = None,
+    unit: Unit | None = None,
     up: Up | None = None,
     person: int | None = None,
     ground: GroundChoice | str = "unknown",
@@ -253,8 +255,9 @@ def refine(
         shape: of the person, as `recon.retarget` takes it ("height=1.80"), on the bundled body,
             for which coefficients of another body model mean nothing; None is the average shape.
         frame_rate: frames per second of an estimate that does not say it.
-        up: axis of the estimate's world that points up; None tells it from how the body stands.
-        person: which of several people in a file, from 1 on; None takes the one of most frames.
+        unit: of the estimate's translation; None tells it from feet that stand.
+        up: axis of the estimate's world that points up, or down; None tells it from the body.
+        person: which of several people in a file, from 0 on; None takes the one of most frames.
         ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
         how: others of `recon.fit`.
 
@@ -265,11 +268,12 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    if isinstance(motion, str | Path):
+        refuse_others(Path(motion), "refine")
     if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
-        who = None if person is None else person - 1
         return fit(
-            [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate, up=up,
-            person=who, **how,
+            [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
+            unit=unit, up=up, person=person, **how,
         )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
@@ -277,7 +281,7 @@ def refine(
 
     model = body_given(body)
     own = body is not None
-    given, known, notes = estimate_given(motion, model, own, shape, frame_rate, up, person)
+    given, known, notes = estimate_given(motion, model, own, shape, frame_rate, unit, up, person)
     if given.frames < LEAST_FRAMES:
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
@@ -291,15 +295,9 @@ def refine(
     return replace(result, notes=(*notes, *result.notes), examined=examined)
 
 
-def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.foreign import is_estimate  # of files alone
-
-    return is_estimate(paths)
-
-
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
-    heeded = ("frame_rate", "up", "person")
+    heeded = ("frame_rate", "unit", "up", "person")
     given = [name for name in options.given() if name not in heeded]
     given += [] if start is None else ["start"]
     if given:

@@ -56,24 +56,6 @@ def paths_given(given: Any) -> tuple[Path, ...]:
     return tuple(Path(one) for one in several) if every else ()
 
 
-def geometries_given(given: Any) -> tuple[Any, ...]:
-    """Geometries of Open3D, one per frame, known by what they have; else none.
-
-    Depth images are pairs (image, lens).
-    """
-    pair = isinstance(given, tuple) and hasattr(given[-1] if given else None, "intrinsic_matrix")
-    several = tuple(given) if isinstance(given, list | tuple) and not pair else (given,)
-    return several if all(map(_is_geometry, several)) else ()
-
-
-def _is_geometry(one: Any) -> bool:
-    if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
-        return hasattr(one[0], "depth")
-    if isinstance(one, MotionResult) or hasattr(one, "fps"):  # records of ours have a clock
-        return False
-    return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
-
-
 def body_given(given: BodyLike) -> BodyModel:
     """The body, read where a path is given.
 

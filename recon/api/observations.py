@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
+from recon.core.arrays import is_geometry
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.observed import Clip
 from recon.method.sensor import Sensor, frame_is_level, unposed_camera
@@ -137,6 +138,11 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
 
 
 def _no_observation(given: object) -> ObservationError:
+    if is_geometry(given):
+        return ObservationError(
+            "expected either geometries of Open3D, one per frame, or observations, got both; make "
+            "the geometries an observation first, recon.read(geometries, frame_rate=...)"
+        )
     return ObservationError(
         "expected observations (recon.Joints3D, Markers3D, Keypoints2D, PointCloud or a sensor of "
         "your own that derives from recon.method.Sensor; "

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from recon.api.given import geometries_given, paths_given
+from recon.api.given import paths_given
 from recon.api.observations import Sighting, clip_of, counted_less_beyond, on_ground
 from recon.body.model import BodyModel
-from recon.core.arrays import finite
+from recon.core.arrays import finite, geometries_given
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, Examined, checked

@@ -29,7 +29,7 @@ from recon.ingest.subject import SubjectModel
 
 logger = logging.getLogger(__name__)
 
-CONVERSION_VERSION = 6
+CONVERSION_VERSION = 7
 """Raised when the conversion gives other results, so that old outputs are made anew."""
 _CALIBRATION_CLIPS = 200
 _CALIBRATED_TOGETHER = 4

@@ -14,6 +14,7 @@ from pathlib import Path
 from recon.batch.collection import Content, SourceClip, contents, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
+from recon.core.visible import visible
 from recon.formats.replacing import clear_leftovers, file_checksum, part_of, replacing
 from recon.ingest.conversion import Conversion, convert_skeletons, glitches
 from recon.ingest.maps import recognise
@@ -42,7 +43,8 @@ def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
     with replacing(out / "report.csv") as beside, beside.open("w", newline="") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
-        writer.writerows(ordered)
+        for row in ordered:
+            writer.writerow({k: visible(v) if isinstance(v, str) else v for k, v in row.items()})
     with replacing(out / "report.json") as beside:
         beside.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
 

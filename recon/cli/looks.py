@@ -3,10 +3,18 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 from recon.cli.own import check_plugs
 
 _ENDINGS = (".c3d", ".trc")
+EXPECTED = (
+    "an observation (.npz), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session "
+    "folder), markers (.c3d, .trc), 2D keypoints (.json, .csv or folders of them, with --camera), "
+    "a folder of scans (.ply, .pcd, .obj, .xyz) or depth images (.png)"
+)
+_HEAD = 1 << 16
+"""Bytes at the start of a file that are looked at."""
 
 
 def look_at(given: Mapping[str, Any]) -> None:
@@ -20,11 +28,10 @@ def look_at(given: Mapping[str, Any]) -> None:
     """
     if (settings := given.get("settings")) is not None:
         check_plugs(settings.prior, settings.reader)
-        from recon.formats.foreign import is_estimate, refuse_foreign
         from recon.method.plugins import SENSORS, registered
 
         paths = given.get("observations", ())
-        if settings.reader is None and not registered(SENSORS) and not is_estimate(paths):
+        if settings.reader is None and not registered(SENSORS):
             refuse_foreign(paths)
             if settings.up is None:
                 refuse_unknown_markers(paths, settings.mapping, settings.unit)
@@ -34,14 +41,71 @@ def look_at(given: Mapping[str, Any]) -> None:
         refuse_unknown_recording(recording, given["unit"], given["up"])
 
 
+def refuse_foreign(paths: Sequence[Path]) -> None:
+    """Refuse files that cannot be fitted, by who wrote them, suffix and first bytes.
+
+    Raises:
+        ValueError: says what was seen and what would fit.
+    """
+    from recon.core.errors import FormatError
+    from recon.formats.producers import producer_of, refuse_others
+
+    for path in paths:
+        refuse_others(path, "fit")
+        if not path.is_file():
+            continue
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+        if len(head) == 0:
+            raise FormatError(f"{path}: the file is empty")
+        wrong = _wrong(path, head, known=producer_of(path) is not None)
+        if wrong is not None:
+            raise FormatError(f"{path}: {wrong}")
+
+
+def _wrong(path: Path, head: bytes, *, known: bool) -> str | None:
+    """What is wrong with a file, by its ending and first bytes; None where nothing is."""
+    ending = path.suffix.lower()
+    text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
+    first = repr(text.strip().splitlines()[0][:60]) if text.strip() else "nothing"
+    match ending:
+        case ".npz" if not is_zipfile(path):
+            return "expected an .npz file of plain arrays, but it cannot be read"
+        case ".npy" if not head.startswith(b"\x93NUMPY"):
+            return "expected an .npy file, got other bytes"
+        case ".c3d" if head[1:2] != b"\x50":
+            return "expected a C3D file, whose second byte is 0x50"
+        case ".trc" if not text.lower().startswith("pathfiletype"):
+            return f"expected a TRC file, whose first line is PathFileType; got {first}"
+        case ".csv" if not known:
+            return (
+                "expected a table of keypoints: columns such as left_hip_x, left_hip_y, "
+                "left_hip_z, or frame, keypoint, x, y, z, or DeepLabCut's header rows scorer, "
+                f"bodyparts, coords; got {first}"
+            )
+        case ".json" if text.lstrip()[:1] not in ("{", "["):
+            return "expected JSON, which begins with { or ["
+        case ".json" if len(head) < _HEAD and not known:
+            return (
+                "expected keypoints in JSON (people, annots, keypoints, landmarks, bodies, "
+                f"names); got {text[:60]!r}"
+            )
+        case _ if known or ending in (".npz", ".npy", ".json"):
+            return None
+        case _:
+            return f"files ending in {ending or 'nothing'} are not known; expected {EXPECTED}"
+
+
 def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> None:
     """Refuse a recording whose skeleton or markers are not known.
 
     Raises:
         ValueError: says what was seen, and which mapping file to write.
     """
+    from recon.formats.producers import refuse_others
     from recon.mocap.reader import refuse_unknown_skeleton
 
+    refuse_others(path, "convert")
     refuse_unknown_skeleton(path)
     if up is None:
         refuse_unknown_markers([path], None, unit)

@@ -33,6 +33,8 @@ TYPES: dict[str, Any] = {
     "tuple[int, int] | None": str | None,
     "Axis": Literal["x", "y", "z"],
     "Up": Literal["x", "y", "z", "x-down", "y-down", "z-down"],
+    "Unit": Literal["m", "cm", "mm", "inch", "cmu"],
+    "Hand": Literal["left", "right"],
     "FurnitureName": FurnitureName,
     "LeftOver": LeftOver,
     "SensorKind": SensorKind,

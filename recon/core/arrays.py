@@ -39,6 +39,48 @@ def float_tensor(values: Any, name: str) -> Tensor:
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
 
+def geometries_given(given: Any) -> tuple[Any, ...]:
+    """Geometries of Open3D, one per frame, known by what they have; else none.
+
+    Depth images are pairs (image, lens).
+    """
+    pair = isinstance(given, tuple) and hasattr(given[-1] if given else None, "intrinsic_matrix")
+    several = tuple(given) if isinstance(given, list | tuple) and not pair else (given,)
+    return several if all(map(is_geometry, several)) else ()
+
+
+def is_geometry(one: Any) -> bool:
+    """Whether this is a cloud, a mesh or a pair of depth image and lens of Open3D."""
+    if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
+        return hasattr(one[0], "depth")
+    if hasattr(one, "motion") or hasattr(one, "fps"):  # results and records of ours have a clock
+        return False
+    return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
+
+
+def held_numbers(values: Any) -> np.ndarray:
+    """Numbers that Open3D holds: vectors of its older interface, tensors of the newer."""
+    values = values.cpu().numpy() if hasattr(values, "cpu") else values
+    return np.asarray(values, dtype=np.float64)
+
+
+def cloud_points(one: Any, name: str) -> np.ndarray:
+    """Points (N, 3) of an array, or of a cloud or mesh of Open3D, without those that are NaN.
+
+    Raises:
+        ValueError: when it has no points of three coordinates.
+    """
+    held = next((getattr(one, key) for key in ("points", "vertices") if hasattr(one, key)), one)
+    if held is one and is_geometry(one):  # open3d.t.geometry
+        inside = one.point if hasattr(one, "point") else one.vertex
+        held = held_numbers(inside["positions"]) if "positions" in inside else ()
+    found = held_numbers(held)
+    found = found.reshape(0, 3) if found.size == 0 else found
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
+    return found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
+
+
 def bool_tensor(values: Any, name: str) -> Tensor:
     """A mask as a tensor of true and false; numbers must be 0 and 1.
 

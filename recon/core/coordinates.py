@@ -19,6 +19,15 @@ _MARKER_EXTENT = (0.5, 2.5)
 _SANE_EXTENT = (0.05, 10.0)
 """Metres; outside it no body was recorded and the unit a file declares is wrong."""
 
+_FASTEST_SLIDE = 2.5
+"""Metres per second that the slowest foot has at most, half of the time, under a true scale."""
+_FAR = 30.0
+"""Metres from the origin from which on it must be the feet that say that they are metres."""
+_STEP_S = 0.15
+"""Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_SLOWER = 0.5
+"""Share of the speed of feet under one scale that a better one leaves."""
+
 _LOW = re.compile(
     r"foot|toe|heel|hee$|hel$|ank|calc|cal$|mt\d|\dmt|meta|mal$|^[lr]_?f(cc|al|m\d)$"
 )
@@ -37,6 +46,8 @@ _CLEAR = 1.5
 _STEADY = 0.25
 """Share of its movement along another axis, at most, by which the lowest point of a body that
 moves over a floor goes up and down."""
+_MOSTLY = 0.35
+"""Share of its length that the mean vector up a body has along an axis at least, else it turns."""
 _UPSIDE_DOWN = 0.5
 """Share of the swing of the feet below which that of the other end shows that it is at the floor:
 somebody stands on the hands."""
@@ -92,6 +103,46 @@ def check_declared(unit: str, size: float, name: str) -> str:
             f"{metres:.4g} m; give the true unit with --unit"
         )
     return f"unit {unit}: stated by the file"
+
+
+def unit_of_path(
+    path: Float[np.ndarray, "time 3"],
+    feet: Float[np.ndarray, "time points 3"],
+    fps: float,
+    name: str,
+) -> tuple[str, tuple[str, ...]]:
+    """Unit in which a body's path leaves a foot standing, and the reason where it is not metres.
+
+    Args:
+        path: of the body, in the unknown unit.
+        feet: points of both feet relative to it, metres; some are at rest most of the time.
+        fps: frames per second.
+        name: of the file, for messages.
+
+    Raises:
+        UnitsError: when it is not metres and nothing tells what else.
+    """
+    if len(path) < 2:
+        return "m", ()
+    step = min(max(round(_STEP_S * fps), 1), len(path) - 1)
+    moved = (path[step:] - path[:-step])[:, None] * (fps / step)
+    swung = (feet[step:] - feet[:-step]) * (fps / step)
+    m, cm, mm, still = (
+        float(np.median(np.linalg.norm(scale * moved + swung, axis=-1).min(1)))
+        for scale in (1.0, METRES["cm"], METRES["mm"], 0.0)
+    )
+    far = float(np.median(np.linalg.norm(path, axis=-1)))
+    if m < _FASTEST_SLIDE and (far < _FAR or m < _SLOWER * still):
+        return "m", ()
+    unit = "cm" if cm < _SLOWER * min(m, mm) else "mm" if mm < _SLOWER * min(m, cm) else ""
+    if unit == "cm" or (unit == "mm" and cm > _FASTEST_SLIDE):
+        slides = f"{m:.0f} m/s, so at {cm if unit == 'cm' else mm:.1f}"
+        return unit, (f"unit of the translation {unit}: as metres, feet would slide at {slides}",)
+    raise UnitsError(
+        f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
+        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
+        "is so), or divide it by the scale of the body"
+    )
 
 
 def head_above_feet(
@@ -167,8 +218,11 @@ def settled_up(
     Raises:
         UnitsError: when none of these tells.
     """
-    rise = head_above_feet(names, positions, visible)
-    if rise is None and usual is None:
+    vectors = along_body(names, positions, visible)
+    rise = vectors.mean(0) if len(vectors) else None
+    if rise is not None and abs(rise).max() < _MOSTLY * np.linalg.norm(vectors, axis=-1).mean():
+        rise = None
+    elif rise is None and usual is None:
         rise = extent
     try:
         up, reason = decide_up(rise, usual, name)
@@ -209,7 +263,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
         if usual is not None and rise @ to_z_up(usual)[2] >= 0.5 * abs(rise[best]):
             return usual, f"up axis {usual}: by the file's custom, the body lies or bends"
     elif usual is not None:
-        return usual, f"up axis {usual}: by the file's custom, no head and feet by name"
+        return usual, f"up axis {usual}: by the file's custom, no head and feet tell it"
     described = "unknown" if rise is None else np.array2string(rise, precision=3)
     raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "

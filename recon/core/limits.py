@@ -239,8 +239,8 @@ CALIBRATION = Limit(
     "a hundred cameras take 60 kB; poses of a camera that moves for long belong in .npz",
 )  # fmt: skip
 IMAGE = Limit(
-    "number of pixels", 1.0, 1.5e8, "",
-    "more than a 16K image has: no mask and no depth image is that large",
+    "size of an unpacked image", 1.0, 1.5e8, "bytes",
+    "a 16K image has fewer: save masks and depth images in shades of grey",
 )  # fmt: skip
 MODEL_NUMBERS = Limit(
     "number of numbers in an array of a body model", 0.0, 3e7, "",

@@ -90,6 +90,11 @@ def _leg(side: str) -> tuple[str, ...]:
     return _side(side, "hip", "knee", "ankle", f"foot{JOINT}")
 
 
+_AZURE = (
+    f"pelvis{JOINT}", "spine_navel", "spine_chest", f"neck{JOINT}",
+    *_arm("left"), *_arm("right"), *_leg("left"), *_leg("right"),
+    f"head{JOINT}", "nose", "left_eye", "left_ear", "right_eye", "right_ear",
+)  # fmt: skip
 LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "openpose25": (
@@ -117,10 +122,14 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "head_top", *_side("left", "shoulder", "elbow", "wrist"),
             *_side("right", "shoulder", "elbow", "wrist"),
         ),
-        "azure32": (
-            f"pelvis{JOINT}", "spine_navel", "spine_chest", f"neck{JOINT}",
-            *_arm("left"), *_arm("right"), *_leg("left"), *_leg("right"),
-            f"head{JOINT}", "nose", "left_eye", "left_ear", "right_eye", "right_ear",
+        "azure32": _AZURE,
+        "zed34": (*_AZURE, *_pairs("heel")),
+        "kinect25": (
+            f"pelvis{JOINT}", f"spine2{JOINT}", f"neck{JOINT}", "head_centre",
+            *_side("left", "shoulder", "elbow", "wrist", "hand"),
+            *_side("right", "shoulder", "elbow", "wrist", "hand"),
+            *_leg("left"), *_leg("right"), "thorax",
+            *_side("left", "fingertip", "thumb"), *_side("right", "fingertip", "thumb"),
         ),
         "smpl22": JOINTS,
     }
@@ -128,7 +137,9 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Names of the keypoints of every layout. `coco133` is its body part, the first 23 of 133.
 
 `azure32` is the Azure Kinect's skeleton in the order of `k4abt_joint_id_t` (azure-kinect body
-tracking SDK, body tracking joints), whose neck, head and feet are joints inside the body.
+tracking SDK, body tracking joints), whose neck, head and feet are joints inside the body;
+`kinect25` is that of Kinect v2 in the order of `JointType`, whose head is its middle. `zed34` is
+`azure32` with heels.
 """
 
 

@@ -11,8 +11,17 @@ Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 Up = Literal["x", "y", "z", "x-down", "y-down", "z-down"]
 """The direction that is up: along an axis, or against one, as y points down in cameras."""
+Hand = Literal["left", "right"]
+"""Handedness of coordinates; those of Unity, of Kinect's colour image and of mirrors are left."""
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
+Unit = Literal["m", "cm", "mm", "inch", "cmu"]
+METRES: dict[str, float] = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "inch": 0.0254,
+    "cmu": 0.0254 / 0.45,
+}
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
 
 _SPELLINGS = {

@@ -159,8 +159,7 @@ def gather(
     if len(rows) == 0:
         raise FormatError(
             f"{name}: expected people, but all {len(frame_numbers)} frames are empty of 2D "
-            "keypoints; run the detector again, or leave this view out (3D keypoints of OpenPose "
-            "or EasyMocap: save them as .npy, frames x points x 3)"
+            "keypoints; run the detector again, or leave this view out"
         )
     lengths = sorted({len(row[1]) for row in rows})
     if len(lengths) > 1:

@@ -11,7 +11,7 @@ from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.detections.records import Detections, Row, gather
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import first_rows, numbers, read_rows
+from recon.formats.text_tables import each_once, first_rows, numbers, read_rows
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -36,18 +36,20 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
         ValueError: when it is damaged or too few body parts are known by name.
     """
     name = path.name
-    table = read_rows(path, JSON)
-    header = {row[0].lower(): row[1:] for row in table[: len(_HEADERS)]}
+    header = {row[0].lower(): row[1:] for row in first_rows(path, len(_HEADERS)) if row}
     header = {key: header[key] for key in _HEADERS if key in header}
     if not {"bodyparts", "coords"} <= header.keys():
-        raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
+        raise FormatError(
+            f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or "
+            "DeepLabCut's header rows scorer, bodyparts, coords"
+        )
     parts, width = header["bodyparts"], len(header["coords"])
     individuals = header.get("individuals", ["one"] * len(parts))
     people = list(dict.fromkeys(individuals))
     PEOPLE.check(len(people), name, "individuals")
     KEYPOINTS.check(len(set(parts)), name, "bodyparts")
-    SAMPLES.check(max(len(table) * width, 1), name)
-    rows = table[len(header) :]
+    rows = read_rows(path, JSON)[len(header) :]
+    SAMPLES.check(max(len(rows) * width, 1), name)
     values = numbers(rows, range(1, width + 1), name, most=width + 1)
     found = [re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:]) for row in rows]
     frames = [int(number[1]) if number else line for line, number in enumerate(found)]
@@ -55,7 +57,9 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
         raise FormatError(f"{name}: expected increasing frame numbers in the first column")
     chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
     places = {normalised(part): part for part in parts}
-    triples = zip(individuals, parts, (c.lower() for c in header["coords"]), strict=False)
+    kinds = [coordinate.lower() for coordinate in header["coords"]]
+    triples = list(zip(individuals, parts, kinds, strict=False))
+    each_once([" ".join(triple) for triple in triples], name)
     columns = {triple: column for column, triple in enumerate(triples)}
     index = [
         [
@@ -111,6 +115,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     """
     name = path.name
     head, *rows = read_rows(path, JSON)
+    each_once(head, name)
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
     SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)

@@ -102,8 +102,8 @@ def basin_findings(
         f"{100 * outside:.0f} % of its surface lies where the sensor saw no body": (
             outside > _STICKING_OUT
         ),
-        f"half of the points lie more than {100 * labelled:.0f} cm from the place on it that "
-        "their labels name, in a quarter of the moments": labelled > math.hypot(_ELSEWHERE, noise),
+        f"half of the points lie more than {100 * labelled:.0f} cm from the part of it that they "
+        "look like, in a quarter of the moments": labelled > math.hypot(_ELSEWHERE, noise),
         "the points look like furniture or something else that is no body": (on_body < _NO_BODY),
     }
     said = [reason for reason, holds in reasons.items() if holds]
@@ -113,8 +113,9 @@ def basin_findings(
         Finding(
             "wrong basin",
             f"{name}: the fitted body does not agree with what the sensor saw: "
-            f"{', and '.join(said)}. The posture or the heading may be a wrong one, or much is "
-            "hidden; look at the result (recon view --obs), or add 2D keypoints",
+            f"{', and '.join(said)}. The posture or the heading may be a wrong one, much is "
+            f"hidden, or the {'scale or up axis' if cloud.camera is None else 'depth scale'} is "
+            "wrong; look at the result (recon view --obs), or add 2D keypoints",
             value=max(far, outside, labelled),
         )
     ]

@@ -8,6 +8,7 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
         return clip, Findings(warnings=(said,) if clip.motion.frames < clip.motion.fps else ())
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
@@ -26,7 +27,7 @@ from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
 from recon.diagnosis.points import screen_points
 from recon.fitting.fitted import ClipFit
-from recon.method.sensor import views_of
+from recon.method.sensor import Sensor, views_of
 
 
 @before_fit("view")
@@ -116,11 +117,27 @@ _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
+def _causes(observations: Sequence[Sensor]) -> str:
+    """What makes the size or the place of a body wrong, by the kinds of its sensors."""
+    causes = {
+        "focal lengths, image sizes, units and the poses of the cameras": any(
+            one.view for one in observations
+        ),
+        "the scale (--unit), the axes (--up, --hand) and the labels of the points": any(
+            one.named for one in observations
+        ),
+        "the scale (--unit) and the up axis (--up) of the clouds, and what else is in them": any(
+            one.cloud for one in observations
+        ),
+    }
+    return "; ".join(cause for cause, there in causes.items() if there) or "the scale of the data"
+
+
 @after_fit()
 def residuals(clip: Examined) -> tuple[Examined, Findings]:
     """Warnings about sensors whose residuals are far above their noise."""
     found: list[Finding] = []
-    for one in clip.residuals:
+    for sensor, one in zip(clip.observations, clip.residuals, strict=True):
         if one.median is None:
             said = Finding("unseen", "nothing was seen at the times of the motion")
             found.append(said.of(one.name))
@@ -132,8 +149,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
                 "residual",
                 f"half of the data is more than {one.median:.3g} {one.unit} away from the fitted "
                 f"body{where}, and the data's own noise is {one.noise:.2g}; what was recorded is "
-                "not what the file says: check which person, which points and which camera it "
-                "shows",
+                f"not what the file says: check which person it shows, {_causes([sensor])}",
                 points,
                 value=one.median,
             )
@@ -196,9 +212,7 @@ def body_findings(found: ClipFit) -> Findings:
     odd = float(posed.shape.abs().max())
     # markers off the skin distort the shape
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
-    sizes = "the unit, the scale and the labels of the points"
-    if views:
-        sizes = "focal lengths, units and the poses of the cameras"
+    sizes = _causes(found.observations)
     said = Findings()
     if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
         text = (
@@ -221,9 +235,8 @@ def body_findings(found: ClipFit) -> Findings:
         soles = float(sole_heights(found.result.motion, posed.model).median())
         if abs(soles) > _OFF_GROUND:
             text = (
-                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
-                "image sizes and the heights of the cameras, unless the person stands or sits on "
-                "something"
+                f"the soles stand at {soles:.2f} m, but the ground is at 0; check {sizes}, unless "
+                "the person stands or sits on something"
             )
             said += Findings(warnings=(Finding("floor", text, value=soles),))
     return said

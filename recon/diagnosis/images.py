@@ -42,6 +42,10 @@ class Images:
     """Whether each camera stands still."""
     rest: Float[np.ndarray, "points 3"]
     """Positions of the keypoints on the average body in its rest pose, metres."""
+    views: tuple[Keypoints2D, ...]
+    """The views that they were taken from."""
+    body: BodyModel
+    """Whose keypoints they are."""
 
     @classmethod
     def of(cls, views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel) -> "Images":
@@ -67,29 +71,26 @@ class Images:
             fps=views[0].fps,
             fixed=tuple(view.camera.T_camera_world.shape[-3] == 1 for view in views),
             rest=rest,
+            views=tuple(views),
+            body=body,
         )
 
-    def into(self, views: Sequence[Keypoints2D], given: "Images") -> list[Keypoints2D]:
-        """The views with these keypoints and poses in place of the given ones.
+    @property
+    def sensors(self) -> list[Keypoints2D]:
+        """The views with these keypoints and poses in place of their own.
 
         Views of which nothing changed are the very same objects.
         """
-        return [self._into(view, v, given) for v, view in enumerate(views)]
+        return [self._sensor(v, view) for v, view in enumerate(self.views)]
 
-    def _into(self, view: Keypoints2D, v: int, given: "Images") -> Keypoints2D:
-        changed = (self.pixels[v] != given.pixels[v]).any(-1)
-        changed |= self.confidence[v] != given.confidence[v]
-        if changed.any():
-            here = torch.from_numpy(changed).to(view.pixels.device)[None]
-            pixels = torch.from_numpy(self.pixels[v]).to(view.pixels)[None]
-            confidence = torch.from_numpy(self.confidence[v]).to(view.confidence)[None]
-            view = view.replace(
-                pixels=torch.where(here[..., None], pixels, view.pixels),
-                confidence=torch.where(here, confidence, view.confidence),
-            )
-        if not np.array_equal(self.pose[v], given.pose[v]):
-            pose = self.pose[v, :1] if self.fixed[v] else self.pose[v]
-            poses = torch.from_numpy(pose).to(view.camera.T_camera_world)[None]
+    def _sensor(self, v: int, view: Keypoints2D) -> Keypoints2D:
+        pixels = torch.from_numpy(self.pixels[v]).to(view.pixels)[None]
+        confidence = torch.from_numpy(self.confidence[v]).to(view.confidence)[None]
+        if not (torch.equal(pixels, view.pixels) and torch.equal(confidence, view.confidence)):
+            view = view.replace(pixels=pixels, confidence=confidence)
+        pose = self.pose[v, :1] if self.fixed[v] else self.pose[v]
+        poses = torch.from_numpy(pose).to(view.camera.T_camera_world)[None]
+        if not torch.equal(poses, view.camera.T_camera_world):
             view = view.replace(camera=view.camera.replace(T_camera_world=poses))
         return view
 
@@ -141,6 +142,7 @@ class Images:
             size=tuple(self.size[v] for v in index),
             names=tuple(self.names[v] for v in index),
             fixed=tuple(self.fixed[v] for v in index),
+            views=tuple(self.views[v] for v in index),
         )
 
     def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":

@@ -287,7 +287,7 @@ def screen_views(
     out, found = list(views), NOTHING
     for rows, given in together(views, names, body):
         images, more = screened(given)
-        for k, view in zip(rows, images.into([views[k] for k in rows], given), strict=True):
+        for k, view in zip(rows, images.sensors, strict=True):
             out[k] = view
         found += more
     return out, found

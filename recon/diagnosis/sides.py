@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from recon.diagnosis.findings import NOTHING, Finding, Findings, spans, stretches
+from recon.diagnosis.findings import Finding, Findings, spans, stretches
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
 
@@ -94,27 +94,43 @@ _TOGETHER = 5
 
 
 def repaired_sides(images: Images) -> tuple[Images, Findings]:
-    """Left and right given back their names, and what was found."""
+    """Left and right given back their names, and what was found.
+
+    Where one view is all there is, only continuity tells; then a fit must confirm every stretch,
+    and what it does not confirm is a warning.
+    """
     flags = exchanged_sides(images)
+    doubted = np.zeros_like(flags)
+    if len(flags) == 1 and flags.any():
+        # fits are needed where names seem to be exchanged
+        from recon.diagnosis.quick_fit import confirmed_sides
+
+        sure = confirmed_sides(images, flags[0])[None]
+        flags, doubted = sure, flags & ~sure
     found = list(zip(images.names, flags, strict=True))
     if len(flags) > 1 and (flags == flags[0]).all():
         found = [("all views", flags[0])]
     said = tuple(_sides_finding(name, own, images) for name, own in found if own.any())
-    return (images.exchanged(flags), Findings(said)) if said else (images, NOTHING)
+    doubts = zip(images.names, doubted, strict=True)
+    asked = tuple(_sides_finding(*one, images, sure=False) for one in doubts if one[1].any())
+    return (images.exchanged(flags) if said else images), Findings(said, asked)
 
 
-def _sides_finding(name: str, here: Bool[np.ndarray, " moments"], images: Images) -> Finding:
+def _sides_finding(
+    name: str, here: Bool[np.ndarray, " moments"], images: Images, *, sure: bool = True
+) -> Finding:
     throughout = bool(here[images.seen.any((0, 2))].all())
     frames = () if throughout else stretches(here)
     when = "throughout" if throughout else f"in {spans(frames)}"
-    return Finding(
-        "sides exchanged",
+    said = (
         f"left and right are exchanged {when}; they were given back their names. Detectors "
-        "confuse them in views from the side and from behind",
-        (),
-        frames,
-        float(here.mean()),
-    ).of(name)
+        "confuse them in views from the side and from behind"
+        if sure
+        else f"left and right may be exchanged {when}, or just before or after: they jump onto "
+        "each other's path. One view does not tell for sure, and they kept their names; look at "
+        "these frames, cut them off (--between) or add a view"
+    )
+    return Finding("sides exchanged", said, (), frames, float(here.mean())).of(name)
 
 
 def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:

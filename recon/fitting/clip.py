@@ -22,6 +22,7 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
 from recon.fitting.stages import (
+    paced_by_size,
     prior_stages,
     shape_found_once,
     shape_held,
@@ -229,6 +230,8 @@ class ClipProblem:
                 stages = with_shape_terms(stages, of_shape)
             elif self.one_view:
                 stages = shape_found_once(stages)
+            if self.size_untold:
+                stages = paced_by_size(stages)
             stages = with_scene(stages, moved, terms)
             return stages if self.guess.distance_known else without_root(stages)
 

@@ -18,9 +18,10 @@ class ReadOptions:
     """Unit of positions and scans, where the file is wrong about it."""
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
     """Axis that points up, or down, where the file is wrong about it."""
+    hand: Literal["left", "right"] | None = None
+    """Handedness of the coordinates; default: told from the body, where points have names."""
     frame_rate: float | None = None
-    """Frames per second of detections, 3D keypoints, scans and estimates, where files do not
-    tell."""
+    """Frames per second of detections, 3D keypoints, scans, estimates, where files do not tell."""
     layout: str | None = None
     """Layout of the keypoints, in images or in space, where files do not tell: openpose25,
     coco17, h36m17, ..."""

@@ -8,7 +8,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.methods import FitOptions, checked_method, loaded
 from recon.method.stages import Stage, Stages
-from recon.method.terms import Term
+from recon.method.terms import Term, joint_acceleration, relative_acceleration
 
 _PLACE = frozenset({"translation", "root"})
 _SHAPE = frozenset({"shape"})
@@ -76,6 +76,28 @@ def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """
     first = until_shape(stages)
     return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
+
+
+def paced_by_size(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages that move the shape with accelerations in units of the body's size.
+
+    In one view, a person half as large and half as far away looks the same and accelerates half
+    as much in metres: smoothness would shrink walkers by a third.
+    """
+    return tuple(
+        replace(
+            stage,
+            terms=tuple(
+                replace(term, energy=relative_acceleration)
+                if term.energy == joint_acceleration
+                else term
+                for term in stage.terms
+            ),
+        )
+        if "shape" in stage.free
+        else stage
+        for stage in stages
+    )
 
 
 def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:

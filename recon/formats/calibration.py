@@ -133,7 +133,10 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[st
                 f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
                 "per camera in this folder"
             )
-        return {k: v for one in files for k, v in _read(one, level=level)[0].items()}, ()
+        found = [pair for one in files for pair in _read(one, level=level)[0].items()]
+        if len(dict(found)) < len(found):
+            raise FormatError(f"{path}: expected one file per camera, got two of one name")
+        return dict(found), ()
     existing(path)
     match path.suffix.lower():
         case ".toml":

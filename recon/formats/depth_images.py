@@ -14,7 +14,7 @@ from recon.formats.observations import CameraArrays, PointsFile
 from recon.formats.opening import existing
 from recon.formats.scans import POINTS, naturally, thinned
 
-_HEAD = struct.Struct(">8s4x4sII")
+_HEAD = struct.Struct(">8s4x4sIIBB")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -36,10 +36,11 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     data = path.read_bytes()
     if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
         raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")
-    _, name, width, height = _HEAD.unpack_from(data)
+    _, name, width, height, bits, colour = _HEAD.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
-    IMAGE.check(width * height, path, "header")
+    # grey has one channel; cv2 gives others up to four
+    IMAGE.check(width * height * max(bits // 8, 1) * (4 if colour else 1), path, "header")
     if size is not None and (width, height) != size:
         raise FormatError(
             f"{path}: the camera has images of {size[0]} x {size[1]}, this one is {width} x "

@@ -25,12 +25,13 @@ from recon.core.units import Up, to_z_up
 from recon.formats.opening import check_tree, existing, load_arrays
 from recon.formats.pickles import read_tree
 
-SUFFIXES = (".npz", ".pt", ".pth", ".pkl")
+SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
 _ROOT = ("global_orient", "root_orient")
 _BODY = ("body_pose", "pose_body")
-_WHOLE = ("pose_world", "poses", "pose", "fullpose")
-_PLACE = ("trans_world", "transl", "trans")
-_SHAPE = ("betas", "shape")
+_WHOLE = ("pose_world", "poses", "pose", "fullpose", "pred_rotmat", "smpl_poses")
+_PLACE = ("trans_world", "transl", "trans", "pred_trans", "smpl_trans")
+_SHAPE = ("betas", "shape", "pred_shape")
+_FRAMES = ("frame_ids", "frame")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _IN_CAMERA = ("incam", "_cam", "camera")
 _DAMAGE = (
@@ -69,7 +70,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
 
     Args:
         path: the file.
-        person: which of several people, by their order in the file, from 1 on; None takes the one
+        person: which of several people, by their order in the file, from 0 on; None takes the one
             of the most frames.
         up: axis that points up; None tells it from how the body stands.
 
@@ -93,6 +94,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array(path, arrays, _PLACE).reshape(-1, 3)
+    if "smpl_scaling" in arrays:  # AIST++ scales the body, not the world
+        translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
+        notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
         raise FormatError(
             f"{path}: expected as many frames of translation as of rotations, got "
@@ -120,7 +124,7 @@ def _tree(path: Path) -> Tree:
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return load_arrays(path)
-    if suffix == ".pkl":
+    if suffix in (".pkl", ".npy"):
         return _by_person(read_tree(path))
     if suffix not in SUFFIXES:
         raise FormatError(
@@ -199,16 +203,16 @@ def _in_camera(where: tuple[Any, ...]) -> bool:
 def _chosen(
     path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
 ) -> tuple[int, list[str]]:
-    if person is not None and not 1 <= person <= len(people):
-        raise FormatError(f"{path}: expected a person from 1 to {len(people)}, got {person}")
+    if person is not None and not 0 <= person < len(people):
+        raise FormatError(f"{path}: expected a person from 0 to {len(people) - 1}, got {person}")
     if person is not None:
-        return person - 1, []
+        return person, []
     frames = [len(_numbers(next(a[k] for k in _PLACE if k in a))) for _, a in people]
     number = int(np.argmax(frames))
     if len(people) == 1:
         return 0, []
     return number, [
-        f"person {number + 1} of {len(people)} is taken, the one of the most frames "
+        f"person {number} of {len(people)} is taken, the one of the most frames "
         f"({frames[number]}); --person chooses another"
     ]
 
@@ -285,10 +289,11 @@ def _on_clock(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The estimate on an even clock: frames without the person repeat the last one."""
     frames = np.arange(len(known))
-    if "frame_ids" in arrays:
-        ids = np.asarray(arrays["frame_ids"]).ravel()
+    key = next((key for key in _FRAMES if key in arrays), None)
+    if key is not None:
+        ids = _numbers(arrays[key]).ravel()
         if ids.dtype.kind not in "iu" or len(ids) != len(known) or (np.diff(ids) <= 0).any():
-            raise FormatError(f"{path}: expected frame_ids that grow, one for every frame")
+            raise FormatError(f"{path}: expected {key} that grow, one for every frame")
         frames = ids - ids[0]
     count = int(frames[-1]) + 1
     limits.FRAMES.check(count, path, "frame_ids")

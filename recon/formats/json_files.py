@@ -10,12 +10,19 @@ from typing import Any
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import FRAME_NUMBER, JSON, PERSON
+from recon.core.limits import FRAME_NUMBER, JSON, PERSON, Limit
 from recon.formats.opening import decode, read_bytes
 
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""
 
+_ENTRIES = Limit(
+    "number of entries in JSON, where a list counts as two more and a dictionary as six", 0.0,
+    1.2e7, "", "each takes fifty bytes in memory: cut the recording",
+)  # fmt: skip
+_JSON_FRAMES = Limit(
+    "number of frames in a JSON file", 0.0, 1e6, "", "nine hours at 30 Hz: cut the recording"
+)
 _NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
 _NAME = 200
 """Characters at the end of a name among which its number is."""
@@ -29,8 +36,22 @@ def read_json(path: Path) -> Any:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty or damaged.
     """
+    return _parsed(path, *_contents([path], path))
+
+
+def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
+    """Contents of files, refused where the lists and dictionaries in them would take too much."""
+    found = [read_bytes(path, JSON) for path in paths]
+    # letters beyond ASCII make all of a text two to four times as large
+    JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
+    sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
+    _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
+    return found
+
+
+def _parsed(path: Path, data: bytes) -> Any:
     try:
-        return json.loads(decode(read_bytes(path, JSON)))
+        return json.loads(decode(data))
     except (RecursionError, json.JSONDecodeError) as error:
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     except ValueError as error:
@@ -51,7 +72,9 @@ def read_frame_folder(folder: Path) -> Frames:
         raise FormatError(f"{folder}: expected one .json file per frame, found none")
     JSON.check(sum(path.stat().st_size for path in paths), folder)
     numbers = frame_numbers([path.stem for path in paths], str(folder))
-    return [(numbers[k], read_json(paths[k])) for k in np.argsort(numbers, kind="stable").tolist()]
+    found = _contents(paths, folder)
+    order = np.argsort(numbers, kind="stable").tolist()
+    return [(numbers[k], _parsed(paths[k], found[k])) for k in order]
 
 
 def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
@@ -94,6 +117,11 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     Raises:
         ValueError: when only some state one, or two the same.
     """
+    _JSON_FRAMES.check(len(entries), name)
+    if strange := [one for one in entries if not isinstance(one, dict | list | None)]:
+        raise FormatError(
+            f"{name}: expected a record or list of each frame, got {strange[0]!r:.40}"
+        )
     stated = [_stated_number(entry) for entry in entries]
     if all(number is None for number in stated):
         return list(enumerate(entries))

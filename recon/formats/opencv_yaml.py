@@ -52,6 +52,8 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
         return {path.stem: _single(path, values)}
     beside = path.with_name("extri.yml")
     poses = _read(beside) if path.name.lower() == "intri.yml" and beside.is_file() else values
+    if len(set(names)) < len(names):
+        raise FormatError(f"{path}: expected every camera's name once, got {', '.join(names)}")
     if without := [name for name in names if f"K_{name}" not in values]:
         raise FormatError(f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}")
     return {
@@ -105,8 +107,10 @@ def _read(path: Path) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for start, stop in zip(starts, [*starts[1:], len(text)], strict=False):
         name, value = _entry(path, text[start:stop])
+        if name in values:
+            raise FormatError(f"{path}: expected every entry once, got {name} twice")
         if value is not None:
-            values.setdefault(name, value)
+            values[name] = value
     return values
 
 

@@ -5,13 +5,14 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, DEPTH, ENTRIES, PAYLOAD, TEXT, Limit
+from recon.core.limits import BINARY, DEPTH, ENTRIES, MASKS, PAYLOAD, TEXT, Limit
 from recon.formats.replacing import clear_leftovers
 from recon.formats.replacing import replacing as replacing
 
@@ -26,8 +27,22 @@ HEADERS = {
     (2, 0): np.lib.format.read_array_header_2_0,
 }
 """Readers of the headers of arrays, by version."""
+_PACKED = (
+    "recordings are packed to a fifth of their size, no file of zeros is one: save it unpacked"
+)
+_LONGEST_TEXT = 1 << 20
+"""Bytes of one text in an array; the longest that are saved are names and settings."""
 _MEMBERS = 1000
 """Members an archive may have; ours have about twenty."""
+
+
+def packed(path: Path, limit: Limit) -> Limit:
+    """The limit of what a packed file may become: fifty times its size, where that is above 64 MB.
+
+    Zeros are packed to a thousandth, so that a small file could become as large as the largest.
+    """
+    most = float(max(1 << 26, 50 * path.stat().st_size))
+    return limit if most >= limit.high else replace(limit, high=most, reason=_PACKED)
 
 
 def check_sizes(
@@ -49,6 +64,8 @@ def check_sizes(
         zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
     """
     total, names = 0, []
+    # masks of a person who is not seen are zeros
+    limit = limit if limit is MASKS else packed(path, limit)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if len(members) > _MEMBERS:
@@ -65,6 +82,8 @@ def check_sizes(
             shape, dtype, place = _header(archive, info)
             if dtype.hasobject:
                 continue
+            if dtype.kind in "US" and dtype.itemsize > _LONGEST_TEXT:
+                raise FormatError(f"{path}: expected short texts, got one of {dtype} in {name}")
             names.append(name)
             stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
             if place + stated != info.file_size:
@@ -123,7 +142,7 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
     if path.suffix.lower() != ".xz":
         limit.check(path.stat().st_size, path)
         return path.read_bytes()
-    most = min(limit, TEXT, key=lambda one: one.high)
+    most = packed(path, min(limit, TEXT, key=lambda one: one.high))
     try:
         with lzma.open(path) as file:
             data = file.read(int(most.high) + 1)
@@ -137,8 +156,9 @@ def inflated(data: bytes, path: Path) -> bytes:
     """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
     if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
         return data
-    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(BINARY.high) + 1)
-    BINARY.check(len(content), path)
+    most = packed(path, BINARY)
+    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(most.high) + 1)
+    most.check(len(content), path)
     return content
 
 
@@ -204,17 +224,17 @@ def check_tree(content: Any, path: Path) -> None:
     Raises:
         ValueError: when there are more entries or levels than `recon.core.limits` allows.
     """
-    level, count, depth = [content], 0, 0
+    level, count, depth = {id(content): (content, 1)}, 0, 0
     while level:
-        depth, count = depth + 1, count + sum(map(len, level))
+        depth, count = depth + 1, count + sum(times * len(one) for one, times in level.values())
         DEPTH.check(depth, path)
         ENTRIES.check(count, path)
-        level = [
-            child
-            for one in level
-            for child in (one.values() if isinstance(one, Mapping) else one)
-            if isinstance(child, Mapping | list | tuple | set | frozenset)
-        ]
+        below: dict[int, tuple[Any, int]] = {}
+        for one, times in level.values():
+            for child in one.values() if isinstance(one, Mapping) else one:
+                if isinstance(child, Mapping | list | tuple | set | frozenset):
+                    below[id(child)] = (child, below.get(id(child), (child, 0))[1] + times)
+        level = below
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:

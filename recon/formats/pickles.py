@@ -13,7 +13,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_NUMBERS
-from recon.formats.opening import DAMAGE, check_tree, inflated
+from recon.formats.opening import DAMAGE, HEADERS, check_tree, inflated
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -32,6 +32,8 @@ def read_tree(path: Path) -> dict[Any, Any]:
 def read_pickle(file: BinaryIO, path: Path) -> object:
     """What is pickled from the place of an open file on, as `read_tree` reads it.
 
+    Of an .npy file of objects these are the objects, in lists.
+
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
@@ -40,7 +42,12 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
         BINARY.check(path.stat().st_size, path)
         data = inflated(file.read(), path)
         kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
-        content = kind(BytesIO(data), encoding="latin1").load()
+        source = BytesIO(data)
+        if array := data.startswith(_MAGIC):
+            HEADERS[np.lib.format.read_magic(source)](source)
+        content = kind(source, encoding="latin1").load()
+        if array and isinstance(content, np.ndarray):
+            content = content.tolist()
     except _RefusedError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
@@ -164,6 +171,28 @@ def _bare(kind: type, base: type, state: object) -> object:
     return kind.__new__(kind)
 
 
+def _storage(data: bytes) -> Any:
+    """Replacement for the function with which torch reads the numbers of a pickled tensor."""
+    import torch
+
+    if data.startswith(b"PK"):
+        raise _RefusedError("a tensor in an archive, which torch never pickles")
+    return torch.load(BytesIO(data), map_location="cpu", weights_only=True)
+
+
+def _tensor(
+    storage: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *rest: object
+) -> np.ndarray:
+    """Replacement for the function with which torch builds a pickled tensor; an array."""
+    import torch
+
+    del rest
+    numbers = torch.empty(0, dtype=storage.dtype).set_(storage)
+    if prod(shape) > len(numbers):
+        raise _RefusedError(f"a tensor of {shape} with {len(numbers)} numbers")
+    return numbers.as_strided(shape, strides, offset).numpy()
+
+
 class _JoblibArray(_Inert):
     """What joblib pickles in place of an array, whose bytes follow it in the file."""
 
@@ -179,6 +208,7 @@ class _JoblibArray(_Inert):
         return flat.reshape(shape, order="F" if self.state["order"] == "F" else "C").copy()
 
 
+_MAGIC = b"\x93NUMPY"
 _NUMPY = ("numpy.core", "numpy._core")
 """Modules of numpy 1 and 2."""
 _BUILTINS = ("__builtin__", "builtins")
@@ -197,6 +227,8 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("copyreg", "_reconstructor"): _bare,
     ("collections", "OrderedDict"): OrderedDict,
     ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+    ("torch.storage", "_load_from_bytes"): _storage,
+    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
     ("chumpy.ch", "Ch"): _Chumpy,
     ("chumpy", "Ch"): _Chumpy,
     ("chumpy.reordering", "Select"): _Chumpy,

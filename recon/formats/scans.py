@@ -1,18 +1,19 @@
-"""Folders of point clouds or surface scans, one PLY or PCD file per frame."""
+"""Folders of point clouds or surface scans, one PLY, PCD or OBJ file per frame."""
 
 import re
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing, replacing
+from recon.formats.opening import decode, existing, numbers_in, read_bytes, replacing
 from recon.formats.pcd import read_pcd
 from recon.formats.scan_times import timed
 
@@ -134,8 +135,6 @@ POINTS = 4096
 """Points kept of a frame."""
 _SEARCHED = 500_000
 """Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
-_BODY = (0.4, 8.0)
-"""Metres that a cloud with a person, and some of the room, extends over."""
 
 
 def read_scans(
@@ -143,7 +142,7 @@ def read_scans(
     *,
     fps: float | None = None,
     unit: str | None = None,
-    up: Up = "z",
+    up: Up | None = None,
     points: int = POINTS,
     outliers: float | None = 3.0,
     seed: int = 0,
@@ -155,10 +154,10 @@ def read_scans(
     order, and at any distances: they are then put on a clock with a frame near each.
 
     Args:
-        folder: with .ply or .pcd files.
+        folder: with .ply, .pcd or .obj files.
         fps: frames per second where there is no times.csv.
         unit: of the files (m, cm, mm, inch); None finds it by the clouds' size.
-        up: axis that points up.
+        up: axis that points up, or down; None finds it by how the person stands.
         points: most points kept of a frame, drawn at random.
         outliers: points whose neighbours are farther than the frame's mean by this many standard
             deviations are left out; None keeps all.
@@ -166,7 +165,7 @@ def read_scans(
 
     Raises:
         FileNotFoundError: when there is no such folder.
-        ValueError: when it holds no clouds or two kinds, a file is damaged, or clock or unit
+        ValueError: when it holds no clouds or two kinds, a file is damaged, or clock, unit or axis
             cannot be told; the message says what to do.
     """
     folder = Path(folder)
@@ -186,13 +185,18 @@ def read_scans(
     else:
         frames, start = np.arange(len(paths)), 0.0
     FRAME_RATE.check(fps, folder, "frame rate")
-    clouds = [_read(path) for path in paths]
+    clouds = [read_cloud(path) for path in paths]
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
         raise FormatError(f"{folder}: no file holds any point")
+    told = unit is not None
     if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
         decisions.append(f"by the size of the clouds, their unit is {unit}")
     metres = METRES[unit]
+    if up is None:
+        scaled = [cloud * metres for cloud in clouds]
+        up, said = up_of_clouds(scaled, str(folder), told=told)
+        decisions += said
     for path, cloud in zip(paths, clouds, strict=True):
         POSITION.check(cloud * metres, path, "[point, axis]")
     generator = np.random.default_rng(seed)
@@ -246,12 +250,15 @@ def scan_paths(folder: Path) -> list[Path]:
         ValueError: when it holds no clouds, or files of both kinds.
     """
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: no such folder; expected one of .ply or .pcd files")
-    found = [path for path in folder.iterdir() if path.suffix.lower() in (".ply", ".pcd")]
-    if len({path.suffix.lower() for path in found}) != 1:
+        raise FileNotFoundError(
+            f"{folder}: no such folder; expected one of {', '.join(CLOUDS)} files"
+        )
+    found = [path for path in folder.iterdir() if path.suffix.lower() in CLOUDS]
+    kinds = sorted({path.suffix.lower() for path in found})
+    if len(kinds) != 1:
         raise FormatError(
-            f"{folder}: expected files .ply or .pcd, one per frame, got "
-            f"{'both' if found else 'none'}"
+            f"{folder}: expected files {' or '.join(CLOUDS)}, one per frame, got "
+            f"{' and '.join(kinds) or 'none'}"
         )
     return naturally(found)
 
@@ -265,29 +272,6 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 
     return sorted(paths, key=key)
-
-
-def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
-    """Metres or millimetres, by the size of the clouds.
-
-    Raises:
-        ValueError: when the size fits neither.
-    """
-    sizes = [
-        float(np.linalg.norm(np.subtract(*np.percentile(cloud, (98, 2), axis=0))))
-        for cloud in clouds
-        if len(cloud) >= 10
-    ]
-    if not sizes:
-        raise FormatError(f"{name}: too few points to tell their unit; give it with --unit")
-    size = float(np.median(sizes))
-    for unit in ("m", "mm"):
-        if _BODY[0] <= size * METRES[unit] <= _BODY[1]:
-            return unit
-    raise FormatError(
-        f"{name}: the clouds measure {size:.3g} units, which is {_BODY[0]} to {_BODY[1]} m "
-        "neither in m nor in mm; give it with --unit"
-    )
 
 
 def thinned(
@@ -318,5 +302,57 @@ def is_outlier(
     return distance > distance.mean() + deviations * distance.std()
 
 
-def _read(path: Path) -> Float[np.ndarray, "points 3"]:
-    return read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)[0]
+def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+    """The points, or vertices, of a file.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_ply` does.
+    """
+    return CLOUDS[path.suffix.lower()](path)
+
+
+def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
+    """Vertices of an .obj file; further numbers of theirs, such as colours, are left out."""
+    lines = decode(read_bytes(path)).splitlines()
+    rows = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
+    CLOUD.check(len(rows), path, "vertices")
+    try:
+        found = np.array(rows, dtype=np.float64)
+    except ValueError as error:
+        raise FormatError(f"{path}: damaged OBJ file ({error!s:.100})") from error
+    if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
+        raise FormatError(f"{path}: expected finite vertices, got an array {found.shape}")
+    return found
+
+
+def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+    """Points of lines x, y, z; normals, colours and intensities after them are left out.
+
+    Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
+    .pts how many lines follow. Invalid points (NaN) are left out.
+    """
+    text = decode(read_bytes(path)).replace(",", " ").replace(";", " ").strip()
+    first, _, rest = text.partition("\n")
+    promised = int(first[:20]) if first[:20].strip().isdecimal() else None
+    text = rest if promised is not None or first.startswith(("#", "//")) else text
+    width, count = len(text.partition("\n")[0].split()), text.count("\n") + 1
+    CLOUD.check(count, path, "lines")
+    try:
+        if width < 3 or promised not in (None, count) or 2 * width * count > len(text) + 1:
+            raise ValueError(f"{width} numbers in the first of {count} lines")
+        found = numbers_in(text, width * count).reshape(count, width)[:, :3]
+    except ValueError as error:
+        raise FormatError(
+            f"{path}: expected lines of x, y, z and what else is known of the point, all alike, "
+            f"but it is damaged ({error!s:.100})"
+        ) from error
+    return found[np.isfinite(found).all(1)]
+
+
+CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
+    ".ply": lambda path: read_ply(path)[0],
+    ".pcd": read_pcd,
+    ".obj": _vertices_of_obj,
+    **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),
+}
+"""Readers of a frame, by endings."""

@@ -1,6 +1,7 @@
 """Tables of text whose cells lie between commas: rows, a look at the first ones, and numbers."""
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit
 from recon.formats.opening import decode, read_bytes
 
+_CELLS = Limit(
+    "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
+)
+
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     """The cells of every row that is not blank, without white space around them.
@@ -19,11 +24,26 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty, no table, or larger than the limit.
     """
+    data = read_bytes(path, limit)
+    _CELLS.check(data.count(b",") + data.count(b"\n"), path.name)
     try:
-        rows = list(csv.reader(decode(read_bytes(path, limit)).splitlines()))
+        rows = list(csv.reader(decode(data).splitlines()))
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
     return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+
+
+def each_once(columns: Sequence[str], name: str) -> None:
+    """Refuse a table that has two columns of one name: only one of them could be used.
+
+    Raises:
+        ValueError: naming the column.
+    """
+    twice, count = Counter(columns).most_common(1)[0] if columns else ("", 0)
+    if count > 1:
+        raise FormatError(
+            f"{name}: expected every column once, got {count} of {twice}; leave out all but one"
+        )
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from recon.api.results import in_ten_lines
+from recon.core.visible import visible
 from recon.formats.outputs import Output, check_outputs
 from recon.formats.reports import versions
 from recon.formats.writing import writing
@@ -142,7 +143,7 @@ class LaboratoryReport:
         page, table = self.page(), self.table()
         with writing(*outputs, report=said, overwrite=overwrite) as staged:
             for file, text in zip(staged, (page, table), strict=True):
-                file.write_text(text, encoding="utf-8")
+                file.write_text(visible(text), encoding="utf-8")
 
     def __repr__(self) -> str:
         """The most important figures in at most ten lines."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
@@ -11,7 +11,7 @@ from recon.api.results import MotionResult, Tables
 from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
-from recon.core.units import Up
+from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.movement import belt_velocity
 from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
@@ -25,8 +25,9 @@ from recon.mocap.asf_amc import recording_files
 def report(
     source: MotionLike,
     *,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    unit: Unit | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     mapping: str | Path | None = None,
     body: BodyLike = None,
 ) -> LaboratoryReport:
@@ -42,7 +43,8 @@ def report(
         source: a recording (.c3d, .trc, .bvh, .amc, .mat), a motion file or its arrays, or what a
             function of `recon` returned.
         unit: of a recording; None finds it out.
-        up: axis of a recording that points up; None finds it out.
+        up: axis of a recording that points up, or down; None finds it out.
+        hand: handedness of the coordinates of a recording's markers; None finds it out.
         mapping: JSON or TOML file that says which joints or markers of a recording are which.
         body: whose motion it is; only the bundled body has the landmarks that this needs.
 
@@ -53,10 +55,10 @@ def report(
     model = body_given(body)
     name = Path(str(source)).name if isinstance(source, Path | str) else "motion"
     if isinstance(source, Path | str) and Path(str(source)).suffix.lower() != ".npz":
-        source = convert(source, unit=unit, up=up, mapping=mapping, body=model)
-    elif (unit, up, mapping) != (None, None, None):
+        source = convert(source, unit=unit, up=up, hand=hand, mapping=mapping, body=model)
+    elif (unit, up, hand, mapping) != (None, None, None, None):
         raise FormatError(
-            f"{name}: unit, up and mapping are of recordings; a motion has metres and z up"
+            f"{name}: unit, up, hand and mapping are of recordings; a motion has metres and z up"
         )
     said = _said(source)
     try:
@@ -159,8 +161,9 @@ def report_file(
     trial: Path,
     out: Path | None = None,
     *,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    unit: Unit | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     mapping: Path | None = None,
     overwrite: bool = False,
 ) -> WrittenReport:
@@ -175,7 +178,8 @@ def report_file(
             too.
         out: page to write; default: the trial's name with .html, in this folder.
         unit: of a recording; default: found out.
-        up: axis of a recording that points up; default: found out.
+        up: axis of a recording that points up, or down; default: found out.
+        hand: handedness of the coordinates of a recording's markers; default: found out.
         mapping: JSON or TOML file that says which markers of a recording are which.
         overwrite: replace files that are there and recon did not write.
 
@@ -187,7 +191,7 @@ def report_file(
     read = recording_files(trial) + ([] if mapping is None else [mapping])
     check_outputs(outputs_of(page), read, overwrite=overwrite)
     matplotlib()
-    found = report(trial, unit=unit, up=up, mapping=mapping)
+    found = report(trial, unit=unit, up=up, hand=hand, mapping=mapping)
     said = {"inputs": checksums(read), "versions": versions()}
     found.save(page, overwrite=overwrite, report=said)
     figures = {

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.errors import ReconError
+from recon.core.errors import FormatError, ReconError
 from recon.core.skeleton import FEET, JOINTS, joint_index
 from recon.formats.toml_files import read_toml
 from recon.mocap.reader import (
@@ -23,6 +23,7 @@ from recon.mocap.reader import (
     skeleton_among,
 )
 from recon.mocap.recording import SkeletonRecording
+from recon.mocap.trees import joints_by_tree
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
     Args:
         recording: of any skeleton.
         mapping: TOML file with tables [joints], [positions], [orientations] as in
-            `assets/skeletons.toml`; None tries the skeletons known there.
+            `assets/skeletons.toml`; None tries the skeletons known there, then the tree of the
+            joints.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -66,7 +68,14 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
     theirs = {plain(name): name for name in recording.joint_names}
     if mapping is not None:
         return _user_map(Path(mapping), theirs, recording)
-    name = skeleton_among(recording.joint_names, recording.name)
+    try:
+        name = skeleton_among(recording.joint_names, recording.name)
+    except FormatError:
+        joints = joints_by_tree(recording.joint_names, recording.parents, recording.rest_offsets)
+        if joints is None:
+            raise
+        said = ", ".join(f"{ours} = {joint}" for ours, joint in joints.items())
+        return _build(f"told by the tree of its joints ({said})", {"joints": joints}, theirs)
     return _build(name, known_skeletons()[name], theirs)
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
+from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
 from recon.ingest.conversion import Conversion, floored
 from recon.ingest.marker_exchanges import (
@@ -27,7 +28,12 @@ from recon.ingest.marker_findings import (
 from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.marker_frames import jump_findings
 from recon.ingest.marker_gaps import gap_findings, trimmed
-from recon.ingest.marker_sets import MarkerSet, full_body_markers, keypoint_finding
+from recon.ingest.marker_sets import (
+    MarkerSet,
+    full_body_markers,
+    keypoint_finding,
+    right_handed_markers,
+)
 from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
@@ -46,6 +52,7 @@ def convert_markers(
     *,
     mapping: str | Path | None = None,
     keep_frame: bool = False,
+    hand: Hand | None = None,
 ) -> Conversion:
     """A recording of markers on a body, its legs or its trunk as a motion of our body.
 
@@ -59,6 +66,7 @@ def convert_markers(
         mapping: JSON or TOML file, marker label = landmark or vertex; None uses the known labels.
         keep_frame: whether the motion stays where the laboratory has it instead of standing on
             z = 0.
+        hand: handedness of the axes; None tells it from the body.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -66,6 +74,7 @@ def convert_markers(
     """
     with one_thread():
         markers = full_body_markers(recording, body, mapping)
+        recording = right_handed_markers(recording, markers, hand)
         return _converted(fitted_markers(recording, body, markers), markers, body, keep_frame)
 
 

@@ -94,7 +94,7 @@ def marker_findings(
             Finding(
                 "residual",
                 f"markers are {1000 * mean:.0f} mm from the body on average: check the unit "
-                "(--unit), the up axis (--up) and the labels",
+                "(--unit), the axes (--up, --hand) and the labels",
                 value=mean,
             )
         )

@@ -16,11 +16,12 @@ from observations.noise import LIMITS
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import FEET
+from recon.core.units import Hand
 from recon.diagnosis.findings import listed
 from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
 from recon.ingest.marker_findings import marker_distances
 from recon.ingest.marker_fit import stands_on_zero
-from recon.ingest.marker_sets import full_body_markers
+from recon.ingest.marker_sets import full_body_markers, right_handed_markers
 from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
@@ -30,6 +31,7 @@ def seen_markers(
     body: BodyModel,
     mapping: Path | None = None,
     robust: float | None = None,
+    hand: Hand | None = None,
 ) -> tuple[Markers3D, tuple[str, ...]]:
     """The known markers of a recording on our body's surface, and what was decided.
 
@@ -41,6 +43,7 @@ def seen_markers(
         body: on whose surface they sit.
         mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels.
         robust: distance in metres beyond which a marker counts ever less; None is least squares.
+        hand: handedness of the axes; None tells it from the body.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -48,6 +51,7 @@ def seen_markers(
     """
     with one_thread():
         markers = full_body_markers(recording, body, mapping)
+        recording = right_handed_markers(recording, markers, hand)
         found = fitted_markers(recording, body, markers)
     shown, fit = found.recording, found.fit
     offsets = fit.offsets

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from observations.correspondences import PLACES
 from observations.start.rigid import TORSO
-from recon.body.landmarks import landmark
+from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import (
     FEWEST_MARKERS,
     load_marker_map,
@@ -20,7 +20,9 @@ from recon.body.marker_labels import (
 )
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
+from recon.core.hands import right_handed
 from recon.core.skeleton import JOINTS, descendants, joint_index
+from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
 from recon.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
 from recon.mocap.recording import MarkerRecording
@@ -158,6 +160,22 @@ def full_body_markers(
         unknown=unknown,
         bare=bare,
         decisions=decisions,
+    )
+
+
+def right_handed_markers(
+    recording: MarkerRecording, markers: MarkerSet, hand: Hand | None
+) -> MarkerRecording:
+    """The recording in right-handed axes, with what is said of it (`coordinates.right_handed`)."""
+    chosen = recording.select(markers.labels)
+    meant = meant_keypoints(markers.labels) if markers.inside else ()
+    places = {landmark(name): name for name in landmarks()}
+    names = [str(name) for name in meant] or [places.get(one, "") for one in markers.vertices]
+    factors, said = right_handed(names, chosen.positions, chosen.visible, hand)
+    return replace(
+        recording,
+        positions=recording.positions * factors,
+        decisions=(*recording.decisions, *said),
     )
 
 

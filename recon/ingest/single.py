@@ -1,10 +1,12 @@
 """One recording of any kind, on its own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.units import Up
+from recon.core.units import Hand, Up
+from recon.formats.producers import refuse_others
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
@@ -19,6 +21,7 @@ def convert(
     *,
     unit: str | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     subject: SubjectModel | None = None,
     mapping: str | Path | None = None,
     fps: float | None = None,
@@ -30,7 +33,8 @@ def convert(
         recording: a file (.bvh, .amc, .c3d, .trc, ...) or what its reader made of it.
         body: whose motion it becomes; None is the bundled body.
         unit: of the file; None finds it out.
-        up: axis of the file that points up; None finds it out.
+        up: axis of the file that points up, or down; None finds it out.
+        hand: handedness of the axes of markers; None finds it out.
         subject: shape, offsets and alignments from other recordings of the same skeleton; None
             finds them from this one.
         mapping: TOML or JSON file that says which of its joints or markers are ours.
@@ -45,13 +49,17 @@ def convert(
     if fps is not None and not fps > 0:
         raise ReconError(f"expected a positive frame rate, got {fps}")
     if isinstance(recording, (str, Path)):
+        refuse_others(Path(recording), "convert")
         recording = read_recording(recording, unit=unit, up=up)
     body = BodyModel.load() if body is None else body
     if isinstance(recording, MarkerRecording):
-        found = convert_markers(recording, body, mapping=mapping, keep_frame=keep_frame)
+        found = convert_markers(recording, body, mapping=mapping, keep_frame=keep_frame, hand=hand)
     else:
         recording = drop_lead_in(recording)
         if subject is None:
-            subject = calibrate([recording], recognise(recording, mapping), body)
+            skeleton = recognise(recording, mapping)
+            said = (*recording.decisions, f"skeleton: {skeleton.name}")
+            recording = replace(recording, decisions=said)
+            subject = calibrate([recording], skeleton, body)
         (found,) = convert_skeletons([recording], subject, body, keep_frame=keep_frame)
     return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)

@@ -1,6 +1,5 @@
 """3D keypoints as JSON: MediaPipe's world landmarks, Azure Kinect bodies, lists with names."""
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
 from recon.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
-from recon.formats.json_files import as_floats, listed_frames, read_json
+from recon.formats.json_files import as_floats, as_identity, listed_frames, read_json
+from recon.keypoints3d.people_files import frames_of, of_people, read_people
 from recon.keypoints3d.records import Person, Points3D, followed, taken
 
 _WORLD = ("pose_world_landmarks", "world_landmarks", "poseWorldLandmarks", "worldLandmarks")
@@ -21,11 +21,6 @@ _FRAMES = ("frames", "data", "positions", "keypoints3d", "keypoints_3d", "joints
 _SEEN = 0.5
 """Visibility below which MediaPipe's landmarks count as not seen."""
 _MICROSECONDS = 1e-6
-
-
-def is_points_3d(value: Any) -> bool:
-    """Whether what a JSON file holds is 3D keypoints of a kind that is known here."""
-    return _reader_of(value) is not None
 
 
 def read_json_points(path: Path, person: int | None = None) -> Points3D:
@@ -39,14 +34,18 @@ def read_json_points(path: Path, person: int | None = None) -> Points3D:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or of another kind.
     """
-    value = read_json(path)
+    value, name = read_json(path), path.name
     reader = _reader_of(value)
-    if reader is None:
+    if reader is not None:
+        return reader(value, name, person)
+    found = read_people(frames_of(value, name), name, person)
+    if found is None:
         raise FormatError(
             f"{path}: expected MediaPipe's pose_world_landmarks, Azure Kinect's joint_names and "
-            "frames with bodies, or names and frames of x, y, z"
+            "frames with bodies, keypoints in space of EasyMocap, OpenPose, MMPose or ZED, or "
+            "names and frames of x, y, z"
         )
-    return reader(value, path.name, person)
+    return found
 
 
 def _reader_of(value: Any) -> Callable[[Any, str, int | None], Points3D] | None:
@@ -106,43 +105,30 @@ def _people(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
 def _azure(value: Any, name: str, person: int | None) -> Points3D:
     """Millimetres in the frame of the depth camera: x right, y down, z forward."""
     frames = [one for one in _entries(value) if isinstance(one, dict)]
-    bodies = [
-        {
-            str(one.get("body_id", 0)): one
-            for one in frame.get("bodies") or []
-            if isinstance(one, dict)
-        }
-        for frame in frames
-    ]
-    seen = Counter(who for some in bodies for who in some)
-    if not seen:
-        raise FormatError(f"{name}: expected bodies, but all {len(frames)} frames are empty")
-    ids = [who for who, _ in seen.most_common()]
-    often, several = taken([seen[who] for who in ids], len(frames), person, name)
-    who, names = ids[often], _names(value)
-    rows = {
-        k: as_floats(some[who].get("joint_positions"), f"{name}, frame {k}")
-        for k, some in enumerate(bodies)
-        if who in some
-    }
-    count = len(names or np.atleast_1d(next(iter(rows.values()))))
-    positions = np.full((len(frames), count, 3), np.nan)
-    for k, row in rows.items():
-        if row.shape != (count, 3):
-            raise FormatError(
-                f"{name}, frame {k}: expected joint_positions with x, y, z of all {count} joints"
-                f"{' that joint_names names' if names else ''}, got numbers of shape {row.shape}"
-            )
-        positions[k] = row
-    said = ("unit mm: Azure Kinect's", f"body {who}: seen in {seen[who]} of {len(frames)} frames")
-    layout = None if names else "azure32"
-    points = Points3D(
-        name, positions, names, layout=layout, unit="mm", decisions=(*said, *several)
-    )
+    names = _names(value)
+    people = [
+        (k, [(as_identity(one.get("body_id", 0), name), _joints(one, f"{name}, frame {k}"))
+             for one in frame.get("bodies") or [] if isinstance(one, dict)])
+        for k, frame in enumerate(frames)
+    ]  # fmt: skip
+    points = of_people(
+        people, name, person, names, layout=None if names else "azure32", unit="mm",
+        decisions=("unit mm: Azure Kinect's",),
+    )  # fmt: skip
     stamps = [frame.get("timestamp_usec") for frame in frames]
     if not all(isinstance(stamp, int | float) for stamp in stamps):
         return points
     return points.timed(as_floats(stamps, name) * _MICROSECONDS)
+
+
+def _joints(body: dict[str, Any], place: str) -> Person:
+    found = as_floats(body.get("joint_positions"), place)
+    if found.ndim != 2:
+        raise FormatError(
+            f"{place}: expected joint_positions with x, y, z of every joint, got numbers of shape "
+            f"{found.shape}"
+        )
+    return found
 
 
 def _named(value: Any, name: str, person: int | None) -> Points3D:

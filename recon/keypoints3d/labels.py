@@ -16,6 +16,7 @@ _SAME = {
     "chip": "mid_hip", "root": "mid_hip", "hip_center": "mid_hip", "hips_center": "mid_hip",
     "head": "head_top", "top_head": "head_top", "top_of_head": "head_top", "vertex": "head_top",
     "belly": "spine", "torso": "spine", "neck_nose": "nose", "spine_naval": "spine_navel",
+    "spine_base": f"pelvis{JOINT}", "spine_mid": f"spine2{JOINT}", "spine_shoulder": "thorax",
     "chest": "thorax", "neck_base": "neck", "mid_shoulder": "neck",
 }  # fmt: skip
 _SAME_SIDED = {
@@ -26,7 +27,7 @@ _SAME_SIDED = {
 }  # fmt: skip
 _JOINTS_ONLY = (
     "spine1", "spine3", "spine_1", "spine_3", "left_clavicle", "right_clavicle", "spine_navel",
-    "spine_chest",
+    "spine_chest", "spine_base",
 )  # fmt: skip
 """Names that skeletons of joints have and detectors do not."""
 STUDY = "_study"
@@ -50,7 +51,11 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
     words = [_word(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
     ankles = "left_ankle" in words
-    return [_meant(word, joints=joints, ankles=ankles) for word in words]
+    found = [_meant(word, joints=joints, ankles=ankles) for word in words]
+    if "spine_base" not in words:
+        return found
+    # the head of Kinect v2 is its middle
+    return ["head_centre" if one == f"head{JOINT}" else one for one in found]
 
 
 def are_keypoints(labels: Sequence[str]) -> bool:

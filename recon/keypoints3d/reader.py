@@ -9,14 +9,17 @@ from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.detections.tables import holds_detections
-from recon.formats.foreign import holds_sam3d_body
-from recon.formats.json_files import read_json
+from recon.formats.json_files import read_frame_folder
 from recon.formats.observations import PositionsFile
 from recon.formats.opening import load_arrays
+from recon.formats.producers import MARKERS, POINTS_3D, holds_sam3d_body, producer_of
 from recon.formats.text_tables import first_rows, numbers, read_rows
-from recon.keypoints3d.json_files import is_points_3d, read_json_points
+from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
+from recon.keypoints3d.layouts import labelled
+from recon.keypoints3d.people_files import read_people
 from recon.keypoints3d.records import Points3D
+from recon.keypoints3d.skeleton_files import read_ntu_skeleton
 from recon.keypoints3d.tables import (
     holds_points,
     is_table_3d,
@@ -76,9 +79,6 @@ def read_session(folder: Path) -> Points3D:
     return points.timed(times[first], stamps.name)
 
 
-RECORDINGS = (".trc", ".c3d")
-"""Endings of recordings whose points may be keypoints."""
-_HINTS = (b"orldLandmarks", b"world_landmarks", b'"bodies"', b'names"', b'"labels"')
 _HEAD = 1 << 16
 """Bytes at the start of a JSON file that show of which kind it is."""
 
@@ -95,29 +95,28 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         FileNotFoundError: when there is no such file.
         ValueError: when it must be read to be told, and is damaged.
     """
-    if holds_sam3d_body(path):
-        return True
-    if path.is_dir():
-        return body_file(path) is not None
-    ending = path.suffix.lower()
-    if ending == ".npy":
-        return True
-    if ending == ".npz":
+    ending, found = path.suffix.lower(), producer_of(path)
+    if ending == ".npz" and path.is_file() and not holds_sam3d_body(path):
         if holds_detections(path):
             return False
         arrays = load_arrays(path)
         # motion files have `joints`, too, which are results and no observation
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
-    if ending == ".csv":
+    if ending == ".csv" and not holds_markers(path):
         return is_table_3d(first_rows(path))
-    if ending == ".json":
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-        if images and b"pose_landmarks" in head:
-            return False
-        return any(hint in head for hint in _HINTS) and is_points_3d(read_json(path))
-    return False
+    if found is None or found.holds != POINTS_3D:
+        return False
+    if not images or ending != ".json":
+        return True
+    with path.open("rb") as file:
+        return b"pose_landmarks" not in file.read(_HEAD)
+
+
+def holds_markers(path: Path) -> bool:
+    """Whether a file is a recording of labelled points, which may be keypoints."""
+    found = producer_of(path)
+    return found is not None and found.holds == MARKERS
 
 
 def read_points_3d(
@@ -140,21 +139,28 @@ def read_points_3d(
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():
-        return read_session(path).checked()
+        alone = body_file(path) is None and holds_points_3d(path)
+        found = read_people(read_frame_folder(path), path.name, person) if alone else None
+        return labelled(read_session(path) if found is None else found).checked()
     match path.suffix.lower():
         case ".npy":
-            return read_array(path).checked()
-        case ".npz":
-            return read_arrays(path).checked()
+            found = read_array(path)
+        case ".npz" | ".pkl":
+            found = read_arrays(path)
+        case _ if holds_markers(path):
+            found = from_recording(marker_recording(path, unit, up))
         case ".csv":
-            return read_table(path).checked()
+            found = read_table(path)
         case ".json":
-            return read_json_points(path, person).checked()
-        case ending if ending in RECORDINGS:
-            return from_recording(marker_recording(path, unit, up))
-    raise FormatError(
-        f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a session folder"
-    )
+            found = read_json_points(path, person)
+        case ".skeleton":
+            found = read_ntu_skeleton(path, person)
+        case _:
+            raise FormatError(
+                f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a "
+                "session folder"
+            )
+    return labelled(found).checked()
 
 
 def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecording:

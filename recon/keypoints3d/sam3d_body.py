@@ -14,35 +14,15 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
-from recon.formats.foreign import SAM3D_POINTS
-from recon.formats.opening import DAMAGE, HEADERS, check_sizes
+from recon.formats.opening import DAMAGE, check_sizes
 from recon.formats.pickles import read_pickle
+from recon.formats.producers import SAM3D_POINTS
+from recon.keypoints3d.layouts import MHR70
 from recon.keypoints3d.records import Points3D, followed, taken
 
 _POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"
 _FOCAL = "focal_length"
 _SHAPES = {_POINTS: (70, 3), _PLACE: (3,), _PIXELS: (70, 2), _FOCAL: ()}
-_MAGIC = b"\x93NUMPY"
-
-
-def _hand(side: str) -> tuple[str, ...]:
-    fingers = ("thumb", "index", "middle", "ring", "pinky")
-    places = ("tip", "first_joint", "second_joint", "third_joint")
-    return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
-
-
-def _both(*names: str) -> tuple[str, ...]:
-    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
-
-
-_FOOT = ("big_toe", "small_toe", "heel")
-MHR70 = (
-    "nose", *_both("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
-    *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
-    *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
-    *_both("olecranon", "cubital_fossa", "acromion"), "neck",
-)  # fmt: skip
-"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
 _HIPS = [MHR70.index("left_hip"), MHR70.index("right_hip")]
 _BONES = np.array(
     [
@@ -246,14 +226,6 @@ def _frames(path: Path) -> list[list[Any]]:
     if path.suffix.lower() == ".npz":
         return _stacked(_arrays(path), path)
     with path.open("rb") as file:
-        if file.read(len(_MAGIC)) == _MAGIC:
-            file.seek(0)
-            try:
-                HEADERS[np.lib.format.read_magic(file)](file)
-            except DAMAGE as error:
-                raise FormatError(f"{path}: the header of the array is damaged") from error
-        else:
-            file.seek(0)
         content = read_pickle(file, path)
     if isinstance(content, np.ndarray):
         content = content.tolist()

@@ -82,10 +82,12 @@ class Stream:
         poses = found if isinstance(found, PosePrior) else PosePrior.load()
         self._poses = poses.to(dtype=torch.float32)
         self._prior = None if isinstance(found, PosePrior) else found
-        self._noise = noise
+        rows = noise if isinstance(noise, Sequence) else (noise,)
+        known = tuple(None if one is None else positive(one, "noise") for one in rows)
+        self._noise = known if isinstance(noise, Sequence) else known[0]
         held = None if shape is None else shape_given(shape, self._body)
         self._person = Person(held)
-        self._door = None if template is None else Door.of(template)
+        self._door = None if template is None else self._fitting(Door.of(template))
         self._tracking: Tracking | None = None
         self._last: float | None = None
         self._other_clock: float | None = None
@@ -128,7 +130,7 @@ class Stream:
             )
         last = self._last
         try:
-            door = self._door or Door.of(seen)
+            door = self._door or self._fitting(Door.of(seen))
             moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
         except ObservationError:
             raise
@@ -193,19 +195,28 @@ class Stream:
         assert after is None, "a first motion takes several moments"
         return told
 
-    def _anew(self, door: Door) -> Tracking:
-        noise = self._noise
+    def _fitting(self, door: Door) -> Door:
+        """The sensors, checked to be what the prior and the noise are for.
+
+        Raises:
+            ObservationError: when they have another rate or another number.
+        """
         if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _RATE_TOLERANCE:
             raise ObservationError(
                 f"a prior over steps knows those of 1/30 s: expected 30 moments a second, got "
                 f"{door.fps:g}; push moments of that rate, or take prior='pose'"
             )
         count = len(door.sensors)
-        rows = list(noise) if isinstance(noise, Sequence) else [noise] * count
-        if len(rows) != count:
-            raise ReconError(f"noise: expected one number for each of {count} sensors")
-        given = tuple(None if one is None else positive(one, "noise") for one in rows)
-        return Tracking(door, self._lag, given, self._person, self._body, self._poses, self._prior)
+        if isinstance(self._noise, tuple) and len(self._noise) != count:
+            raise ObservationError(
+                f"noise: expected one number for each of {count} sensors, got {len(self._noise)}"
+            )
+        return door
+
+    def _anew(self, door: Door) -> Tracking:
+        noise = self._noise
+        rows = noise if isinstance(noise, tuple) else (noise,) * len(door.sensors)
+        return Tracking(door, self._lag, rows, self._person, self._body, self._poses, self._prior)
 
     def _ended(self, keep_clock: bool = False) -> list[LiveEstimate]:
         tracking, self._tracking = self._tracking, None

@@ -74,6 +74,16 @@ def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
 
 
+def relative_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """`joint_acceleration` of the body scaled to the average size; metres²."""
+    motion, body = estimate.motion, estimate.body.model
+    own, average = (
+        body.rest_joints(one) for one in (motion.shape, torch.zeros_like(motion.shape))
+    )
+    own, average = ((rest - rest[..., :1, :]).square().sum((-1, -2)) for rest in (own, average))
+    return joint_acceleration(estimate) * average / own
+
+
 def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """Σ (1 - cos angle) of the 21 body joints away from the rest pose, at 30 Hz.
 

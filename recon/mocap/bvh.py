@@ -87,7 +87,7 @@ def parse_bvh(
     head, keyword, body = text.partition("MOTION")
     if not keyword:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
-    joints = _parse_hierarchy(head, name)
+    joints = parse_hierarchy(head, name)
     values, (fps, said) = _parse_motion(body, joints, name)
     parents = tuple(joint.parent for joint in joints)
     positions, orientations = posed_skeleton(parents, _local(joints, values), len(values))
@@ -104,7 +104,12 @@ def parse_bvh(
     return restore_lost_bones(settle_skeleton(raw, unit=unit, up=up))
 
 
-def _parse_hierarchy(head: str, name: str) -> list[_Joint]:
+def parse_hierarchy(head: str, name: str) -> list[_Joint]:
+    """The joints in the text before the motion, parents first.
+
+    Raises:
+        ValueError: when it is no tree of joints with offsets.
+    """
     joints: list[_Joint] = []
     taken: set[str] = set()
     open_joints: list[int] = []

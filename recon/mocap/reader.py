@@ -10,20 +10,29 @@ from importlib.resources import files
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.formats.opening import decode, existing, read_bytes
 from recon.mocap.asf_amc import read_amc
-from recon.mocap.bvh import parse_bvh, read_bvh
+from recon.mocap.bvh import parse_bvh, parse_hierarchy, read_bvh
 from recon.mocap.c3d import read_c3d
+from recon.mocap.marker_tables import read_motive, read_qualisys
 from recon.mocap.mat import read_mat
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.mocap.trc import read_trc
+from recon.mocap.trees import joints_by_tree
 
-RECORDINGS = (".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".mat", ".tar", ".tar.xz")
+RECORDINGS = (
+    ".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".csv", ".tsv", ".mat", ".tar", ".tar.xz"
+)  # fmt: skip
 """Suffixes that `read_recording` knows, among others of the same families."""
-_READERS = {".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_trc}
+_READERS = {
+    ".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_trc, ".csv": read_motive,
+    ".tsv": read_qualisys,
+}  # fmt: skip
 """Readers of files that hold one recording."""
 
 
@@ -57,7 +66,7 @@ def read_recording(
     if name.endswith((".asf", ".asf.xz")):
         raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
     if name.endswith((".npz", ".npz.xz")):
-        raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
+        raise FormatError(f"{path}: arrays, and no recording of motion capture")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
 
 
@@ -157,7 +166,7 @@ def skeleton_among(names: Sequence[str], source: str) -> str:
 
 
 def refuse_unknown_skeleton(path: Path) -> None:
-    """Refuse a .bvh file whose skeleton nobody knows, by a look at the names of its joints.
+    """Refuse a .bvh file whose skeleton nobody knows, by a look at its joints.
 
     Files of other kinds, and files that are not there, pass.
 
@@ -167,9 +176,9 @@ def refuse_unknown_skeleton(path: Path) -> None:
     if not path.name.lower().endswith((".bvh", ".bvh.xz")) or not path.is_file():
         return
     head, keyword, _ = decode(read_bytes(path)).partition("MOTION")
-    words = head.split()
-    starts = [k for k, word in enumerate(words[:-1]) if word.upper() in ("ROOT", "JOINT")]
-    if keyword and starts:
-        names = [words[k + 1] for k in starts]
-        tips = [f"{name}_end" for name in names]  # those of last bones are joints too
-        skeleton_among([*names, *tips], path.name)
+    if not keyword:
+        return  # its reader says what is wrong with it
+    joints = parse_hierarchy(head, path.name)
+    names, parents = [one.name for one in joints], [one.parent for one in joints]
+    if joints_by_tree(names, parents, np.array([one.offset for one in joints])) is None:
+        skeleton_among(names, path.name)

@@ -8,6 +8,7 @@ from recon.core.coordinates import along
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
+from recon.core.visible import visible
 from recon.formats.opening import decode, read_bytes, replacing
 from recon.mocap.recording import MarkerRecording, settle_markers
 
@@ -44,6 +45,8 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
     notes = [f"{beyond} columns of points without a label left out"] if beyond else []
+    if (np.diff(times) <= 0).any():
+        notes.append("the column Time does not rise: frames are taken in the order of the file")
     custom: Up = "y"
     if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
         notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")
@@ -136,8 +139,9 @@ def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: A
     values = recording.positions @ to_z_up(up) / METRES[unit]
     names, count, rate = recording.marker_names, recording.frames, f"{recording.fps:g}"
     values_line = [rate, rate, str(count), str(len(names)), unit, rate, "1", str(count)]
+    shown = visible(path.name).replace("\n", " ")
     lines = [
-        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        f"PathFileType\t4\t(X/Y/Z)\t{shown}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame"
         "\tOrigNumFrames",
         "\t".join(values_line),

@@ -20,12 +20,13 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
-from recon.formats.scans import read_scans
+from recon.formats.scans import CLOUDS, read_scans
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import (
-    RECORDINGS,
     from_recording,
+    holds_markers,
     holds_points_3d,
     marker_recording,
     markers_of_study,
@@ -36,11 +37,11 @@ from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of
 from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes, masked
-from recon.reading.points import positions_of
+from recon.reading.points import points_settled, positions_of
 from recon.reading.readers import Reader, read_by, readers
 from recon.reading.views import read_views
 
-_CLOUDS, _IMAGES, DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
+_IMAGES, DETECTIONS = {".png"}, {".json", ".csv"}
 Content = ObservationFile | Sensor
 """What a file holds: arrays, or an observation that needs no more."""
 
@@ -51,7 +52,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
     observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
     `--camera`; 3D keypoints of other programs, by file or session folder; markers (.c3d, .trc); a
-    folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with `--camera`. Sensors
+    folder of scans (.ply, .pcd, .obj); a folder of depth images (.png) with `--camera`. Sensors
     without a pose are taken to be one and the same camera.
 
     Raises:
@@ -104,25 +105,26 @@ def _read(
     """What a file or folder holds, and what was decided; None where it holds 2D detections."""
     if path.is_dir() and next(path.iterdir(), None) is None:
         raise ObservationError(
-            f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
+            f"{path}: the folder is empty; expected scans (.ply, .pcd, .obj), depth images (.png) "
             "or 2D detections (.json, .csv) in it"
         )
     if (seen := read_by(own, path, body)) is not None:
         return seen, ()
-    if path.suffix.lower() in RECORDINGS and path.is_file():
+    refuse_others(path, "fit")
+    if path.is_file() and holds_markers(path):
         return _recorded(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
         person = None if settings.person == "all" else settings.person
         file = settled(
             read_points_3d(path, person=person), body, fps=settings.frame_rate,
-            unit=settings.unit, up=settings.up, layout=settings.layout,
+            unit=settings.unit, up=settings.up, hand=settings.hand, layout=settings.layout,
         )  # fmt: skip
-        return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
+        return _points(file, path, body, settings)
     if holds_detections(path):
         return None
     if path.suffix.lower() == ".npz":
         return load_observation(path, unit=settings.unit), ()
-    if kinds := _inside(path) & (_CLOUDS | _IMAGES):
+    if kinds := _inside(path) & (CLOUDS.keys() | _IMAGES):
         return _read_folder(path, kinds, settings), ()
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
@@ -146,11 +148,23 @@ def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Senso
     if skin or settings.mapping is not None:
         from recon.ingest.marker_observation import seen_markers
 
-        return seen_markers(recording, body, settings.mapping, settings.robust)
+        return seen_markers(recording, body, settings.mapping, settings.robust, settings.hand)
     if file is None:
         points = from_recording(recording)
-        file = settled(points, body, fps=settings.frame_rate, layout=settings.layout)
-    return positions_of(file, path, body, up="z", robust=settings.robust), file.decisions
+        file = settled(
+            points, body, fps=settings.frame_rate, hand=settings.hand, layout=settings.layout
+        )
+    else:
+        file = points_settled(file, path, body, up="z", hand=settings.hand)
+    return _points(file, path, body, settings)
+
+
+def _points(
+    file: PositionsFile, path: str | Path, body: BodyModel, settings: FitSettings
+) -> tuple[Sensor, Sequence[str]]:
+    """Points whose coordinates are settled, as an observation, and what was decided of them."""
+    found = positions_of(file, path, body, up="z", hand="right", robust=settings.robust)
+    return found, file.decisions
 
 
 @contextmanager
@@ -246,9 +260,11 @@ def together(
             if not posed[k] and T is None:
                 T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
         elif isinstance(file, PositionsFile):
-            found[k] = positions_of(
-                file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
+            points = points_settled(
+                file, name, body, unit=settings.unit, up=settings.up, hand=settings.hand
             )
+            found[k], said = _points(points, name, body, settings)
+            notes += [f"{name}: {decision}" for decision in said]
         else:
             found[k] = file
     observations = tuple(found[k] for k in range(len(files)))
@@ -276,10 +292,9 @@ def _has_pose(file: Content) -> bool:
 
 def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
     """A folder of scans or of depth images."""
-    if kinds & _CLOUDS:
-        up = "z" if settings.up is None else settings.up
+    if kinds & CLOUDS.keys():
         return read_scans(
-            path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
+            path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed
         )
     if settings.camera is None or settings.frame_rate is None:
         raise ObservationError(

@@ -102,6 +102,8 @@ _UP_IN_CAMERA = (0.0, -1.0, 0.0)
 _UP_IN_WORLD = (0.0, 0.0, 1.0)
 _KNOWN_GROUND = 0.1
 """Metres by which a plane that is seen may miss z = 0 and still be the ground that is known."""
+_BELOW = -0.2
+"""Height of the lowest points of scans under which z = 0 cannot be the ground."""
 _LEVEL = Ground.create(torch.tensor([0.0, 0.0, 1.0]).double(), torch.tensor(0.0).double())
 _LEAST = 20
 """Points that make a frame worth having."""
@@ -205,6 +207,11 @@ def cloud_of(
         else cloud
         for cloud in clouds
     ]
+    lowest = np.median([np.percentile(cloud[:, 2], 1) for cloud in clouds if len(cloud) > 0] or 0)
+    if file.camera is None and not seen and lowest < _BELOW:
+        known = False
+        said = f"ground: the lowest points are at {lowest:.2f} m, so its height is estimated"
+        moves = (*moves, f"{said} instead of z = 0")
     most = max(map(len, clouds))
     if most < _LEAST:
         raise ObservationError(

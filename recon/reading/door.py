@@ -1,11 +1,11 @@
 """`recon.read`: files to observations of one clip or to a motion."""
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.body.model import BodyModel
+from recon.core.arrays import geometries_given
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import MotionFile, holds_motion, load_motion
 from recon.method.sensor import Sensor
@@ -14,13 +14,12 @@ from recon.reading.clip import load_clip
 _LOG = logging.getLogger("recon")
 
 
-def read(
-    path: Path | str | Sequence[Path | str], **how: Any
-) -> Sensor | list[Sensor] | MotionFile:
+def read(path: Any, **how: Any) -> Sensor | list[Sensor] | MotionFile:
     """What files hold: one observation, a list of those of one clip, or a motion.
 
     Args:
-        path: a motion file (.npz), or a file or folder of observations, or several of one clip.
+        path: a motion file (.npz), or a file or folder of observations, or several of one clip;
+            or, with `frame_rate`, geometries of Open3D, one per frame, as `recon.fit` takes them.
         how: to read observations, as `load_observation` takes it; none for a motion.
 
     Raises:
@@ -33,11 +32,12 @@ def read(
 
 
 def load_observation(
-    path: Path | str | Sequence[Path | str],
+    path: Any,
     *,
     body: BodyModel | None = None,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
+    hand: Literal["left", "right"] | None = None,
     frame_rate: float | None = None,
     layout: str | None = None,
     person: int | None = None,
@@ -56,15 +56,16 @@ def load_observation(
     """Read observations as `recon fit` does: one, or a list where there are several.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
-    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of
+    folders of scans (.ply, .pcd, .obj); folders of depth images (.png) with `camera`; markers of
     laboratories (.c3d, .trc); files of sensors that other packages registered. All have a leading
     axis of length one. What was assumed in reading is logged (logger `recon`).
 
     Args:
-        path: file or folder, or several of one clip.
+        path: file or folder, or several of one clip, or geometries of Open3D.
         body: whose points markers and keypoints are; None is the bundled body.
         unit: of positions and scans, where the file is wrong about it.
         up: axis that points up, or down, where the file is wrong about it.
+        hand: handedness of the coordinates; None tells it from the body, where points have names.
         frame_rate: frames per second of detections and images, where files do not tell.
         layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
         person: number of the person to follow where detections show several.
@@ -86,9 +87,8 @@ def load_observation(
         FileNotFoundError: when there is no such file.
         FormatError: when something cannot be read, or arguments are missing; says what to do.
     """
-    paths = [path] if isinstance(path, Path | str) else path
     settings = FitSettings(
-        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
+        unit=unit, up=up, hand=hand, frame_rate=frame_rate, layout=layout, person=person,
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
         camera_up=camera_up, image_size=image_size,
@@ -97,7 +97,13 @@ def load_observation(
         mapping=None if mapping is None else Path(mapping),
     )  # fmt: skip
     model = BodyModel.load() if body is None else body
-    clip = load_clip([Path(one) for one in paths], settings, model)
+    if geometries := geometries_given(path):
+        from recon.reading.geometries import load_geometries
+
+        clip = load_geometries(geometries, settings, model)
+    else:
+        paths = [path] if isinstance(path, Path | str) else path
+        clip = load_clip([Path(one) for one in paths], settings, model)
     for note in clip.notes:
         _LOG.info("%s", note)
     return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)

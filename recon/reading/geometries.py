@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
+from recon.core.arrays import cloud_points, held_numbers
 from recon.core.errors import ObservationError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION, check_camera
 from recon.core.units import to_z_up
@@ -31,7 +32,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     have their centres at whole numbers.
 
     Args:
-        given: geometries of one kind (`recon.api.given.geometries_given`).
+        given: geometries of one kind (`recon.core.arrays.geometries_given`).
         settings: how to read.
         body: that is to be fitted.
 
@@ -76,24 +77,8 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     return together([("geometries", file)], (), settings, body)
 
 
-def _array(values: Any) -> np.ndarray:
-    """Values on the processor: vectors of the older interface, tensors of the newer."""
-    values = values.cpu().numpy() if hasattr(values, "cpu") else values
-    return np.asarray(values, dtype=np.float64)
-
-
 def _points(one: Any, frame: int) -> Float[np.ndarray, "points 3"]:
-    for name in ("points", "vertices"):
-        if hasattr(one, name):
-            found = _array(getattr(one, name))
-            break
-    else:  # open3d.t.geometry
-        held = one.point if hasattr(one, "point") else one.vertex
-        found = _array(held["positions"]) if "positions" in held else np.zeros((0, 3))
-    found = found.reshape(0, 3) if found.size == 0 else found
-    if found.ndim != 2 or found.shape[1] != 3:
-        raise ObservationError(f"geometry {frame}: expected points (N, 3), got {found.shape}")
-    found = found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
+    found = cloud_points(one, f"geometry {frame}")
     POSITION.check(found, f"geometry {frame}", "[point, axis]")
     return found
 
@@ -111,7 +96,9 @@ def _camera(lenses: Sequence[Any]) -> CameraArrays:
 
 def _seen(image: Any, frame: int, camera: CameraArrays) -> Float[np.ndarray, "points 3"]:
     """Points of an image of metres, camera frame; without the edges, which mix two depths."""
-    depth = _array(image.depth.as_tensor() if hasattr(image.depth, "as_tensor") else image.depth)
+    depth = held_numbers(
+        image.depth.as_tensor() if hasattr(image.depth, "as_tensor") else image.depth
+    )
     depth = depth.squeeze(-1) if depth.ndim == 3 and depth.shape[-1] == 1 else depth
     if depth.shape != camera.image_size[::-1]:
         raise ObservationError(

@@ -10,15 +10,16 @@ from typing import Any
 
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
-from recon.formats.foreign import holds_sam3d_body
+from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
+from recon.formats.scans import CLOUDS
 from recon.formats.weight_files import weights_path
 from recon.keypoints3d.reader import body_file, time_stamps
 from recon.mocap.asf_amc import recording_files
 from recon.reading.places import expand
 
-_CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
+_IMAGES, _KEYPOINTS = (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
 _PATHS = ("body", "camera", "camera_track", "masks", "mapping", "weights")
 """Settings that name files: their contents count, not where they lie."""
@@ -66,7 +67,7 @@ def observation_input(path: Path) -> Input:
         return Input(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:
-            clouds, images = _inside(path, _CLOUDS), _inside(path, _IMAGES)
+            clouds, images = _inside(path, tuple(CLOUDS)), _inside(path, _IMAGES)
             if clouds or images:
                 return Input(path, (*clouds, path / "times.csv") if clouds else images)
             return Input(path, _of_views(path))

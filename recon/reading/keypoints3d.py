@@ -12,8 +12,9 @@ from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
 from recon.core.coordinates import settled_up
 from recon.core.errors import FormatError, UnitsError
+from recon.core.hands import right_handed
 from recon.core.skeleton import JOINT, keypoint_names
-from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.reader import with_rate
@@ -46,6 +47,7 @@ def settled(
     fps: float | None = None,
     unit: str | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     layout: str | None = None,
 ) -> PositionsFile:
     """3D keypoints in metres with z up.
@@ -56,6 +58,7 @@ def settled(
         fps: frames per second; None where the file states it.
         unit: of the positions; None to read it from the file, or to tell it from the size.
         up: axis that points up, or down; None to tell it from head and feet.
+        hand: handedness of the axes; None to tell it from the body.
         layout: which keypoints an array without names holds; None to tell it.
 
     Raises:
@@ -68,11 +71,13 @@ def settled(
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
     up, up_reason = _up(known.names, positions, visible, up, known.name)
-    positions = positions @ (to_z_up(up).T * metres)
     names = known.names
+    positions = positions @ (to_z_up(up).T * metres)
+    factors, mirrored = right_handed(names, positions, visible, hand)
+    positions *= factors
     placed = not _about_the_pelvis(names, positions, visible)
     level = not up.endswith("down")
-    said = [*known.decisions, unit_reason, up_reason]
+    said = [*known.decisions, unit_reason, up_reason, *mirrored]
     if not level and not placed and _upright(names, positions, visible):
         level = True
         said.append("shoulders are straight above the ankles: the camera is taken to be level")

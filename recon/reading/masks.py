@@ -64,7 +64,7 @@ def _frames(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
         if len(shape) != 3 or dtype.kind not in "bui" or fortran or shape[0] == 0:
             raise FormatError(f"mask is {dtype} {shape}" + " in column order" * fortran)
         height, width = shape[1:]
-        IMAGE.check(height * width, path, _KEY)
+        IMAGE.check(height * width * dtype.itemsize, path, _KEY)
         for _ in range(shape[0]):
             image = np.frombuffer(member.read(height * width * dtype.itemsize), dtype)
             masks.append(PackedMask(np.packbits(image != 0), (height, width)))

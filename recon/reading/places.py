@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from recon.core.errors import ObservationError
 from recon.core.skeleton import keypoint_names
 from recon.detections.records import Detections
+from recon.detections.tables import holds_detections
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
@@ -134,7 +135,8 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
             inside = [project] if _holds(project, ".json") else _inside(project)
         if len(inside) == 0:
             raise ObservationError(
-                f"{path}: expected .json files of one camera, or a folder per camera with them"
+                f"{path}: expected .json files of one camera, or a folder per camera with them, "
+                "or a .csv or .npz of keypoints for each"
             )
         if inside != [path]:
             notes.append(f"{path}: {len(inside)} views, {', '.join(str(one) for one in inside)}")
@@ -203,11 +205,13 @@ def _holds(folder: Path, suffix: str) -> bool:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """Camera folders and tables of a folder, by name."""
+    """Camera folders, tables and arrays of a folder, by name."""
     return sorted(
         one
         for one in folder.iterdir()
-        if (one.is_dir() and _holds(one, ".json")) or one.suffix.lower() == ".csv"
+        if (one.is_dir() and _holds(one, ".json"))
+        or one.suffix.lower() == ".csv"
+        or holds_detections(one)
     )
 
 

@@ -1,6 +1,6 @@
 """Observation files of points, checked for size, axes and names before a fit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,11 +18,14 @@ from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core.coordinates import surely_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
+from recon.core.hands import right_handed
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
-from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 
+_ROOM = (-0.3, 2.5)
+"""Metres above the floor between which a person lies or hangs."""
 SIZE = (0.25, 2.5)
 """Spread of the points against that of the rest body; outside it the unit must be wrong."""
 
@@ -34,6 +37,7 @@ def positions_of(
     *,
     unit: str | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     robust: float | None = None,
 ) -> Joints3D | Markers3D | Keypoints3D:
     """The points of an observation file as an energy of one clip.
@@ -42,10 +46,49 @@ def positions_of(
         file: as read.
         path: of the file, for messages.
         body: to compare the size with.
+        unit: as of `points_settled`.
+        up: as of `points_settled`.
+        hand: as of `points_settled`.
+        robust: distance in metres beyond which a point counts ever less; None is least squares.
+
+    Raises:
+        ValueError: when nothing is visible in it, a name is unknown, or unit or axis are wrong;
+            the message says what to do.
+    """
+    file = points_settled(file, path, body, unit=unit, up=up, hand=hand)
+    places, _ = _places(file, path, body)
+    kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
+    visible = torch.from_numpy(file.visible)[None]
+    points = torch.from_numpy(file.positions).float()[None] * visible[..., None]
+    if file.kind == "keypoints3d":
+        return Keypoints3D(
+            points, visible, BodyPoints.of_names(file.names, body), file.fps, file.start_time,
+            kernel, file.ground_known, std=file.std, level=file.level, placed=file.placed,
+        )  # fmt: skip
+    given = (points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
+    kind = Joints3D if file.kind == "joints3d" else Markers3D
+    return kind(*given, std=file.std)
+
+
+def points_settled(
+    file: PositionsFile,
+    path: str | Path,
+    body: BodyModel,
+    *,
+    unit: str | None = None,
+    up: Up | None = None,
+    hand: Hand | None = None,
+) -> PositionsFile:
+    """The points in metres and right-handed axes with z up, and what was decided.
+
+    Args:
+        file: as read.
+        path: of the file, for messages.
+        body: to compare the size with.
         unit: of the file's positions (m, cm, mm, inch, cmu); None takes the contract's metres
             and refuses what no body can measure.
-        up: axis that points up; None believes the file unless the body contradicts it.
-        robust: distance in metres beyond which a point counts ever less; None is least squares.
+        up: axis that points up, or down; None believes the file unless the body contradicts it.
+        hand: handedness of the axes; None tells it from the body.
 
     Raises:
         ValueError: when nothing is visible in it, a name is unknown, or unit or axis are wrong;
@@ -56,20 +99,18 @@ def positions_of(
             f"{path}: no point is visible in any frame, so there is nothing to fit"
         )
     check_override(unit)
-    places, rest = _places(file, path, body)
-    positions = _upright(file, path, up) * (METRES[unit] if unit else 1.0)
+    _, rest = _places(file, path, body)
+    metres = METRES[unit] if unit else 1.0
+    turned, said = _upright(file, path, up)
+    positions = turned * metres
     _check_size(positions, file.visible, rest, path, told=unit is not None)
-    kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
-    visible = torch.from_numpy(file.visible)[None]
-    points = torch.from_numpy(positions).float()[None] * visible[..., None]
-    std = None if file.std is None else file.std * (METRES[unit] if unit else 1.0)
-    if file.kind == "keypoints3d":
-        return Keypoints3D(
-            points, visible, BodyPoints.of_names(file.names, body), file.fps, file.start_time,
-            kernel, file.ground_known, std=std, level=file.level, placed=file.placed,
-        )  # fmt: skip
-    given = (points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
-    return Joints3D(*given, std=std) if file.kind == "joints3d" else Markers3D(*given, std=std)
+    matched, _ = match_markers(file.names) if file.kind == "markers3d" else ({}, ())
+    names = [matched.get(name, name) for name in file.names]
+    factors, mirrored = right_handed(names, positions, file.visible, hand)
+    return replace(
+        file, positions=positions * factors, std=None if file.std is None else file.std * metres,
+        decisions=(*file.decisions, *said, *mirrored),
+    )  # fmt: skip
 
 
 def _places(
@@ -108,22 +149,28 @@ def _places(
     return vertices, body.template[list(vertices)]
 
 
-def _upright(file: PositionsFile, path: str | Path, up: Up | None) -> np.ndarray:
-    """Positions with z up.
+def _upright(
+    file: PositionsFile, path: str | Path, up: Up | None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Positions with z up, and what was put right.
 
     Raises:
-        ValueError: when the body surely stands along another axis than the file says.
+        ValueError: when the body stands along another axis than the file says, and may as well
+            lie or hang.
     """
     if up is not None:
-        return file.positions @ to_z_up(up).T
-    if not file.level:
-        return file.positions
-    if found := surely_up("z", file.names, file.positions, file.visible):
+        return file.positions @ to_z_up(up).T, ()
+    found = surely_up("z", file.names, file.positions, file.visible) if file.level else None
+    if found is None:
+        return file.positions, ()
+    low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))
+    if _ROOM[0] < low and high < _ROOM[1]:
         raise ObservationError(
             f"{path}: says z is up, but the body stands along {found}; give --up {found}, "
             "or --up z if the person really lies or hangs"
         )
-    return file.positions
+    said = f"up axis {found}: the file says z, but the body stands along it, and not above z = 0"
+    return file.positions @ to_z_up(found).T, (said,)
 
 
 def _check_size(

@@ -18,6 +18,7 @@ from viser import SceneApi, ViserServer
 
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
+from recon.core.visible import visible
 from recon.formats.opening import replacing
 from recon.view.scene import (
     CAMERA,
@@ -78,7 +79,7 @@ def write_html(path: str | Path, show: Show) -> None:
             page = _record(server, show)
         finally:
             server.stop()
-        title = f"<title>{html.escape(show.title)}</title>"
+        title = f"<title>{html.escape(visible(show.title))}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
         page = page.replace("</body>", _legend(show) + "</body>", 1)
         scratch.write_text(page, encoding="utf-8")
@@ -298,7 +299,7 @@ def _legend(show: Show) -> str:
     script = (assets / "layers.js").read_text(encoding="utf-8")
     return (
         f'<style>{style}</style><div id="recon-legend"><details open>'
-        f"<summary>{html.escape(show.title)}</summary>{''.join(rows)}</details></div>"
+        f"<summary>{html.escape(visible(show.title))}</summary>{''.join(rows)}</details></div>"
         "<script>if (innerWidth <= 600) "
         'document.querySelector("#recon-legend details").open = false;</script>'
         f"<script>{script}</script>"
@@ -309,5 +310,5 @@ def _row(word: str, colour: Colour, data: str, shown: bool) -> str:
     checked = " checked" if shown else ""
     return (
         f'<label style="--colour:rgb{colour}"><input type="checkbox" role="switch" {data}'
-        f"{checked}><i></i><span>{html.escape(word)}</span></label>"
+        f"{checked}><i></i><span>{html.escape(visible(word))}</span></label>"
     )

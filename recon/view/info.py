@@ -1,14 +1,18 @@
 """`recon info`: what a file holds and what was assumed in reading it."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
+from recon.core.hands import right_handed
+from recon.core.units import Hand, Unit, Up
+from recon.detections.tables import holds_detections
 from recon.formats.estimates import read_estimate
-from recon.formats.foreign import refuse_foreign
 from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import MotionFile, load_motion
 from recon.formats.observations import (
@@ -19,16 +23,18 @@ from recon.formats.observations import (
 )
 from recon.formats.opening import existing, load_arrays
 from recon.formats.pickles import read_tree
+from recon.formats.producers import producer_of, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
 from recon.keypoints3d.labels import are_keypoints
-from recon.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
+from recon.keypoints3d.reader import from_recording, holds_markers, holds_points_3d, read_points_3d
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, head_to_foot
 from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes
+from recon.reading.points import points_settled
 from recon.view.info_cameras import (
     describe_calibration,
     describe_detections,
@@ -43,7 +49,9 @@ _ANY_RATE = 30.0
 """Frames per second with which nothing is told but times."""
 
 
-def info(file: Path) -> dict[str, Any]:
+def info(
+    file: Path, *, unit: Unit | None = None, up: Up | None = None, hand: Hand | None = None
+) -> dict[str, Any]:
     """Say what a file or folder holds, and how that was told.
 
     Motions, observations, recordings, bodies, 2D keypoints, calibrations, scans, depth images:
@@ -51,6 +59,9 @@ def info(file: Path) -> dict[str, Any]:
 
     Args:
         file: any file or folder that recon reads.
+        unit: of its coordinates, as for `recon fit`; default: found out.
+        up: axis that points up, or down; default: found out.
+        hand: handedness of the coordinates; default: found out.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -58,33 +69,42 @@ def info(file: Path) -> dict[str, Any]:
     """
     if not file.exists():
         raise FileNotFoundError(f"{file}: no such file")
+    refuse_others(file, "info")
+    found = producer_of(file)
+    verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
+    told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}
+    return {**_held(file, {"unit": unit, "up": up, "hand": hand}), **told}
+
+
+def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if (project := project_at(file)) is not None:
         return _project(project)
     if holds_points_3d(file):
-        return _points(read_points_3d(file))
+        return _points(read_points_3d(file), axes)
     if file.is_dir():
         return describe_folder(file)
     ending = file.suffix.lower()
-    if ending in (".pt", ".pth"):
-        return _estimate(file)
+    if ending in (".pt", ".pth", ".npy"):
+        return _estimate(file, axes["up"])
     if ending == ".pkl":
-        return _body(file) if "v_template" in read_tree(file) else _estimate(file)
+        return _body(file) if "v_template" in read_tree(file) else _estimate(file, axes["up"])
     if ending == ".json":
         return describe_json(file)
-    if ending == ".csv":
-        refuse_foreign([file])
+    if ending == ".csv" and not holds_markers(file):
         return describe_detections(file)
     if ending in (".toml", ".yml", ".yaml"):
         return describe_calibration(file)
     if ending != ".npz":
-        return _recording(file)
+        return _recording(file, axes)
+    if holds_detections(file):
+        return describe_detections(file)
     keys = set(load_arrays(existing(file)))
     if "kind" in keys:
-        return _observation(file)
+        return _observation(file, axes)
     if "trans" in keys and keys & _RATES:
         return _motion(file)
     if keys & {"trans", "transl"}:
-        return _estimate(file)
+        return _estimate(file, axes["up"])
     if "v_template" in keys:
         return _body(file)
     if "camera_matrix" in keys:
@@ -160,10 +180,11 @@ def _alternatives(path: Path) -> dict[str, list[str]]:
     return {"alternatives": [one["message"] for one in told]} if told else {}
 
 
-def _observation(path: Path) -> dict[str, Any]:
-    file = load_observation(path)
+def _observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+    file = load_observation(path, unit=axes["unit"])
     common = {"fps": file.fps, "start_time": file.start_time}
     if isinstance(file, PositionsFile):
+        file = points_settled(file, path, BodyModel.load(), **axes)
         return {
             "format": f"observation: {file.kind}",
             "frames": len(file.positions),
@@ -173,6 +194,7 @@ def _observation(path: Path) -> dict[str, Any]:
             "ground_known": file.ground_known,
             "std": file.std is not None,
             "names": list(file.names),
+            "decisions": list(file.decisions),
         }
     if isinstance(file, KeypointsFile):
         return {
@@ -200,10 +222,10 @@ def _pose(camera: CameraArrays) -> dict[str, Any]:
     return {"poses": 0 if poses is None else len(poses), "ground_known": poses is not None}
 
 
-def _recording(path: Path) -> dict[str, Any]:
-    recording = read_recording(path)
+def _recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+    recording = read_recording(path, unit=axes["unit"], up=axes["up"])
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
-        return _points(from_recording(recording))
+        return _points(from_recording(recording), {"hand": axes["hand"]})
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )
@@ -216,6 +238,10 @@ def _recording(path: Path) -> dict[str, Any]:
         "decisions": list(recording.decisions),
     }
     if isinstance(recording, MarkerRecording):
+        matched, _ = match_markers(names)
+        places = [matched.get(name, "") for name in names]
+        _, said = right_handed(places, recording.positions, recording.visible, axes["hand"])
+        facts["decisions"] += said
         facts["missing"] = float(1 - np.mean(recording.visible))
     else:
         facts["stature"] = head_to_foot(
@@ -235,13 +261,13 @@ def _body(path: Path) -> dict[str, Any]:
     }
 
 
-def _estimate(path: Path) -> dict[str, Any]:
+def _estimate(path: Path, up: Up | None) -> dict[str, Any]:
     """The person of most frames, as `recon refine` takes them; plain values.
 
     Raises:
         ValueError: when the file holds no such parameters.
     """
-    found = read_estimate(path)
+    found = read_estimate(path, up=up)
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),
@@ -254,13 +280,13 @@ def _estimate(path: Path) -> dict[str, Any]:
     }
 
 
-def _points(points: Points3D) -> dict[str, Any]:
+def _points(points: Points3D, axes: Mapping[str, Any]) -> dict[str, Any]:
     """Keypoints, sizes, rate and decisions; without a rate, all that does not depend on it.
 
     Raises:
         ValueError: when layout, unit or axis cannot be told; the message says what was found.
     """
-    file = settled(points, BodyModel.load(), fps=points.fps or _ANY_RATE)
+    file = settled(points, BodyModel.load(), fps=points.fps or _ANY_RATE, **axes)
     asked = () if points.fps is not None else ("no frame rate: give --frame-rate to fit",)
     return {
         "format": "3D keypoints",

@@ -5,14 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.clouds import unit_of_clouds, up_of_clouds
+from recon.core.limits import CALIBRATION
+from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
-from recon.formats.pcd import read_pcd
 from recon.formats.scan_times import timed
-from recon.formats.scans import naturally, read_ply, scan_paths, unit_of_clouds
+from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
 from recon.reading.tracks import follow
 
@@ -28,7 +30,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
         ValueError: when it holds nothing that recon reads, or something damaged.
     """
     endings = {one.suffix.lower() for one in path.iterdir() if one.is_file()}
-    if endings & {".ply", ".pcd"}:
+    if endings & CLOUDS.keys():
         return _scans(path)
     if ".png" in endings:
         return _images(path)
@@ -40,7 +42,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
             return describe_calibration(path)
         raise ValueError(
             f"{path}: expected a folder of 2D keypoints (.json, .csv, or folders of them), scans "
-            f"(.ply, .pcd), depth images or masks (.png), or a calibration; it has "
+            f"(.ply, .pcd, .obj, .xyz), depth images or masks (.png), or a calibration; it has "
             f"{', '.join(sorted(endings)) or 'no files'}"
         ) from error
     if views == [path]:
@@ -67,8 +69,8 @@ def describe_json(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: when it is damaged or neither.
     """
-    value = read_json(path)
-    if isinstance(value, dict) and "camera_mtx" in value:
+    small = path.stat().st_size <= CALIBRATION.high
+    if small and isinstance(value := read_json(path), dict) and "camera_mtx" in value:
         return describe_calibration(path)
     return describe_detections(path)
 
@@ -134,10 +136,7 @@ def _scans(path: Path) -> dict[str, Any]:
     else:
         decisions.append("no times.csv: give --frame-rate to fit")
     step = max(len(paths) // _LOOKED_AT, 1)
-    clouds = [
-        read_pcd(one) if one.suffix.lower() == ".pcd" else read_ply(one)[0]
-        for one in paths[::step][:_LOOKED_AT]
-    ]
+    clouds = [read_cloud(one) for one in paths[::step][:_LOOKED_AT]]
     try:
         unit = unit_of_clouds(clouds, str(path))
     except ValueError as error:
@@ -145,6 +144,11 @@ def _scans(path: Path) -> dict[str, Any]:
         decisions.append(str(error))
     else:
         decisions.append(f"unit {unit}: by the size of the clouds")
+        try:
+            scaled = [cloud * METRES[unit] for cloud in clouds]
+            decisions += up_of_clouds(scaled, str(path), told=False)[1] or ("up axis z",)
+        except ValueError as error:
+            decisions.append(str(error))
     return {
         "format": f"scans ({paths[0].suffix.lower()})",
         "frames": len(paths),

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from recon.core.visible import visible
 from recon.formats.opening import replacing
 from recon.view.scene import FAINT, INK, Colour
 
@@ -105,7 +106,8 @@ def write_line(
     colour: Colour = FAINT,
 ) -> None:
     """Write one line whose baseline starts at `place`."""
-    cv2.putText(picture, words, place, colour, cv2.FontFace("sans"), text, weight)
+    # OpenCV ends the process at letters that Unicode does not know, as names of files may have
+    cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
 
 def head(picture: Picture, title: str) -> None:
@@ -125,4 +127,4 @@ def label(picture: Picture, words: str) -> None:
 
 def line_width(words: str, text: int) -> int:
     """Width of a line in pixels, at `text` pixels high."""
-    return cv2.getTextSize((0, 0), words, (0, 0), cv2.FontFace("sans"), text, REGULAR)[2]
+    return cv2.getTextSize((0, 0), visible(words), (0, 0), cv2.FontFace("sans"), text, REGULAR)[2]

@@ -10,6 +10,7 @@ from torch import Tensor
 from recon.body.model import BodyModel, PosedBody
 from recon.core.camera import Camera, Ground, Projection
 from recon.core.motion import Motion
+from recon.core.visible import visible
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -296,7 +297,7 @@ class Show:
 
 def _node(name: str) -> str:
     """A name as part of a node's; a slash would open a new level of the tree."""
-    return name.replace("/", "-").strip() or "unnamed"
+    return visible(name).replace("/", "-").strip() or "unnamed"
 
 
 def nearest_samples(

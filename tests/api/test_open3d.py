@@ -9,9 +9,9 @@ import pytest
 import torch
 
 import recon
-from recon.api.given import geometries_given
 from recon.api.pipeline import observed
 from recon.api.results import MotionResult
+from recon.core.arrays import geometries_given
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.fitting.settings import ReadOptions
@@ -84,6 +84,32 @@ def test_depth_images_have_their_camera(body):
 def test_what_cannot_be_taken_is_said(given, reading, said, body):
     with pytest.raises(ReconError, match=said):
         clip(given, body, **reading)
+
+
+def test_the_constructor_and_the_reader_take_geometries(body):
+    frames = [person(0), person(1)[:300]]
+    given = [SimpleNamespace(points=one) for one in frames]
+    for clouds in (given, frames):
+        seen = recon.PointCloud(clouds, fps=30.0)
+        assert seen.present.sum(-1).tolist() == [400, 300]
+        assert torch.equal(seen.points[0], torch.from_numpy(frames[0]).float())
+        assert not seen.points[1, 300:].any()
+    given = [SimpleNamespace(points=person(k)) for k in range(3)]
+    read = recon.read(given, frame_rate=30.0, body=body)
+    assert isinstance(read, recon.PointCloud)
+    assert torch.equal(read.points, ours([person(k) for k in range(3)], body).points)
+    with pytest.raises(ReconError, match="moment 0: expected points"):
+        recon.PointCloud([person(0)[:, :2]], fps=30.0)
+    with pytest.raises(ReconError, match="no cloud has any"):
+        recon.PointCloud([np.zeros((0, 3))], fps=30.0)
+    with pytest.raises(ReconError, match="fps"):
+        recon.PointCloud(frames)
+
+
+def test_geometries_beside_observations_are_refused_with_the_way_out(body):
+    own = ours([person(0)], body)
+    with pytest.raises(ReconError, match="make the geometries an observation first"):
+        recon.fit([own, SimpleNamespace(points=person(0))])
 
 
 def test_own_observations_are_no_geometries(body):

@@ -1,5 +1,7 @@
 """Residuals and what they say: in their own units, and warnings where input is doubtful."""
 
+from dataclasses import replace
+
 import torch
 
 from observations.keypoints2d import Keypoints2D
@@ -89,6 +91,17 @@ def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
     shape[5] = 6.5
     odd = body_findings(as_fit(walk().replace(shape=shape), ground_known=False)).warnings
     assert "6.5 standard deviations" in odd[0].message
+
+
+def test_causes_are_those_of_the_sensors_at_hand():
+    """Scans were warned of focal lengths and of labels, which they have not."""
+    joints = joints3d(walk(), bundled(), Corruption(), 0).map(lambda t: t[None])
+    up = walk().translation.new_tensor([0.0, 0.0, 0.4])
+    floating = as_fit(walk().replace(translation=walk().translation + up))
+    for seen, cause in (((joints,), "--hand"), (tuple(views(1)), "focal lengths")):
+        (warning,) = body_findings(replace(floating, observations=seen)).warnings
+        assert cause in warning.message
+        assert ("camera" in warning.message) == (seen[0].view is not None)
 
 
 def test_a_child_in_metres_is_no_fault():

@@ -164,18 +164,30 @@ def test_many_outliers_are_taken_out_and_few_are_left_to_the_robust_kernel() -> 
     assert out.confidence[same].bool().float().mean() > 0.99
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_sides_exchanged_in_a_stretch_are_exchanged_back(count: int) -> None:
+@pytest.mark.parametrize(("count", "first", "last"), [(1, 8, 17), (3, 8, 17), (1, 0, 9)])
+def test_sides_exchanged_in_a_stretch_are_put_right(count: int, first: int, last: int) -> None:
     """Left and right exchanged for a third of a clip passed without a word and 6.8 cm of error."""
     views = filmed(count)
     k = min(1, count - 1)
     spoilt = list(views)
-    spoilt[k] = renamed(views[k], slice(8, 18), SIDES)
+    spoilt[k] = renamed(views[k], slice(first, last + 1), SIDES)
     out, repairs, warnings = screened(tuple(spoilt))
-    assert [(f.code, f.frames) for f in repairs] == [("sides exchanged", ((8, 17),))]
+    assert [(f.code, f.frames) for f in repairs] == [("sides exchanged", ((first, last),))]
     assert NAMES[k] in repairs[0].message
     assert warnings == []
     assert torch.equal(out[k].pixels, views[k].pixels)
+
+
+def test_right_names_before_an_exchange_that_begins_without_a_jump_are_kept() -> None:
+    """Where names went over in some frames and jumped back, right ones were exchanged."""
+    (one,) = filmed(1)
+    other = renamed(one, slice(None), SIDES)
+    share = ((torch.arange(FRAMES) - 8) / 6).clamp(0, 1).where(torch.arange(FRAMES) < 22, 0.0)
+    spoilt = one.replace(pixels=torch.lerp(one.pixels, other.pixels, share[:, None, None]))
+    (out,), repairs, warnings = screened((spoilt,))
+    assert repairs == []
+    assert [f.code for f in warnings] == ["sides exchanged", "identity change"]
+    assert out is spoilt
 
 
 @pytest.mark.parametrize("rows", [(1,), (0, 1, 2)])

@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import struct
 import time
 import zipfile
 from pathlib import Path
@@ -12,8 +13,9 @@ import torch
 
 from recon.core.visible import visible
 from recon.formats.calibration import load_cameras
+from recon.formats.depth_images import read_png
 from recon.formats.estimates import read_estimate
-from recon.formats.json_files import read_json
+from recon.formats.json_files import read_frame_folder, read_json
 from recon.formats.opening import load_arrays
 from recon.formats.pickles import read_tree
 from recon.formats.projects import project_at
@@ -138,6 +140,8 @@ CALIBRATIONS = {
     "brackets.json": "[" * 900_000,
     "braces.json": '{"a":' * 100_000,
     "digits.json": "9" * 100_000,
+    "lists.json": "[" + "[]," * 5_000_000 + "0]",
+    "dictionaries.json": "[" + '{"a":1},' * 2_000_000 + "0]",
 }
 
 
@@ -149,6 +153,45 @@ def test_text_is_read_in_linear_time(name, tmp_path):
     with pytest.raises(ValueError, match=name.partition(".")[0]):
         read_json(path) if path.suffix == ".json" else load_cameras(path)
     assert time.process_time() - began < SECONDS
+
+
+def test_frames_in_many_files_are_bounded_together(tmp_path):
+    for k in range(3):
+        (tmp_path / f"{k}.json").write_text("[" + "[]," * 2_000_000 + "0]")
+    began = time.process_time()
+    with pytest.raises(ValueError, match="number of entries in JSON"):
+        read_frame_folder(tmp_path)
+    assert time.process_time() - began < SECONDS
+
+
+@pytest.mark.parametrize(("bits", "colour"), [(16, 6), (8, 2), (16, 0)])
+def test_images_are_bounded_by_what_they_unpack_to(bits, colour, tmp_path):
+    """An image of 8000 x 8000 pixels of 16 bits in four channels took 18 s and 1.3 GB."""
+    size = struct.pack(">IIBB", 9000, 9000, bits, colour)
+    (tmp_path / "0.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + size + bytes(40))
+    with pytest.raises(ValueError, match="size of an unpacked image"):
+        read_png(tmp_path / "0.png")
+
+
+TWICE = {
+    "twice.yml": "camera_matrix: 1\ncamera_matrix: 2\n",
+    "names.yml": "names:\n  - a\n  - a\nK_a: 1\n",
+}
+
+
+@pytest.mark.parametrize("name", TWICE)
+def test_cameras_that_are_said_twice_are_refused(name, tmp_path):
+    """The first was taken in silence."""
+    (tmp_path / name).write_text(TWICE[name])
+    with pytest.raises(ValueError, match="once"):
+        load_cameras(tmp_path / name)
+    (tmp_path / "folder").mkdir()
+    for suffix in (".yml", ".yaml"):
+        (tmp_path / "folder" / f"a{suffix}").write_text(
+            "M: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1. ]\n"
+        )
+    with pytest.raises(ValueError, match="one file per camera"):
+        load_cameras(tmp_path / "folder")
 
 
 def test_pipes_are_not_opened(tmp_path):

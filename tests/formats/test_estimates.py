@@ -79,9 +79,9 @@ def test_info_says_what_an_estimate_holds(tmp_path, kind):
 
 def test_of_several_people_the_one_of_most_frames_is_taken_and_said(tmp_path):
     path = written(tmp_path / "a.pkl", "wham")
-    assert "person 2 of 2" in read_estimate(path).notes[0]
-    with pytest.raises(FormatError, match="expected a person from 1 to 2, got 3"):
-        read_estimate(path, person=3)
+    assert "person 1 of 2" in read_estimate(path).notes[0]
+    with pytest.raises(FormatError, match="expected a person from 0 to 1, got 2"):
+        read_estimate(path, person=2)
 
 
 def test_frames_that_were_not_found_hold_the_one_before(tmp_path):

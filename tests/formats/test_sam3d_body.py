@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recon.cli.looks import refuse_foreign
 from recon.core.errors import FormatError
-from recon.formats.foreign import is_estimate, refuse_foreign
+from recon.formats.producers import is_estimate
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.reading.inputs import input_checksums
 

@@ -89,7 +89,7 @@ def test_depth_images_and_masks_are_told_apart(tmp_path):
     assert (facts["format"], facts["frames"], facts["image_size"]) == ("depth images", 1, [30, 20])
     assert "masks" in info(tmp_path / "masks")["format"]
     np.savez(tmp_path / "mask.npz", mask=np.ones((3, 4, 5), bool))
-    assert info(tmp_path / "mask.npz") == {"format": "masks", "frames": 3}
+    assert info(tmp_path / "mask.npz").items() >= {"format": "masks", "frames": 3}.items()
 
 
 @pytest.mark.parametrize(

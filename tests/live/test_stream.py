@@ -9,51 +9,8 @@ import torch
 import recon
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.live.lines import stream_lines
-from recon.live.tracking import LiveEstimate
 from tests.filmed import cameras, view, walk
-
-BEGINNING = 8
-FPS, FRAMES, NOISE = 30.0, 36, 0.02
-
-
-@pytest.fixture(autouse=True)
-def soon(monkeypatch):
-    """Streams begin after eight moments, to be quick."""
-    monkeypatch.setattr("recon.live.tracking.BEGINNING", BEGINNING)
-
-
-@pytest.fixture(scope="module")
-def truth() -> torch.Tensor:
-    """Joints of a walk."""
-    return recon.BodyModel.load().pose(walk(FRAMES)).joints
-
-
-@pytest.fixture(scope="module")
-def seen(truth) -> np.ndarray:
-    noise = np.random.default_rng(0).normal(0, NOISE, truth.shape)
-    return (truth.numpy() + noise).astype(np.float32)
-
-
-def stream(**settings) -> recon.Stream:
-    template = recon.Joints3D(np.zeros((1, 22, 3)), np.zeros((1, 22), bool), range(22), FPS)
-    return recon.Stream(template=template, noise=NOISE, **settings)
-
-
-def played(live: recon.Stream, moments, times=None) -> list[LiveEstimate]:
-    """All estimates of moments that are pushed in turn."""
-    found: list[LiveEstimate] = []
-    for k, moment in enumerate(moments):
-        estimate = live.push(moment, None if times is None else times[k])
-        found += () if estimate is None else estimate.every
-    return [*found, *live.finish()]
-
-
-def joints_of(estimates) -> torch.Tensor:
-    return torch.stack([one.joints for one in estimates])
-
-
-def codes(estimates) -> list[str]:
-    return [finding.code for one in estimates for finding in one.findings]
+from tests.live.conftest import BEGINNING, FPS, FRAMES, codes, joints_of, played, stream
 
 
 def test_every_moment_is_told_once_in_its_turn_and_well(seen, truth):
@@ -248,12 +205,21 @@ def test_bad_moments_are_refused_and_the_stream_goes_on(seen):
         ({"lag": -1}, "lag: expected"),
         ({"prior": "anchor"}, "prior: expected .*'humor'"),
         ({"noise": [0.1, 0.2], "template": None}, "noise: expected one"),
+        ({"noise": [0.1, 0.2]}, "noise: expected one"),
+        ({"noise": -1.0}, "noise: expected a number above 0"),
     ],
 )
 def test_settings_are_checked(settings, message, seen):
     template = recon.Joints3D(seen[:1], np.ones((1, 22), bool), range(22), FPS)
     with pytest.raises(recon.ReconError, match=message):
         recon.Stream(**{"template": template, **settings}).push(template)
+
+
+@pytest.mark.parametrize("noise", [0.0, [0.1, float("nan")]])
+def test_noise_is_refused_before_the_first_moment(noise):
+    """It was refused after the first moment had set the clock."""
+    with pytest.raises(recon.ReconError, match="noise"):
+        recon.Stream(noise=noise)
 
 
 def test_points_with_standard_deviations_are_refused(seen):
@@ -348,49 +314,3 @@ def test_lines_of_several_sensors():
     found = [json.loads(line) for line in stream_lines(lines, live, told.append)]
     assert told == []
     assert len(found) == 12
-
-
-LINES = (
-    "[" * 100_000, '{"points": ' + "[" * 100_000, '{"time": 1' + "0" * 400 + ', "points": []}',
-    "null", "7", '"points"', "[]", "{}", '{"points": null}', '{"points": 3}', '{"points": "a"}',
-    '{"points": [[1, 2, 3]]}', '{"points": {}}', '{"points": [[1e400, 0, 0]]}', "NaN", "\x00",
-    '{"points": [], "time": "soon"}', '{"points": [[["x"]]]}', '{"time": 1}', "9" * 5000,
-    "{" * 999, "\ufffd" * 50,
-)  # fmt: skip
-"""What is no moment, whatever it is."""
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_garbage_between_moments_changes_no_estimate(seen):
-    """One line of brackets ended the stream, and the last moments were lost."""
-    good = [json.dumps({"points": row.tolist(), "time": k / FPS}) for k, row in enumerate(seen)]
-    mixed = [
-        line
-        for k, moment in enumerate(good)
-        for line in (moment, *(LINES[(3 * k + j) % len(LINES)] for j in range(3)))
-    ]
-    told: list[str] = []
-    clean = list(stream_lines(good, stream(lag=4), told.append))
-    assert told == []
-    assert list(stream_lines(mixed, stream(lag=4), told.append)) == clean
-    assert len(told) == 3 * len(good)
-    assert len(clean) == len(good)
-
-
-def test_values_that_are_no_moments_are_refused_alike(seen):
-    live, found = stream(lag=4), []
-    bad = [
-        (1000 * seen[0], None), (seen[0], float("nan")), (seen[0], -1e400), ("x", None),
-        (seen[0][:5], None), (np.full((22, 3), np.inf), 1e400), ([None] * 22, None), ([], None),
-        (seen[0].astype(object), float("inf")), (b"", None), ([[[["x"]]]], None),
-        (torch.zeros(22, 3, dtype=torch.complex64), None),
-    ]  # fmt: skip
-    for k, moment in enumerate(seen):
-        for given, time in bad[k % 3 :: 3]:
-            if given is not seen[0] or time is not None:
-                with pytest.raises(recon.ObservationError):
-                    live.push(given, time)  # pyright: ignore[reportArgumentType]
-        estimate = live.push(moment, k / FPS)
-        found += () if estimate is None else estimate.every
-    found += live.finish()
-    torch.testing.assert_close(joints_of(found), joints_of(played(stream(lag=4), seen)))

@@ -8,12 +8,15 @@ import pytest
 import torch
 
 import recon
+from recon.body.soles import sole_heights
 from recon.core.rotations import transform
 from recon.fitting.settings import FitSettings
 from recon.people.together import load_people
 from recon.reading.clip import load_clip
+from recon.reading.places import expand
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
+from recon.view.info import info
 from tests.filmed import BESIDE, before_two, bundled, cameras, two_people, view, walk
 from tests.verbs import report_of
 
@@ -60,6 +63,7 @@ def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
     across = sorted(float(place[0]) for place in places)
     assert across[1] - across[0] == pytest.approx(BESIDE[1] - BESIDE[0], rel=0.25)
     assert abs(float(places[0][2] - places[1][2])) < 0.6
+    assert all(abs(float(sole_heights(one.motion[None], bundled()))) < 0.04 for one in files)
 
 
 def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:
@@ -102,5 +106,21 @@ def test_keypoints_at_the_border_of_the_image_are_not_seen(tmp_path):
     read = recon.load_observation(
         tmp_path / "cam.npz", camera=tmp_path / "lens.npz", frame_rate=30.0, layout="openpose25"
     )
+    assert isinstance(read, recon.Keypoints2D)
     hidden = (read.confidence[0] == 0).nonzero().tolist()
     assert hidden == [[2, 0], [3, 1], [4, 2]]
+
+
+def test_arrays_of_keypoints_are_taken_by_every_verb(tmp_path):
+    """`info`, `refine` and a folder of views refused what `fit` took."""
+    views = [view(walk(8), camera) for camera in cameras(walk(8), 2)]
+    (tmp_path / "rig").mkdir()
+    for k, seen in enumerate(views):
+        pixels, scores = seen.pixels[0].numpy(), seen.confidence[0].numpy()
+        np.savez(tmp_path / "rig" / f"cam{k}.npz", keypoints=pixels, scores=scores)
+    assert info(tmp_path / "rig" / "cam0.npz")["people"][0].startswith("person 0: 8 frames")
+    assert info(tmp_path / "rig")["format"] == "2D keypoints of 2 views"
+    assert [one.name for one in expand([tmp_path / "rig"])[0]] == ["cam0.npz", "cam1.npz"]
+    for path in (tmp_path / "rig", tmp_path / "rig" / "cam0.npz"):
+        with pytest.raises(recon.ReconError, match="`recon fit` takes it"):
+            recon.refine(path, "pose")

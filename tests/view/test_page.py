@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from recon.formats.motions import load_motion
 from recon.view import Figure, Show
 from recon.view.html import write_html
 from recon.view.scene import GREY, Points
+from tests.cli.test_hostile_names import NAMES
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 CLIENT = ROOT / "scripts" / "clients" / "in_chromium.py"
@@ -67,10 +69,12 @@ def show() -> Show:
     return Show("A walk", (fitted, truth), Points(joints + noise, visible, joints))
 
 
-def visited(steps: list[dict[str, Any]], out: Path, *more: str) -> dict[str, Any]:
+def visited(
+    steps: list[dict[str, Any]], out: Path, *more: str, shown: Show | None = None
+) -> dict[str, Any]:
     """What the browser says after some steps; pictures are in the folder."""
     page = out / "page.html"
-    write_html(page, show())
+    write_html(page, shown or show())
     words = [sys.executable, str(CLIENT), str(page), str(out), json.dumps(steps), *more]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=400)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -229,3 +233,15 @@ def test_the_page_fits_a_phone() -> None:
     as_before(out, "phone_legend")
     changed = np.abs(picture(out, "phone_legend") - picture(out, "phone_switched")).max(-1) > 30
     assert changed.sum() > 200
+
+
+@pytest.mark.parametrize("part", range(0, len(NAMES), 4))
+def test_no_name_is_run(part: int, tmp_path: Path) -> None:
+    """Names whose scripts would change the title of the page."""
+    word = "".join(NAMES[part : part + 4])
+    figure = replace(show().figures[0], name=word, contacts=None, joint_std=None)
+    steps = [{"until": "document.querySelector('#recon-legend.switched') !== null"}, SETTLED,
+             {"run": "document.title"}]  # fmt: skip
+    said = visited(steps, tmp_path, shown=Show(word, (figure,)))
+    assert said["errors"] == []
+    assert said["values"][0] != "1"

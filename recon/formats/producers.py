@@ -1,0 +1,333 @@
+"""Who writes files of motion: how each is recognised, and which verb takes it or what to do.
+
+`PRODUCERS` is the one table of them. What a verb does not take it refuses by `refuse_others`, with
+the same sentence in every verb; the manual's table has its rows.
+"""
+
+import re
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.core.errors import FormatError
+
+
+@dataclass(frozen=True)
+class Producer:
+    """Files of one kind, and the programs that write them."""
+
+    name: str
+    """Of the programs; empty where any may have written it."""
+    holds: str
+    form: str
+    """How its files look, for the manual."""
+    endings: tuple[str, ...]
+    """Of its files; "/" is a folder, of which the names of the files are looked at."""
+    mark: bytes
+    """Regular expression that is found at the start of its files, or in the names of arrays."""
+    verbs: tuple[str, ...]
+    """Verbs that take it, the usual one first; `recon info` takes all that any verb does."""
+    note: str
+    """What its files say themselves, for the manual; or what to do where no verb takes it."""
+    folder: bool = False
+    """Whether a folder of such files is one recording or view."""
+
+    def answer(self) -> str:
+        """What it is, who writes it, and which command takes it or what to do instead."""
+        what = f"{self.holds} of {self.name}" if self.name else self.holds
+        if self.verbs == ("info",):
+            return f"{what}: {self.note}"
+        if self.verbs:
+            return f"{what}: `recon {self.verbs[0]}` takes it"
+        return f"{what}, which no verb takes: {self.note}"
+
+
+SAM3D_POINTS = "pred_keypoints_3d"
+"""The key of a person's keypoints in results of SAM 3D Body."""
+_FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
+POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+MARKERS = "markers or joint centres"
+"""What the files of most producers hold."""
+_NUMBER = rb"[-+\dN][\w.+-]*\s*"
+PRODUCERS = (
+    Producer(
+        "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
+        "`body_3d_xyz.csv`", ("/",), rb"body_3d_xyz", _FIT,
+        "millimetres; rate where `*_by_frame.csv` is beside",
+    ),
+    Producer(
+        "SAM 3D Body", POINTS_3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
+        "every frame, or frame and person, in a folder; `.npz` of stacked arrays: "
+        "`pred_keypoints_3d`, `pred_cam_t`, if there `pred_keypoints_2d`, `focal_length`",
+        (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
+        "names, metres in the camera", folder=True,
+    ),
+    Producer(
+        "AIST++", POINTS_3D, "`.pkl`; `keypoints3d_optim` or `keypoints3d`", (".pkl",),
+        rb"keypoints3d", _FIT, "",
+    ),
+    Producer(
+        "TRAM", BODIES, "`hps_track_*.npy`; `pred_rotmat`, `pred_trans`, `frame`", (".npy",),
+        rb"pred_rotmat", _REFINE, "in the camera",
+    ),
+    Producer(
+        "MediaPipe", POINTS_3D, "JSON with `pose_world_landmarks`", (".json",),
+        rb"orldLandmarks|world_landmarks", _FIT, "metres about the hips, y down",
+    ),
+    Producer(
+        "Azure Kinect", POINTS_3D, "JSON of the offline processor: `frames`, `bodies`, "
+        "`joint_positions`", (".json",), rb'"bodies"', _FIT,
+        "millimetres in the camera, rate by `timestamp_usec`",
+    ),
+    Producer(
+        "EasyMocap", POINTS_3D, "folder `keypoints3d`; `[{id, keypoints3d}]`", (".json",),
+        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence, not positive is missing",
+        folder=True,
+    ),
+    Producer(
+        "OpenPose", POINTS_3D, "folder; `people[].pose_keypoints_3d`", (".json",),
+        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence, not positive is missing",
+        folder=True,
+    ),
+    Producer(
+        "ZED", POINTS_3D, "JSON of objects with `timestamp` and `body_list[].keypoint`: BODY_18, "
+        "BODY_34, BODY_38", (".json",), rb'"body_list"', _FIT, "names, rate, NaN is missing",
+    ),
+    Producer(
+        "OpenPose, Pose2Sim", POINTS_2D, "folder (`pose`, `pose-associated`); "
+        "`people[].pose_keypoints_2d`", (".json",), rb'"people"', _FIT, "confidence", folder=True,
+    ),
+    Producer(
+        "EasyMocap", POINTS_2D, "folder `annots/CAMERA`; `annots[].keypoints`", (".json",),
+        rb'"annots"', _FIT, "confidence, negative is missing", folder=True,
+    ),
+    Producer(
+        "AlphaPose", POINTS_2D, "JSON; `image_id`, `keypoints`", (".json",), rb'"image_id"', _FIT,
+        "confidence, divided by 6 where any exceeds 1",
+    ),
+    Producer(
+        "MMPose", POINTS_3D, "folder or JSON; `keypoints` of three numbers", (".json",),
+        rb'"keypoints"\s*:[\s\[]*' + rb",\s*".join([_NUMBER] * 3) + rb"\]", _FIT, "",
+        folder=True,
+    ),
+    Producer(
+        "MMPose, rtmlib", POINTS_2D, "folder or JSON; `keypoints` with `keypoint_scores` or "
+        "`scores`", (".json",), rb'"(?:keypoint_)?scores"|"instance_info"|"predictions"', _FIT,
+        "confidence, clipped to [0, 1]", folder=True,
+    ),
+    Producer(
+        "MediaPipe", POINTS_2D, "JSON; 33 landmarks in fractions of the image", (".json",),
+        rb'andmarks"|"visibility"', _FIT, "visibility", folder=True,
+    ),
+    Producer(
+        "DeepLabCut", POINTS_2D, "CSV; body parts matched by name", (".csv",),
+        rb"(?i)\A(?:scorer|bodyparts)\b(?![^\0]*\ncoords[^\n]*,z\b)", _FIT, "likelihood",
+        folder=True,
+    ),
+    Producer(
+        "SLEAP", POINTS_2D, "its analysis CSV; nodes matched by name", (".csv",),
+        rb"\A(?=[^\n]*\bframe_idx\b)[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
+    ),
+    Producer(
+        "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
+        "(T,P,K)`, or `(T,K,3)`", (".npz",), rb"(?m)^scores$|^keypoint_scores$", _FIT, "scores",
+        folder=True,
+    ),
+    Producer(
+        "OptiTrack Motive", MARKERS, "CSV from `Format Version` on; bones are left out",
+        (".csv",), rb"\A\W*Format Version", ("convert", "fit"), "labels, rate, unit",
+    ),
+    Producer(
+        "Qualisys", MARKERS, "`.tsv` with `MARKER_NAMES`", (".tsv",), rb"MARKER_NAMES",
+        ("convert", "fit"), "labels, rate",
+    ),
+    Producer(
+        "Anipose, DeepLabCut, your own", POINTS_3D, "CSV with columns `NAME_x`, `NAME_y`, "
+        "`NAME_z`, or rows of `frame`, `keypoint`, `x`, `y`, `z`; `timestamp` in seconds",
+        (".csv",), rb"(?i)\A[^\n]*(?<![a-z])z\b|\ncoords[^\n]*,z\b", _FIT, "names, rate",
+    ),
+    Producer(
+        "your own", POINTS_3D, "JSON with `names` and `frames` of x, y, z; `fps`, `unit`",
+        (".json",), rb'names"|"labels"', _FIT, "names",
+    ),
+    Producer(
+        "MotionBERT, your own", POINTS_3D, "`.npy` or `.npz` with one array (frames, points, 3); "
+        "`.npz` also `names`, `fps`", (".npy",), b"", _FIT, "",
+    ),
+    Producer(
+        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", MARKERS,
+        "`.c3d`, `.trc`; joint centres are `RHip`, `LKnee`, ...", (".c3d", ".trc"), b"",
+        ("convert", "fit"), "labels, rate, unit",
+    ),
+    Producer(
+        "", "a skeleton's motion", "`.bvh`, `.amc` with `.asf`, also `.xz`; archives of `.bvh` "
+        "(`FILE::MEMBER`)", (".bvh", ".amc", ".tar", ".tgz"), b"", ("convert",), "rate",
+    ),
+    Producer(
+        "Motion Capture Toolbox", "a recording of motion capture", "`.mat`", (".mat",), b"",
+        ("convert",), "labels, rate",
+    ),
+    Producer(
+        "", "a skeleton without motion", "`.asf`", (".asf",), b"", (),
+        "give `recon convert` one of its .amc files",
+    ),
+    Producer(
+        "NTU RGB+D", POINTS_3D, "`.skeleton`", (".skeleton",), b"", _FIT, "all",
+    ),
+    Producer(
+        "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
+        (".obj", ".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"),
+        b"", _FIT, "times in `times.csv`", folder=True,
+    ),
+    Producer(
+        "recon", "an observation", "`.npz` with `kind`", (".npz",), rb"(?m)^kind$", _FIT,
+        "all ([above](#formats))",
+    ),
+    Producer(
+        "recon", "a motion", "`.npz` with `trans`, `poses`, `body_checksum`", (".npz",),
+        rb"(?m)^body_checksum$", ("refine",), "all ([above](#formats))",
+    ),
+    Producer(
+        "", "a body model", "`.npz`, `.pkl` with `v_template`", (".npz", ".pkl"), rb"v_template",
+        _INFO, "give it with --body",
+    ),
+    Producer(
+        "", "a calibration of cameras", "`.npz` with `camera_matrix`, JSON with `camera_mtx`",
+        (".npz", ".json"), rb"camera_matrix|camera_mtx", _INFO, "give it with --camera",
+    ),
+    Producer(
+        "", "a calibration of cameras", "`.toml`, `.yml`, `.yaml`", (".toml", ".yml", ".yaml"),
+        b"", _INFO, "give it with --camera", folder=True,
+    ),
+    Producer(
+        "", "silhouettes", "`.npz` with `mask`", (".npz",), rb"(?m)^mask$", _INFO,
+        "give them with --masks",
+    ),
+    Producer(
+        "AIST++", BODIES, "`.pkl`, `.npz`; `smpl_poses`, `smpl_trans`, `smpl_scaling`",
+        (".pkl", ".npz"), rb"smpl_trans", _REFINE, "size",
+    ),
+    Producer(
+        "GVHMR", BODIES, "`.pt`; `smpl_params_global`", (".pt", ".pth"), rb"smpl_params_global",
+        _REFINE, "",
+    ),
+    Producer(
+        "WHAM", BODIES, "`.pkl`; `pose_world`, `trans_world` by person", (".pkl",),
+        rb"trans_world", _REFINE, "",
+    ),
+    Producer(
+        "PHALP (4D-Humans)", BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
+        (".pkl",), rb"(?s)\A(?=.*smpl).*tid", _REFINE, "in the camera",
+    ),
+    Producer(
+        "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
+        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
+    ),
+    Producer(
+        "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
+        (".npz",), rb"(?s)\A(?=.*pose_body).*trans", _REFINE, "",
+    ),
+    Producer(
+        "SMPL, SMPL-X", BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
+        (".npz",), rb"(?s)\A(?=.*pose).*trans", _REFINE, "",
+    ),
+    Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
+    Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
+    Producer(
+        "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
+        (), "run a 2D detector on it, and give its keypoints",
+    ),
+    Producer(
+        "Autodesk", "a scene", "`.fbx`", (".fbx",), b"", (), "export BVH, as Blender does",
+    ),
+)  # fmt: skip
+"""The first whose ending and mark fit is meant."""
+
+
+def producer_of(path: Path) -> Producer | None:
+    """Who wrote a file, or the files of a folder, by endings and first bytes; None is unknown."""
+    if not path.is_dir():
+        return _of_file(path) if path.is_file() else None
+    inside = list(path.iterdir())
+    listed = "\n".join(one.name for one in (*inside, *path.glob("output_data/*"))).encode()
+    for one in PRODUCERS:
+        if "/" in one.endings and re.search(one.mark, listed):
+            return one
+    endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
+    alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
+    # an empty frame shows of which kind it is in no file
+    found = _of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
+    return found if found is None or found.folder or len(alike) == len(inside) else None
+
+
+def _of_file(path: Path) -> Producer | None:
+    ending, head = Path(path.name.lower().removesuffix(".xz")).suffix, None
+    for one in PRODUCERS:
+        if ending in one.endings:
+            head = _head(path, ending) if head is None and one.mark else head
+            if not one.mark or re.search(one.mark, head or b""):
+                return one
+    return None
+
+
+_HEAD = 1 << 16
+"""Bytes at the start of a file that are looked at."""
+_PICKLED = 1 << 22
+"""The same of pickles, some of whose keys stand behind arrays."""
+
+
+def _head(path: Path, ending: str) -> bytes:
+    """The first bytes of a file, inflated; the names of the arrays of an archive, by lines."""
+    if ending == ".npz":
+        return "\n".join(sorted(_arrays_of(path))).encode()
+    pickled = ending in (".pkl", ".npy", ".pt", ".pth")
+    with path.open("rb") as file:
+        head = file.read(_PICKLED if pickled else _HEAD)
+    if not pickled or not head.startswith((b"x", b"\x1f\x8b")):
+        return head
+    try:
+        return zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(head, _PICKLED)
+    except zlib.error:
+        return head
+
+
+def _arrays_of(path: Path) -> set[str]:
+    """Names of the arrays of an .npz file; none where it is damaged, which its reader tells."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return set()
+
+
+def refuse_others(path: Path, verb: str) -> None:
+    """Refuse a file that a verb does not take, with what it is and the way out.
+
+    Raises:
+        FormatError: when it is known and for another verb, or for none.
+    """
+    found = producer_of(path)
+    if found is None:
+        return
+    if verb not in found.verbs and not (verb == "info" and found.verbs):
+        raise FormatError(f"{path}: {found.answer()}")
+    if path.is_dir() and not found.folder and "/" not in found.endings:
+        raise FormatError(f"{path}: give one of its files; {found.answer()}")
+
+
+def holds_sam3d_body(path: Path) -> bool:
+    """Whether a file, or the files of a folder, are results of SAM 3D Body."""
+    found = producer_of(path)
+    return found is not None and found.name == "SAM 3D Body"
+
+
+def is_estimate(paths: Sequence[Path]) -> bool:
+    """Whether the one file seems to hold body parameters of every frame; reads little of it.
+
+    Motion files of recon, which name their body by its checksum, are none.
+    """
+    found = producer_of(paths[0]) if len(paths) == 1 and paths[0].is_file() else None
+    return found is not None and found.holds == BODIES

@@ -1,0 +1,52 @@
+"""Names of points that come without names, where their number or their program tells them."""
+
+from dataclasses import replace
+
+from recon.core.skeleton import LAYOUTS
+from recon.keypoints3d.records import Points3D
+
+
+def _both(*names: str) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
+
+
+def _hand(side: str) -> tuple[str, ...]:
+    fingers = ("thumb", "index", "middle", "ring", "pinky")
+    places = ("tip", "first_joint", "second_joint", "third_joint")
+    return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
+
+
+_FOOT = ("big_toe", "small_toe", "heel")
+MHR70 = (
+    "nose", *_both("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
+    *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
+    *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
+    *_both("olecranon", "cubital_fossa", "acromion"), "neck",
+)  # fmt: skip
+"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
+ZED38 = (
+    "pelvis", "spine_1", "spine_2", "spine_3", "neck", "nose",
+    *_both("eye", "ear", "clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle",
+           "big_toe", "small_toe", "heel", "thumb_tip", "index", "fingertip", "pinky"),
+)  # fmt: skip
+"""Names of `sl.BODY_38_PARTS` of Stereolabs' ZED SDK."""
+_COCO18 = tuple(LAYOUTS["openpose25"][k] for k in (*range(8), *range(9, 19)))
+_LABELS = {18: _COCO18, 38: ZED38, 70: MHR70}
+_BODIES = {133: 23, 136: 26}
+"""Points at the head of COCO-WholeBody and HALPE with faces and hands that are the body's."""
+_PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
+
+
+def labelled(points: Points3D) -> Points3D:
+    """The points with names where their number tells them, without those of faces and hands."""
+    count = points.positions.shape[1]
+    if points.names or points.layout:
+        return points
+    if kept := _BODIES.get(count, 0):
+        said = f"the first {kept} of {count} points are the body's"
+        positions = points.positions[:, :kept]
+        return replace(points, positions=positions, decisions=(*points.decisions, said))
+    if count not in _LABELS:
+        return points
+    said = f"{count} points are in the order of {_PROGRAMS[count]}"
+    return replace(points, names=_LABELS[count], decisions=(*points.decisions, said))

@@ -1,0 +1,170 @@
+"""3D keypoints of several people in JSON: EasyMocap, OpenPose, MMPose, and Stereolabs' ZED.
+
+A reader of one producer takes what a file says of a frame and gives everybody in it, or None where
+another producer wrote it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.errors import FormatError
+from recon.core.limits import FRAMES, PEOPLE
+from recon.formats.json_files import Frames, as_floats, as_identity, listed_frames
+from recon.keypoints3d.records import Person, Points3D, followed, taken
+
+_LISTS = ("instance_info", "predictions", "frames")
+"""Keys under which a file with all frames keeps them."""
+_NANOSECONDS = 1e-9
+People = list[tuple[int, Person]]
+"""Number or -1, and x, y, z of everybody in a frame; NaN where not seen."""
+
+
+def read_people(frames: Frames, name: str, person: int | None = None) -> Points3D | None:
+    """The keypoints of one person; None where no such producer wrote them.
+
+    Args:
+        frames: what was written of every frame.
+        name: of the file or folder.
+        person: whom to take of several, from 0 on; None takes who is seen longest.
+
+    Raises:
+        ValueError: when it is damaged, or nobody is in it.
+    """
+    reader = next((one for one in _READERS for _, entry in frames if one(entry, name)), None)
+    if reader is None:
+        return None
+    found = [(k, reader(entry, f"{name}, frame {k}") or []) for k, entry in frames]
+    points = of_people(found, name, person)
+    times = _seconds([entry for _, entry in frames])
+    if times is None:
+        return points
+    return points.timed(np.linspace(0.0, times[-1], len(points.positions)))
+
+
+def of_people(
+    frames: Sequence[tuple[int, People]],
+    name: str,
+    person: int | None,
+    names: tuple[str, ...] = (),
+    **known: Any,
+) -> Points3D:
+    """Somebody's points of all frames, by their numbers or, where there are none, by their places.
+
+    Args:
+        frames: numbers of frames, increasing, and everybody in them.
+        name: of the file.
+        person: whom to take, from 0 on in the order of how long they are seen; None the first.
+        names: of the points.
+        known: further fields of `Points3D`.
+
+    Raises:
+        ValueError: when nobody is there, or somebody has another number of points.
+    """
+    PEOPLE.check(max((len(people) for _, people in frames), default=0), name)
+    FRAMES.check(frames[-1][0] - frames[0][0] + 1 if frames else 0, name)
+    if all(who >= 0 for _, people in frames for who, _ in people):
+        often = Counter(who for _, people in frames for who, _ in people).most_common()
+        tracks = [
+            {k: [one for one, _ in people].index(who)
+             for k, (_, people) in enumerate(frames) if who in dict(people)}
+            for who, _ in often
+        ]  # fmt: skip
+    else:
+        tracks = followed([[points for _, points in people] for _, people in frames])
+    if not tracks:
+        raise FormatError(f"{name}: expected people, but all {len(frames)} frames are empty")
+    chosen, said = taken([len(one) for one in tracks], len(frames), person, name)
+    rows = {frames[k][0]: frames[k][1][place] for k, place in tracks[chosen].items()}
+    (_, example), count = next(iter(rows.values())), frames[-1][0] - frames[0][0] + 1
+    positions = np.full((count, len(names) or len(example), 3), np.nan)
+    for number, (_, points) in rows.items():
+        if points.shape != positions.shape[1:]:
+            raise FormatError(
+                f"{name}, frame {number}: expected x, y, z of {positions.shape[1]} points"
+                f"{', which the file names' if names else ''}, got numbers of shape {points.shape}"
+            )
+        positions[number - frames[0][0]] = points
+    said = (*known.pop("decisions", ()), *said)
+    return Points3D(name, positions, names, decisions=said, **known)
+
+
+def frames_of(value: Any, name: str) -> Frames:
+    """What a file says of every frame; those of ZED count by their times.
+
+    Raises:
+        ValueError: when only some state a number, or two the same.
+    """
+    if isinstance(value, dict):
+        inside = list(value.values())
+        if inside and all(isinstance(one, dict) and "body_list" in one for one in inside):
+            value = inside
+        else:
+            value = next((value[key] for key in _LISTS if key in value), [])
+    if not isinstance(value, list):
+        return []
+    times = _seconds(value)
+    if times is None:
+        return listed_frames(value, name)
+    steps = np.diff(times, prepend=times[0])
+    numbers = np.cumsum(np.rint(steps / np.median(steps[1:]))).astype(int)
+    return list(zip(numbers.tolist(), value, strict=True))
+
+
+def _seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
+    """Times of ZED's frames from the first on; None where they do not rise or are none."""
+    stamps = [one.get("timestamp") if isinstance(one, dict) else None for one in entries]
+    numbers = [float(one) for one in stamps if isinstance(one, int)]
+    times = (np.array(numbers) - (numbers or [0.0])[0]) * _NANOSECONDS
+    rising = len(numbers) == len(entries) > 1 and bool((np.diff(times) > 0).all())
+    return times if rising else None
+
+
+def _zed(entry: Any, place: str) -> People | None:
+    """`{"timestamp": ..., "body_list": [{"id": ..., "keypoint": [[x, y, z], ...]}]}`."""
+    return _records(entry, "body_list", "keypoint", place)
+
+
+def _openpose(entry: Any, place: str) -> People | None:
+    """`{"people": [{"person_id": [-1], "pose_keypoints_3d": [x, y, z, c, ...]}]}`."""
+    return _records(entry, "people", "pose_keypoints_3d", place)
+
+
+def _easymocap(entry: Any, place: str) -> People | None:
+    """`[{"id": ..., "keypoints3d": [[x, y, z, c], ...]}]`."""
+    return _records({"": entry}, "", "keypoints3d", place)
+
+
+def _mmpose(entry: Any, place: str) -> People | None:
+    """`{"instances": [{"keypoints": [[x, y, z], ...]}]}`, or the list alone."""
+    entry = entry if isinstance(entry, dict) else {"instances": entry}
+    return _records(entry, "instances", "keypoints", place)
+
+
+def _records(entry: Any, people: str, points: str, place: str) -> People | None:
+    """Everybody under a key; None where nobody has points in space under the other."""
+    listed = entry.get(people) if isinstance(entry, dict) else None
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+        return None
+    found = [
+        (as_identity(one.get("id", one.get("person_id")), place), _points(one[points], place))
+        for one in listed
+        if one.get(points)
+    ]
+    return found if found and all(x.shape[1] == 3 for _, x in found) else None
+
+
+def _points(value: Any, place: str) -> np.ndarray:
+    """x, y, z of every point; a fourth number is a confidence, and not positive where unseen."""
+    numbers = as_floats(value, place)
+    if numbers.ndim == 1:
+        numbers = numbers.reshape(-1, 4) if numbers.size % 4 == 0 else numbers[:, None]
+    if numbers.ndim != 2 or numbers.shape[1] != 4:
+        return numbers.reshape(len(numbers), -1)
+    return np.where(numbers[:, 3:] > 0, numbers[:, :3], np.nan)
+
+
+_READERS: Sequence[Callable[[Any, str], People | None]] = (_zed, _openpose, _easymocap, _mmpose)

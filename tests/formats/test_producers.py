@@ -1,0 +1,226 @@
+"""Every producer's files are known, and four verbs give one answer to each of them."""
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from observations.keypoints3d import Keypoints3D
+from recon.core.skeleton import keypoint_names
+from recon.core.units import to_z_up
+from recon.detections.reader import read_keypoints
+from recon.fitting.settings import FitSettings
+from recon.formats.estimates import read_estimate
+from recon.formats.producers import BODIES, MARKERS, PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.scans import read_scans
+from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.layouts import MHR70, ZED38
+from recon.keypoints3d.reader import holds_points_3d, read_points_3d
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
+from recon.reading.clip import load_clip
+from recon.view.info import info
+from tests.filmed import bundled, walk
+from tests.formats.producer_files import FRAMES, SAMPLES, of_labels, points
+
+VERBS: dict[str, Callable[[Path], object]] = {
+    "info": info, "fit": recon.fit, "refine": recon.refine, "convert": recon.convert,
+}  # fmt: skip
+
+
+def _key(one: Producer) -> tuple[str, str, str]:
+    return one.name, one.holds, one.endings[0]
+
+
+every = pytest.mark.parametrize("producer", PRODUCERS, ids=lambda one: "-".join(_key(one)))
+
+
+def test_the_table_is_complete():
+    assert [_key(one) for one in PRODUCERS] == list(SAMPLES)
+
+
+@every
+def test_the_four_verbs_give_one_answer(tmp_path, producer):
+    """One file had three answers, some of them untrue ("all frames are empty")."""
+    path = SAMPLES[_key(producer)](tmp_path)
+    assert producer_of(path) == producer
+    answers = {}
+    for name, verb in VERBS.items():
+        if name in producer.verbs or (name == "info" and producer.verbs):
+            continue
+        begun = time.perf_counter()
+        with pytest.raises(recon.ReconError) as refused:
+            verb(path)
+        assert time.perf_counter() - begun < 0.5
+        answers[name] = str(refused.value)
+    assert set(answers.values()) <= {f"{path}: {producer.answer()}"}
+    assert producer.verbs or producer.note in producer.answer()
+
+
+@every
+def test_the_verbs_that_are_named_take_it(tmp_path, producer):
+    path = SAMPLES[_key(producer)](tmp_path)
+    if producer.verbs and producer.holds != "a body model":
+        assert info(path)["producer"] == producer.name
+    for verb in producer.verbs:
+        match verb:
+            case "convert":
+                assert read_recording(path).frames > 0
+            case "refine" if is_estimate([path]) and producer.name != "SAM 3D Body":
+                assert len(read_estimate(path).translation) > 0
+            case "fit" if producer.holds == "2D keypoints":
+                assert not holds_points_3d(path)
+                assert len(read_keypoints(path, image_size=(640, 480)).frame) > 0
+            case "fit" if producer.name == "SAM 3D Body":
+                assert holds_points_3d(path)
+                assert len(read_points_3d(path).positions) > 0
+            case "fit" if not is_estimate([path]):
+                assert load_clip([path], FitSettings(frame_rate=30.0), bundled()).observations
+            case _:
+                assert verb in ("info", "refine", "fit")
+
+
+@every
+def test_the_manual_has_its_row(producer):
+    manual = Path(__file__).parents[2] / "docs" / "files.md"
+    assert row(producer) in manual.read_text(encoding="utf-8").splitlines()
+
+
+def row(one: Producer) -> str:
+    """The producer in the manual's table."""
+    what = f"{one.name}: {one.holds}" if one.name else one.holds
+    verbs = ", ".join(f"`{verb}`" for verb in one.verbs) or "none"
+    return f"| {what} | {one.form} | {verbs} | {one.note} |"
+
+
+def _of(name: str, holds: str) -> Callable[[Path], Path]:
+    return next(write for key, write in SAMPLES.items() if key[:2] == (name, holds))
+
+
+@pytest.mark.parametrize(
+    ("name", "layout", "unit", "metres"),
+    [
+        ("EasyMocap", "openpose25", "m", 2e-3),
+        ("OpenPose", "openpose25", "m", 2e-3),
+        ("MMPose", "h36m17", "m", 2e-3),
+        ("ZED", ZED38, "m", 2e-3),
+        ("AIST++", "coco17", "cm", 2e-3),
+        ("NTU RGB+D", "kinect25", "m", 2e-3),
+    ],
+)
+def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, metres):
+    """Their files were called empty of 2D keypoints."""
+    path = _of(name, "3D keypoints")(tmp_path)
+    (seen,) = load_clip([path], FitSettings(frame_rate=30.0, unit=unit), bundled()).observations
+    assert isinstance(seen, Keypoints3D)
+    truth = points(layout) if isinstance(layout, str) else of_labels(layout)
+    names = keypoint_names(layout) if isinstance(layout, str) else meant_keypoints(layout)
+    rows = [names.index(one) for one in seen.point_names(bundled())]
+    found, visible = seen.positions[0].numpy(), seen.visible[0].numpy()
+    if name == "OpenPose":  # in its camera
+        truth = truth @ to_z_up("y-down") + (0, 0, 4)
+        truth = truth @ to_z_up("y-down").T
+    elif name == "NTU RGB+D":  # in its sensor's axes, y up
+        truth = (truth @ to_z_up("y") + (0, -0.9, 3)) @ to_z_up("y").T
+    away = np.linalg.norm(found - truth[:, rows], axis=-1)
+    assert away[visible].max() < metres
+    assert len(found) == FRAMES
+    assert visible.mean() > 0.85
+    if name == "NTU RGB+D":
+        assert not visible[:, rows.index(7)].any()
+
+
+def test_a_second_person_can_be_asked_for(tmp_path):
+    path = _of("EasyMocap", "3D keypoints")(tmp_path)
+    one, two = (read_points_3d(path, person=k).positions for k in range(2))
+    shift = two - one
+    assert np.nanmax(np.abs(shift - (2, 0, 0))) < 1e-9
+    assert np.isfinite(shift).mean() > 0.85
+
+
+def test_points_of_longer_layouts_are_named_by_their_number(tmp_path):
+    """133 points, and the 70 of SAM 3D Body, were no layout."""
+    whole = np.concatenate((points("coco133"), np.ones((FRAMES, 110, 3))), 1)
+    for x, kept in ((whole, 23), (of_labels(MHR70), 70), (of_labels(ZED38), 38)):
+        np.save(tmp_path / "x.npy", x)
+        assert read_points_3d(tmp_path / "x.npy").positions.shape[1] == kept
+        seen = load_clip([tmp_path / "x.npy"], FitSettings(frame_rate=30.0), bundled())
+        assert seen.observations[0].kind == "keypoints3d"
+
+
+@pytest.mark.parametrize("name", ["TRAM", "AIST++", "WHAM", "PHALP (4D-Humans)", "GVHMR"])
+def test_body_parameters_are_what_they_were(tmp_path, name):
+    """A dictionary in an .npy file was refused, and AIST++'s unit put feet 86 m high."""
+    found = read_estimate(_of(name, BODIES)(tmp_path))
+    truth = walk(FRAMES)
+    np.testing.assert_allclose(found.rotations, truth.rotations.numpy(), atol=1e-5)
+    if not name.startswith("PHALP"):
+        np.testing.assert_allclose(found.translation, truth.translation.numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize("verb", [info, recon.fit, recon.refine])
+def test_of_a_folder_of_separate_files_one_is_asked_for(tmp_path, verb):
+    _of("TRAM", BODIES)(tmp_path)
+    with pytest.raises(recon.ReconError, match=r"one of its files; .* TRAM: `recon refine`"):
+        verb(tmp_path)
+
+
+def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
+    wide = torch.zeros(1).expand(10**9)
+    np.save(tmp_path / "a.npy", np.array({"pred_rotmat": wide}, dtype=object), allow_pickle=True)
+    with pytest.raises(recon.ReconError, match="a tensor of"):
+        read_estimate(tmp_path / "a.npy")
+
+
+def test_vertices_of_obj_files_are_scans(tmp_path):
+    folder = _of("", "scans")(tmp_path)
+    found = read_scans(folder, fps=30.0, outliers=None)
+    np.testing.assert_allclose(found.points, of_labels(MHR70).reshape(-1, 3), atol=1e-4)
+    (folder / "0003.obj").write_text("v 1 2\nv 1 2 3\n")
+    with pytest.raises(ValueError, match=r"0003\.obj: damaged OBJ file"):
+        read_scans(folder, fps=30.0)
+
+
+@pytest.mark.parametrize("name", ["OptiTrack Motive", "Qualisys"])
+def test_tables_of_markers_are_recordings(tmp_path, name):
+    """Motive's was taken for DeepLabCut's, or refused as no recording."""
+    path = _of(name, MARKERS)(tmp_path)
+    found = read_recording(path)
+    assert isinstance(found, MarkerRecording)
+    truth = of_labels([label.removeprefix("A:") for label in found.marker_names])
+    assert found.fps == 30.0
+    assert found.visible.sum() == found.visible.size - 1
+    away = np.linalg.norm(found.positions - truth, axis=-1)
+    assert away[found.visible].max() < 1e-4
+    text = path.read_text()
+    path.write_text(text[: text.index("Name" if name[0] == "O" else "MARKER_NAMES") - 10])
+    with pytest.raises(recon.ReconError, match="expected"):
+        read_recording(path)
+
+
+def test_a_skeleton_file_that_is_cut_short_is_refused(tmp_path):
+    path = _of("NTU RGB+D", "3D keypoints")(tmp_path)
+    path.write_text(path.read_text()[:4000])
+    with pytest.raises(recon.ReconError, match=r"frame 2 is cut short"):
+        read_points_3d(path)
+
+
+HOSTILE = (
+    b'"keypoints":' + b" " * (1 << 16), b'"keypoints":[1,' * 5000, b"frame_idx," * 7000,
+    b"smpl" * (1 << 15), b"poses" * (1 << 15), b"pose_body\n" * (1 << 14),
+    b"scorer\ncoords,,," * 5000,
+    b"[{" * (1 << 15), b"\ncoords" + b"," * (1 << 16), b" " * (1 << 16),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("head", HOSTILE, ids=lambda head: str(head[:12]))
+def test_files_are_looked_at_in_a_time_that_grows_with_their_size(head):
+    begun = time.perf_counter()
+    for producer in PRODUCERS:
+        re.search(producer.mark, head)
+    assert time.perf_counter() - begun < 2.0

@@ -1,0 +1,61 @@
+"""Clouds as text (.xyz, .xyzn, .xyzrgb, .pts) as other programs write them, and damaged."""
+
+import numpy as np
+import pytest
+
+from recon.core.errors import ReconError
+from recon.formats.scans import read_cloud, read_scans
+
+POINTS = np.random.default_rng(0).uniform(-1, 1, (40, 3)).round(6)
+ROWS = [" ".join(f"{value:.10f}" for value in row) for row in POINTS]
+TEXTS = {
+    "a.xyz": "\n".join([*ROWS, ""]),
+    "b.xyz": "//X,Y,Z,R,G,B\r\n" + "\r\n".join(f"{row.replace(' ', ',')},1,2,3" for row in ROWS),
+    "a.xyzn": "\n".join(f"{row} 0 0 1" for row in ROWS),
+    "a.xyzrgb": "\n".join(f"{row} 0.1 0.2 0.3" for row in ROWS),
+    "a.pts": "40\n" + "\n".join(f"{row} 0.0 70 117 234" for row in ROWS) + "\n",
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_points_of_text(tmp_path, name):
+    (tmp_path / name).write_bytes(TEXTS[name].encode())
+    assert np.allclose(read_cloud(tmp_path / name), POINTS)
+    found = read_scans(tmp_path, fps=30.0, unit="m", up="z", outliers=None)
+    assert np.allclose(found.points, POINTS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1 2\n3 4\n", "1 2 3\n4 five 6\n", "1 2 3\n4 5\n", "41\n" + TEXTS["a.xyz"], "7", "",
+        "1 2 3 " * 4000 + "\n" * 4000 + "1",
+    ],
+)  # fmt: skip
+def test_damaged_text_is_refused_by_name(tmp_path, text):
+    (tmp_path / "bad.pts").write_text(text)
+    with pytest.raises(ReconError, match=r"bad\.pts"):
+        read_cloud(tmp_path / "bad.pts")
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_damage_ends_in_an_error_or_in_finite_points(tmp_path, name):
+    """Open3D passes over lines that it cannot read, and gives fewer points or zeros in silence."""
+    random, whole = np.random.default_rng(0), TEXTS[name].encode()
+    path = tmp_path / name
+    for trial in range(28):
+        damaged = bytearray(whole)
+        if trial % 2:
+            for place in random.integers(0, len(whole), 1 + trial // 2):
+                damaged[place] = random.integers(0, 256)
+        else:
+            damaged = damaged[: random.integers(0, len(whole) - 20)]
+        path.write_bytes(damaged)
+        said, found = name, np.zeros((0, 3))
+        try:
+            found = read_cloud(path)
+        except ReconError as error:
+            said = str(error)
+        assert name in said
+        assert found.shape[1] == 3
+        assert np.isfinite(found).all()
