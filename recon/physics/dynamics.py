@@ -77,7 +77,8 @@ def body_dynamics(
         fps: Frames per second.
     """
     total = masses.sum(-1)
-    return _moving(posed, total, mass_moments(posed, masses / total[..., None]), fps)
+    moments = mass_moments(posed.model, posed.shape, masses / total[..., None])
+    return _moving(posed, total, moments, fps)
 
 
 _AVERAGE: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
@@ -92,8 +93,7 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
     model = posed.model
     if model.weights not in _AVERAGE:
         zero = model.template.new_zeros(model.shape_size)
-        rest = replace(posed, shape=zero)
-        _AVERAGE[model.weights] = mass_moments(rest, vertex_masses(model, zero))
+        _AVERAGE[model.weights] = mass_moments(model, zero, vertex_masses(model, zero))
     moments = _AVERAGE[model.weights].expand(*posed.rest.shape[:-2], -1, -1)
     average = replace(posed, rest=model.joint_template.expand_as(posed.rest))
     return _moving(average, moments.new_ones(moments.shape[:-2]), moments, fps)
