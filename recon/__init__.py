@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from recon.people.together import fit_people as fit_people
     from recon.reading.door import load_observation as load_observation
     from recon.reading.door import read as read
+    from recon.rig.register import register as register
 
 _HOMES = {
     "fit": "recon.api.fit",
@@ -71,6 +72,7 @@ _HOMES = {
     "evaluate": "recon.api.evaluate",
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",
+    "register": "recon.rig.register",
     "to_body": "recon.api.convert",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",
