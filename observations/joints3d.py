@@ -49,8 +49,10 @@ class Joints3D(TrackedPoints):
             positions, visible, (fps, start_time), std, ("joints", joints),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
-        if places and max(places) >= len(JOINTS):
-            raise ObservationError(f"Joints3D.joints: expected numbers from 0 to 21, got {places}")
+        if places and (max(places) >= len(JOINTS) or len(set(places)) < len(places)):
+            raise ObservationError(
+                f"Joints3D.joints: expected numbers from 0 to 21, each once, got {places}"
+            )
         self._settle(joints=places)
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:

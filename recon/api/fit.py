@@ -34,7 +34,7 @@ from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
-from recon.formats.producers import holds_sam3d_body, refuse_others
+from recon.formats.producers import holds_sam3d_body, is_estimate, refuse_others
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -134,7 +134,7 @@ def fit(
         observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
-    if paths and _is_estimate(paths):
+    if paths and is_estimate(paths):
         _refuse_others(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
@@ -293,12 +293,6 @@ def refine(
     repairs = Findings(repaired)
     examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
-
-
-def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # of files alone
-
-    return is_estimate(paths)
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:

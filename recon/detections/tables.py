@@ -11,7 +11,7 @@ from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.detections.records import Detections, Row, gather
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import first_rows, numbers, read_rows
+from recon.formats.text_tables import each_once, first_rows, numbers, read_rows
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -57,7 +57,9 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
         raise FormatError(f"{name}: expected increasing frame numbers in the first column")
     chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
     places = {normalised(part): part for part in parts}
-    triples = zip(individuals, parts, (c.lower() for c in header["coords"]), strict=False)
+    kinds = [coordinate.lower() for coordinate in header["coords"]]
+    triples = list(zip(individuals, parts, kinds, strict=False))
+    each_once([" ".join(triple) for triple in triples], name)
     columns = {triple: column for column, triple in enumerate(triples)}
     index = [
         [
@@ -113,6 +115,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     """
     name = path.name
     head, *rows = read_rows(path, JSON)
+    each_once(head, name)
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
     SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)

@@ -49,8 +49,9 @@ SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+MARKERS = "markers or joint centres"
 """What the files of most producers hold."""
-_NUMBER = rb"\s*[-+\dN][\w.+-]*\s*"
+_NUMBER = rb"[-+\dN][\w.+-]*\s*"
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -109,7 +110,7 @@ PRODUCERS = (
     ),
     Producer(
         "MMPose", POINTS_3D, "folder or JSON; `keypoints` of three numbers", (".json",),
-        rb'"keypoints"\s*:[\s\[]*' + rb",".join([_NUMBER] * 3) + rb"\]", _FIT, "",
+        rb'"keypoints"\s*:[\s\[]*' + rb",\s*".join([_NUMBER] * 3) + rb"\]", _FIT, "",
         folder=True,
     ),
     Producer(
@@ -128,7 +129,7 @@ PRODUCERS = (
     ),
     Producer(
         "SLEAP", POINTS_2D, "its analysis CSV; nodes matched by name", (".csv",),
-        rb"\A[^\n]*\bframe_idx\b[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
+        rb"\A(?=[^\n]*\bframe_idx\b)[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
     ),
     Producer(
         "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
@@ -136,8 +137,12 @@ PRODUCERS = (
         folder=True,
     ),
     Producer(
-        "OptiTrack Motive", "a table of markers", "CSV from `Format Version` on", (".csv",),
-        rb"\A\W*Format Version", (), "export C3D, TRC or BVH from Motive",
+        "OptiTrack Motive", MARKERS, "CSV from `Format Version` on; bones are left out",
+        (".csv",), rb"\A\W*Format Version", ("convert", "fit"), "labels, rate, unit",
+    ),
+    Producer(
+        "Qualisys", MARKERS, "`.tsv` with `MARKER_NAMES`", (".tsv",), rb"MARKER_NAMES",
+        ("convert", "fit"), "labels, rate",
     ),
     Producer(
         "Anipose, DeepLabCut, your own", POINTS_3D, "CSV with columns `NAME_x`, `NAME_y`, "
@@ -153,7 +158,7 @@ PRODUCERS = (
         "`.npz` also `names`, `fps`", (".npy",), b"", _FIT, "",
     ),
     Producer(
-        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", "markers or joint centres",
+        "Vicon, Qualisys, Motive, Cortex, Pose2Sim, OpenCap", MARKERS,
         "`.c3d`, `.trc`; joint centres are `RHip`, `LKnee`, ...", (".c3d", ".trc"), b"",
         ("convert", "fit"), "labels, rate, unit",
     ),
@@ -170,8 +175,7 @@ PRODUCERS = (
         "give `recon convert` one of its .amc files",
     ),
     Producer(
-        "NTU RGB+D", "skeletons of Kinect v2", "`.skeleton`", (".skeleton",), b"", (),
-        "save the joints as a table with columns SpineBase_x, SpineBase_y, SpineBase_z, ...",
+        "NTU RGB+D", POINTS_3D, "`.skeleton`", (".skeleton",), b"", _FIT, "all",
     ),
     Producer(
         "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
@@ -216,19 +220,19 @@ PRODUCERS = (
     ),
     Producer(
         "PHALP (4D-Humans)", BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
-        (".pkl",), rb"smpl(?s:.*)tid|tid(?s:.*)smpl", _REFINE, "in the camera",
+        (".pkl",), rb"(?s)\A(?=.*smpl).*tid", _REFINE, "in the camera",
     ),
     Producer(
         "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
-        rb"poses(?s:.*)trans|trans(?s:.*)poses", _REFINE, "rate",
+        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
     ),
     Producer(
         "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
-        (".npz",), rb"pose_body(?s:.*)trans|trans(?s:.*)pose_body", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose_body).*trans", _REFINE, "",
     ),
     Producer(
         "SMPL, SMPL-X", BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
-        (".npz",), rb"pose(?s:.*)trans|trans(?s:.*)pose", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose).*trans", _REFINE, "",
     ),
     Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
     Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),

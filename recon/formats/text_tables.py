@@ -1,6 +1,7 @@
 """Tables of text whose cells lie between commas: rows, a look at the first ones, and numbers."""
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,6 +31,19 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
     return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+
+
+def each_once(columns: Sequence[str], name: str) -> None:
+    """Refuse a table that has two columns of one name: only one of them could be used.
+
+    Raises:
+        ValueError: naming the column.
+    """
+    twice, count = Counter(columns).most_common(1)[0] if columns else ("", 0)
+    if count > 1:
+        raise FormatError(
+            f"{name}: expected every column once, got {count} of {twice}; leave out all but one"
+        )
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:

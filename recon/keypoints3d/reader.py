@@ -12,13 +12,14 @@ from recon.detections.tables import holds_detections
 from recon.formats.json_files import read_frame_folder
 from recon.formats.observations import PositionsFile
 from recon.formats.opening import load_arrays
-from recon.formats.producers import POINTS_3D, holds_sam3d_body, producer_of
+from recon.formats.producers import MARKERS, POINTS_3D, holds_sam3d_body, producer_of
 from recon.formats.text_tables import first_rows, numbers, read_rows
 from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
 from recon.keypoints3d.layouts import labelled
 from recon.keypoints3d.people_files import read_people
 from recon.keypoints3d.records import Points3D
+from recon.keypoints3d.skeleton_files import read_ntu_skeleton
 from recon.keypoints3d.tables import (
     holds_points,
     is_table_3d,
@@ -78,8 +79,6 @@ def read_session(folder: Path) -> Points3D:
     return points.timed(times[first], stamps.name)
 
 
-RECORDINGS = (".trc", ".c3d")
-"""Endings of recordings whose points may be keypoints."""
 _HEAD = 1 << 16
 """Bytes at the start of a JSON file that show of which kind it is."""
 
@@ -104,7 +103,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         # motion files have `joints`, too, which are results and no observation
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
-    if ending == ".csv":
+    if ending == ".csv" and not holds_markers(path):
         return is_table_3d(first_rows(path))
     if found is None or found.holds != POINTS_3D:
         return False
@@ -112,6 +111,12 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         return True
     with path.open("rb") as file:
         return b"pose_landmarks" not in file.read(_HEAD)
+
+
+def holds_markers(path: Path) -> bool:
+    """Whether a file is a recording of labelled points, which may be keypoints."""
+    found = producer_of(path)
+    return found is not None and found.holds == MARKERS
 
 
 def read_points_3d(
@@ -142,12 +147,14 @@ def read_points_3d(
             found = read_array(path)
         case ".npz" | ".pkl":
             found = read_arrays(path)
+        case _ if holds_markers(path):
+            found = from_recording(marker_recording(path, unit, up))
         case ".csv":
             found = read_table(path)
         case ".json":
             found = read_json_points(path, person)
-        case ending if ending in RECORDINGS:
-            found = from_recording(marker_recording(path, unit, up))
+        case ".skeleton":
+            found = read_ntu_skeleton(path, person)
         case _:
             raise FormatError(
                 f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a "

@@ -49,15 +49,25 @@ class Points3D:
         Args:
             times: one for every frame, seconds; None where there are none.
             source: the file that has them, for the decision; None for that of the points.
+
+        Raises:
+            ValueError: when a time is earlier than the one before.
         """
         steps = np.diff([] if times is None else times)
-        if times is None or len(steps) == 0 or not (steps > 0).all():
+        if times is None or len(steps) == 0:
             return self
-        middle = float(np.median(steps))
-        fps = snapped_rate((len(times) - 1) / float(times[-1] - times[0]))
+        place = source or self.name
+        if (back := steps < 0).any():
+            raise FormatError(
+                f"{place}: expected times that rise, got {times[1:][back][0]:g} s after "
+                f"{times[:-1][back][0]:g} s"
+            )
+        middle, span = float(np.median(steps)), float(times[-1] - times[0])
+        fps = snapped_rate(len(steps) / span) if span > 0 else 0.0
         if not FRAME_RATE.holds(fps) or not np.abs(steps - middle).max() <= middle / 2:
-            return self
-        said = f"{fps:g} frames per second: by the times in {source or self.name}"
+            said = f"the times in {place} do not rise evenly and were not used"
+            return replace(self, decisions=(*self.decisions, said))
+        said = f"{fps:g} frames per second: by the times in {place}"
         start = float(times[0])
         return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
 

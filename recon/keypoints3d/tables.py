@@ -10,12 +10,12 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
-from recon.formats.text_tables import numbers, read_rows
+from recon.formats.text_tables import each_once, numbers, read_rows
 from recon.keypoints3d.records import Points3D
 
 _COORDINATE = re.compile(r"^(?P<name>.+?)[\s_.:\-]?(?P<axis>[xyzXYZ])$")
 _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
-_FRAME = ("frame", "frame_number", "fnum", "frame_id", "index", "")
+_FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
 _TIME = ("timestamp", "time", "t", "seconds", "time_s", "timestamp_s")
 _MIN_KEYPOINTS = 2
 """Keypoints with all three coordinates from which on a table is one of keypoints in space."""
@@ -63,21 +63,39 @@ def read_table(path: Path) -> Points3D:
     if not {"bodyparts", "coords"} <= labels.keys():
         raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
     pairs = zip(labels["bodyparts"], labels["coords"], strict=False)
-    return _wide(rows[3:], ["frame", *(f"{part}_{axis}" for part, axis in pairs)], name)
+    return _wide(rows[3:], ["", *(f"{part}_{axis}" for part, axis in pairs)], name)
 
 
 def _wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     columns = _triples(header)
+    each_once([cell for cell in header if _COORDINATE.match(cell)], name)
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
     needed = [k for axes in columns.values() for k in axes]
-    values = numbers(rows, needed, name, most=len(header))
-    points = Points3D(name, values.reshape(len(rows), -1, 3), tuple(columns))
-    return points.timed(_column(rows, [cell.lower() for cell in header], _TIME, name))
+    values = numbers(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
+    lower = [cell.lower() for cell in header]
+    frames, times = (_column(rows, lower, words, name) for words in (_FRAME, _TIME))
+    if frames is None or not np.isfinite(frames).all() or len(frames) == 0:
+        return Points3D(name, values, tuple(columns)).timed(times)
+    steps = np.diff(frames)
+    if not (steps > 0).all():
+        raise FormatError(
+            f"{name}: expected frame numbers that increase, got {frames[1:][steps <= 0][0]:g} "
+            f"after {frames[:-1][steps <= 0][0]:g}"
+        )
+    if (steps == steps[:1]).all():
+        return Points3D(name, values, tuple(columns)).timed(times)
+    index = (frames - frames[0]).astype(np.int64)
+    FRAMES.check(index[-1] + 1, name, "column frame")
+    SAMPLES.check((index[-1] + 1) * len(columns), name, "column frame")
+    positions = np.full((index[-1] + 1, *values.shape[1:]), np.nan)
+    positions[index] = values
+    said = f"{len(positions) - len(values)} frames that are missing between others are unseen"
+    return Points3D(name, positions, tuple(columns), decisions=(said,))
 
 
 def _long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
-    frames = _column(rows, header, _FRAME, name)
+    frames = _column(rows, header, (*_FRAME, ""), name)
     if frames is None:
         raise FormatError(f"{name}: expected a column `frame` beside keypoint, x, y, z")
     if not np.isfinite(frames).all():

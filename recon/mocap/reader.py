@@ -19,14 +19,20 @@ from recon.formats.opening import decode, existing, read_bytes
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, parse_hierarchy, read_bvh
 from recon.mocap.c3d import read_c3d
+from recon.mocap.marker_tables import read_motive, read_qualisys
 from recon.mocap.mat import read_mat
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.mocap.trc import read_trc
 from recon.mocap.trees import joints_by_tree
 
-RECORDINGS = (".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".mat", ".tar", ".tar.xz")
+RECORDINGS = (
+    ".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".csv", ".tsv", ".mat", ".tar", ".tar.xz"
+)  # fmt: skip
 """Suffixes that `read_recording` knows, among others of the same families."""
-_READERS = {".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_trc}
+_READERS = {
+    ".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_trc, ".csv": read_motive,
+    ".tsv": read_qualisys,
+}  # fmt: skip
 """Readers of files that hold one recording."""
 
 

@@ -45,6 +45,8 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
     notes = [f"{beyond} columns of points without a label left out"] if beyond else []
+    if (np.diff(times) <= 0).any():
+        notes.append("the column Time does not rise: frames are taken in the order of the file")
     custom: Up = "y"
     if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
         notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.api.result import Result
+from recon.body.identities import nearest_shape
 from recon.core.motion import Motion
 from recon.fitting.ground import camera_above
 from recon.method.sensor import views_of
@@ -18,7 +19,7 @@ _SIZE = 0.05
 where one view is all there is: that of the statures of adults."""
 _UPRIGHT = 0.03
 """Standard deviation of the direction up that one person's posture tells, radians."""
-_ON_GROUND = 0.03
+_ON_GROUND = 0.015
 """Standard deviation of the height of a person's path above the ground, metres."""
 _PLACES = 20
 """Places of a person that are laid on the ground."""
@@ -31,7 +32,7 @@ class SharedCamera:
     matrix: Float[Tensor, "3 3"]
     T_camera_world: Float[Tensor, "4 4"]
     starts: tuple[Motion, ...]
-    """Everybody's first motion in that world."""
+    """Everybody's first motion in that world, as much larger as it is farther away than alone."""
     described: str
     """What was found, in a sentence."""
 
@@ -133,7 +134,8 @@ def _plane(
         normal, above, factors = parts(x)
         out = [x[3:] / _SIZE]
         for spots, up, factor in zip(places, ups, factors, strict=True):
-            out.append((factor * spots @ normal + above) / _ON_GROUND / np.sqrt(len(spots)))
+            # as each alone measured it: all would shrink to be nearer to the ground otherwise
+            out.append((spots @ normal + above / factor) / _ON_GROUND / np.sqrt(len(spots)))
             out.append((up - normal) / _UPRIGHT)
         return np.concatenate(out)
 
@@ -155,6 +157,10 @@ def _moved(
     shift[:3, 3] = (0.0, 0.0, (focal / one.focal - 1) * one.depth)
     shift[:3, 3] += (factor - 1) * places.mean(0)
     T = T_world_camera @ shift @ np.linalg.inv(one.result.T_world_camera.double().numpy())
-    motion = one.result.motion
-    pelvis = one.result.body.rest_joints(motion.shape)[0]
-    return motion.carried(torch.from_numpy(T).to(motion.translation), pelvis)
+    motion, body = one.result.motion, one.result.body
+    carried = motion.carried(
+        torch.from_numpy(T).to(motion.translation), body.rest_joints(motion.shape)[0]
+    )
+    anyhow = torch.eye(body.shape_size).to(motion.shape)
+    tall = factor * float(body.height(motion.shape))
+    return carried.replace(shape=nearest_shape(motion.shape, (body.height,), (tall,), anyhow))

@@ -70,8 +70,9 @@ def fit_people(
 
     Where all were seen by one fixed camera of unknown pose, each is fitted alone first. These fits
     locate the ground below the camera and find its focal length; the best for all of them is
-    given to a second fit of each, which keeps the shape of the first. So everybody is as tall as
-    alone, and all stand on one floor at their distances from each other. People before calibrated
+    given to a second fit of each, which keeps the shape of the first, made larger or smaller by a
+    few per cent where that puts all on one floor. So everybody is about as tall as alone, and all
+    stand at their distances from each other. People before calibrated
     cameras are in one world anyway. With a carried camera everybody's ground is found for itself.
 
     Args:

@@ -25,8 +25,8 @@ from recon.formats.projects import Project, project_at
 from recon.formats.scans import CLOUDS, read_scans
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import (
-    RECORDINGS,
     from_recording,
+    holds_markers,
     holds_points_3d,
     marker_recording,
     markers_of_study,
@@ -111,7 +111,7 @@ def _read(
     if (seen := read_by(own, path, body)) is not None:
         return seen, ()
     refuse_others(path, "fit")
-    if path.suffix.lower() in RECORDINGS and path.is_file():
+    if path.is_file() and holds_markers(path):
         return _recorded(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
         person = None if settings.person == "all" else settings.person

@@ -28,7 +28,7 @@ from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
 from recon.keypoints3d.labels import are_keypoints
-from recon.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
+from recon.keypoints3d.reader import from_recording, holds_markers, holds_points_3d, read_points_3d
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, head_to_foot
@@ -90,7 +90,7 @@ def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
         return _body(file) if "v_template" in read_tree(file) else _estimate(file, axes["up"])
     if ending == ".json":
         return describe_json(file)
-    if ending == ".csv":
+    if ending == ".csv" and not holds_markers(file):
         return describe_detections(file)
     if ending in (".toml", ".yml", ".yaml"):
         return describe_calibration(file)

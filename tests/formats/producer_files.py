@@ -14,6 +14,8 @@ from recon.core.skeleton import keypoint_names
 from recon.core.units import to_z_up
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
+from recon.mocap.recording import MarkerRecording
+from recon.mocap.trc import write_trc
 from tests.filmed import bundled, walk
 from tests.formats import body_files
 from tests.formats.body_files import dumped, saved
@@ -179,15 +181,61 @@ def _archive(at: Path) -> Path:
     return at / "a.tar.xz"
 
 
-def _trc(at: Path) -> Path:
-    from recon.mocap.recording import MarkerRecording
-    from recon.mocap.trc import write_trc
+_CENTRES = ("LHip", "RHip", "LKnee", "RKnee", "LAnkle", "RAnkle", "LShoulder", "RShoulder")
 
-    names = ("LHip", "RHip", "LKnee", "RKnee", "LAnkle", "RAnkle", "LShoulder", "RShoulder")
-    words = [f"{'left' if n[0] == 'L' else 'right'}_{n[1:].lower()}" for n in names]
-    x = points("coco17")[:, [keypoint_names("coco17").index(word) for word in words]]
-    write_trc(at / "a.trc", MarkerRecording("a", names, x, np.ones(x.shape[:2], bool), 30.0, ()))
+
+def _centres() -> np.ndarray:
+    return of_labels(_CENTRES)
+
+
+def _trc(at: Path) -> Path:
+    x = _centres()
+    record = MarkerRecording("a", _CENTRES, x, np.ones(x.shape[:2], bool), 30.0, ())
+    write_trc(at / "a.trc", record)
     return at / "a.trc"
+
+
+def _motive(at: Path) -> Path:
+    """Format 1.25: a bone, then markers; the first marker is not seen in one frame."""
+    x = 1000 * _centres() @ to_z_up("y")
+    cells = ["Rotation"] * 4 + ["Position"] * 3 + ["Position"] * 3 * len(_CENTRES)
+    kinds = ["Bone"] * 7 + ["Marker"] * 3 * len(_CENTRES)
+    names = ["A:Hip"] * 7 + [f"A:{name}" for name in _CENTRES for _ in range(3)]
+    head = "Format Version,1.25,Take Name,walk,Capture Frame Rate,30.000000,Export Frame Rate,"
+    rows = [
+        [f"\ufeff{head}30.000000,Rotation Type,Quaternion,Length Units,Millimeters"], [],
+        ["", "Type", *kinds], ["", "Name", *names], ["", "ID", *["1"] * len(kinds)],
+        ["", "", *cells], ["Frame", "Time (Seconds)", *"XYZWXYZ", *"XYZ" * len(_CENTRES)],
+        *([t, t / 30, 0, 0, 0, 1, 0, 900, 0, *one.ravel()] for t, one in enumerate(x)),
+    ]  # fmt: skip
+    rows[-1][9:12] = ["", "", ""]
+    return as_table(at / "a.csv", rows)
+
+
+def _qualisys(at: Path) -> Path:
+    x = 1000 * _centres()
+    x[-1, 0] = 0.0
+    lines = [
+        f"NO_OF_FRAMES\t{FRAMES}", "NO_OF_CAMERAS\t8", f"NO_OF_MARKERS\t{len(_CENTRES)}",
+        "FREQUENCY\t30", "NO_OF_ANALOG\t0", "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--",
+        "TIME_STAMP\t2024-01-01, 10:00:00", "DATA_INCLUDED\t3D",
+        "\t".join(("MARKER_NAMES", *_CENTRES)),
+        *("\t".join(f"{value:.3f}" for value in one.ravel()) for one in x),
+    ]  # fmt: skip
+    return _text("a.tsv", "\n".join(lines) + "\n")(at)
+
+
+def _ntu(at: Path) -> Path:
+    """25 joints of Kinect v2; a hand is not tracked."""
+    x = points("kinect25") @ to_z_up("y") + (0, -0.9, 3)
+    lines = [str(FRAMES)]
+    for one in x:
+        lines += ["1", "72057594037931101 0 1 1 1 1 0 0.02 0.05 2", "25"]
+        lines += [
+            f"{a:.6f} {b:.6f} {c:.6f} 277.4 191.8 1036.2 519.1 -0.2 0.05 0.97 -0.12 {2 * (k != 7)}"
+            for k, (a, b, c) in enumerate(one)
+        ]
+    return _text("S001C001P001R001A001.skeleton", "\n".join(lines) + "\n")(at)
 
 
 def _mat(at: Path) -> Path:
@@ -254,9 +302,8 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("rtmlib, ViTPose, your own", "2D keypoints", ".npz"): lambda at: saved(
         at / "a.npz", keypoints=_pixels()[None, None, :, :2], scores=np.ones((1, 1, 17))
     ),
-    ("OptiTrack Motive", "a table of markers", ".csv"): _text(
-        "a.csv", "\ufeffFormat Version,1.25,Take Name,walk\n"
-    ),
+    ("OptiTrack Motive", "markers or joint centres", ".csv"): _motive,
+    ("Qualisys", "markers or joint centres", ".tsv"): _qualisys,
     ("Anipose, DeepLabCut, your own", "3D keypoints", ".csv"): _wide,
     ("your own", "3D keypoints", ".json"): lambda at: as_json(
         at / "a.json", {"names": keypoint_names("coco17"), "frames": points("coco17").tolist()}
@@ -269,7 +316,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("", "a skeleton's motion", ".bvh"): _archive,
     ("Motion Capture Toolbox", "a recording of motion capture", ".mat"): _mat,
     ("", "a skeleton without motion", ".asf"): _text("a.asf", ":version 1.10\n:root\n"),
-    ("NTU RGB+D", "skeletons of Kinect v2", ".skeleton"): _text("a.skeleton", "1\n0\n"),
+    ("NTU RGB+D", "3D keypoints", ".skeleton"): _ntu,
     ("", "scans", ".obj"): _meshes,
     ("recon", "an observation", ".npz"): _observation,
     ("recon", "a motion", ".npz"): body_files.motion,

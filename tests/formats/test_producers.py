@@ -1,5 +1,6 @@
 """Every producer's files are known, and four verbs give one answer to each of them."""
 
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,12 +16,13 @@ from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings
 from recon.formats.estimates import read_estimate
-from recon.formats.producers import BODIES, PRODUCERS, Producer, is_estimate, producer_of
+from recon.formats.producers import BODIES, MARKERS, PRODUCERS, Producer, is_estimate, producer_of
 from recon.formats.scans import read_scans
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.keypoints3d.reader import holds_points_3d, read_points_3d
 from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
 from recon.reading.clip import load_clip
 from recon.view.info import info
 from tests.filmed import bundled, walk
@@ -108,6 +110,7 @@ def _of(name: str, holds: str) -> Callable[[Path], Path]:
         ("MMPose", "h36m17", "m", 2e-3),
         ("ZED", ZED38, "m", 2e-3),
         ("AIST++", "coco17", "cm", 2e-3),
+        ("NTU RGB+D", "kinect25", "m", 2e-3),
     ],
 )
 def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, metres):
@@ -122,10 +125,14 @@ def test_keypoints_in_space_are_where_they_were(tmp_path, name, layout, unit, me
     if name == "OpenPose":  # in its camera
         truth = truth @ to_z_up("y-down") + (0, 0, 4)
         truth = truth @ to_z_up("y-down").T
+    elif name == "NTU RGB+D":  # in its sensor's axes, y up
+        truth = (truth @ to_z_up("y") + (0, -0.9, 3)) @ to_z_up("y").T
     away = np.linalg.norm(found - truth[:, rows], axis=-1)
     assert away[visible].max() < metres
     assert len(found) == FRAMES
     assert visible.mean() > 0.85
+    if name == "NTU RGB+D":
+        assert not visible[:, rows.index(7)].any()
 
 
 def test_a_second_person_can_be_asked_for(tmp_path):
@@ -177,3 +184,43 @@ def test_vertices_of_obj_files_are_scans(tmp_path):
     (folder / "0003.obj").write_text("v 1 2\nv 1 2 3\n")
     with pytest.raises(ValueError, match=r"0003\.obj: damaged OBJ file"):
         read_scans(folder, fps=30.0)
+
+
+@pytest.mark.parametrize("name", ["OptiTrack Motive", "Qualisys"])
+def test_tables_of_markers_are_recordings(tmp_path, name):
+    """Motive's was taken for DeepLabCut's, or refused as no recording."""
+    path = _of(name, MARKERS)(tmp_path)
+    found = read_recording(path)
+    assert isinstance(found, MarkerRecording)
+    truth = of_labels([label.removeprefix("A:") for label in found.marker_names])
+    assert found.fps == 30.0
+    assert found.visible.sum() == found.visible.size - 1
+    away = np.linalg.norm(found.positions - truth, axis=-1)
+    assert away[found.visible].max() < 1e-4
+    text = path.read_text()
+    path.write_text(text[: text.index("Name" if name[0] == "O" else "MARKER_NAMES") - 10])
+    with pytest.raises(recon.ReconError, match="expected"):
+        read_recording(path)
+
+
+def test_a_skeleton_file_that_is_cut_short_is_refused(tmp_path):
+    path = _of("NTU RGB+D", "3D keypoints")(tmp_path)
+    path.write_text(path.read_text()[:4000])
+    with pytest.raises(recon.ReconError, match=r"frame 2 is cut short"):
+        read_points_3d(path)
+
+
+HOSTILE = (
+    b'"keypoints":' + b" " * (1 << 16), b'"keypoints":[1,' * 5000, b"frame_idx," * 7000,
+    b"smpl" * (1 << 15), b"poses" * (1 << 15), b"pose_body\n" * (1 << 14),
+    b"scorer\ncoords,,," * 5000,
+    b"[{" * (1 << 15), b"\ncoords" + b"," * (1 << 16), b" " * (1 << 16),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("head", HOSTILE, ids=lambda head: str(head[:12]))
+def test_files_are_looked_at_in_a_time_that_grows_with_their_size(head):
+    begun = time.perf_counter()
+    for producer in PRODUCERS:
+        re.search(producer.mark, head)
+    assert time.perf_counter() - begun < 2.0

@@ -11,11 +11,13 @@ from recon.method import terms
 from recon.method.free import FreeMotion
 from tests import laws
 from tests.conftest import GOLDEN
+from tests.filmed import bundled, walk
 
 ENERGIES = (
     terms.shape,
     terms.joint_velocity,
     terms.joint_acceleration,
+    terms.relative_acceleration,
     terms.rest_pose,
 )
 
@@ -51,6 +53,18 @@ def test_values_do_not_depend_on_the_frame_rate(energy, toy_body):
     ]
     # the coarse differences miss (angular speed / fps)² of the derivative
     assert value[0] == pytest.approx(value[1], rel=0.1)
+
+
+def test_a_small_walker_is_not_smoother_than_a_tall_one():
+    """Before one camera, who may be small and near, smoothness made walkers a third too small."""
+    tall, body = walk().replace(shape=torch.zeros(16)), bundled()
+    small = tall.replace(shape=torch.tensor([-2.5, *[0.0] * 15]))
+    factor = body.height(small.shape) / body.height(tall.shape)
+    small = small.replace(translation=factor * small.translation)
+    pair = [laws.estimate_of(body, one.map(lambda t: t[None])) for one in (small, tall)]
+    near, far = (float(terms.relative_acceleration(one)) for one in pair)
+    assert near == pytest.approx(far, rel=0.1)
+    assert float(terms.joint_acceleration(pair[0])) < 0.75 * far
 
 
 def test_golden_values(toy_body):

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import recon
+from recon.body.soles import sole_heights
 from recon.core.rotations import transform
 from recon.fitting.settings import FitSettings
 from recon.people.together import load_people
@@ -62,6 +63,7 @@ def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
     across = sorted(float(place[0]) for place in places)
     assert across[1] - across[0] == pytest.approx(BESIDE[1] - BESIDE[0], rel=0.25)
     assert abs(float(places[0][2] - places[1][2])) < 0.6
+    assert all(abs(float(sole_heights(one.motion[None], bundled()))) < 0.04 for one in files)
 
 
 def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:
@@ -104,6 +106,7 @@ def test_keypoints_at_the_border_of_the_image_are_not_seen(tmp_path):
     read = recon.load_observation(
         tmp_path / "cam.npz", camera=tmp_path / "lens.npz", frame_rate=30.0, layout="openpose25"
     )
+    assert isinstance(read, recon.Keypoints2D)
     hidden = (read.confidence[0] == 0).nonzero().tolist()
     assert hidden == [[2, 0], [3, 1], [4, 2]]
 

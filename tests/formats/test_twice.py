@@ -1,0 +1,72 @@
+"""Columns, points and times that a file has twice are refused or told, never dropped silently."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import recon
+from recon.core.skeleton import JOINTS
+from recon.detections.reader import read_keypoints
+from recon.keypoints3d.tables import read_table
+from recon.mocap.trc import read_trc
+
+PARTS = ("nose", "left_hip", "right_hip", "left_knee", "right_knee")
+
+
+def table(path: Path, clock: str, times, names=PARTS) -> Path:
+    """A table of points in space, with a column of times or frames."""
+    head = ",".join([clock, *(f"{name}_{axis}" for name in names for axis in "xyz")])
+    rows = [f"{t}" + ",0.1,0.2,0.3" * len(names) for t in times]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+def test_columns_of_one_name_are_refused(tmp_path):
+    """The last of them was taken."""
+    with pytest.raises(recon.FormatError, match="every column once, got 2 of nose_x"):
+        read_table(table(tmp_path / "a.csv", "frame", range(5), (*PARTS, "nose")))
+    parts = (*PARTS, "nose")
+    lines = ["scorer" + ",a,a,a" * 6, "bodyparts," + ",".join(p for p in parts for _ in "xyc")]
+    lines += ["coords" + ",x,y,likelihood" * 6, *(f"{k}" + ",9,9,1" * 6 for k in range(5))]
+    (tmp_path / "b.csv").write_text("\n".join(lines))
+    with pytest.raises(recon.FormatError, match="every column once, got 2 of one nose x"):
+        read_keypoints(tmp_path / "b.csv")
+
+
+def test_joints_that_are_given_twice_are_refused():
+    points = np.zeros((3, 2, 3))
+    with pytest.raises(recon.ObservationError, match="each once"):
+        recon.Joints3D(points, np.ones((3, 2), bool), (4, 4), 30.0)
+
+
+@pytest.mark.parametrize("frames", [[0, 1, 1, 2], [0, 2, 1, 3]])
+def test_frames_that_do_not_increase_are_refused(frames, tmp_path):
+    """Rows were taken in their order, whatever their frames were."""
+    with pytest.raises(recon.FormatError, match="frame numbers that increase, got 1 after"):
+        read_table(table(tmp_path / "a.csv", "frame", frames))
+
+
+def test_frames_that_are_missing_are_unseen(tmp_path):
+    """Time went on without them."""
+    found = read_table(table(tmp_path / "a.csv", "frame", [7, 8, 11, 12]))
+    seen = np.isfinite(found.positions).all((1, 2))
+    assert seen.tolist() == [True, True, False, False, True, True]
+    assert found.decisions == ("2 frames that are missing between others are unseen",)
+    assert len(read_table(table(tmp_path / "b.csv", "frame", [0, 2, 4])).positions) == 3
+
+
+def test_times_that_are_no_clock_are_refused_or_told(tmp_path):
+    with pytest.raises(recon.FormatError, match=r"times that rise, got 0\.1 s after 0\.2 s"):
+        read_table(table(tmp_path / "a.csv", "time", [0, 0.2, 0.1, 0.3]))
+    found = read_table(table(tmp_path / "b.csv", "time", [0, 0.1, 0.1, 0.3]))
+    assert found.fps is None
+    assert "do not rise evenly" in found.decisions[-1]
+    places = "".join(f"\t0\t{0.1 * k}\t0" for k in range(22))
+    (tmp_path / "c.trc").write_text(
+        "PathFileType\t4\t(X/Y/Z)\tc.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\t"
+        "OrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n30\t30\t3\t22\tm\t30\t1\t3\nFrame#\tTime\t"
+        + "\t\t\t".join(JOINTS) + "\n\t\tX1\n\n"
+        + f"1\t0.5{places}\n" * 3
+    )  # fmt: skip
+    assert any("Time does not rise" in said for said in read_trc(tmp_path / "c.trc").decisions)
