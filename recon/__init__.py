@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
+    from recon.api.register import register as register
     from recon.api.result import Result as Result
     from recon.api.retarget import retarget as retarget
     from recon.api.simulate import simulate as simulate
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from recon.people.together import fit_people as fit_people
     from recon.reading.door import load_observation as load_observation
     from recon.reading.door import read as read
-    from recon.rig.register import register as register
 
 _HOMES = {
     "fit": "recon.api.fit",
@@ -72,7 +72,7 @@ _HOMES = {
     "evaluate": "recon.api.evaluate",
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",
-    "register": "recon.rig.register",
+    "register": "recon.api.register",
     "to_body": "recon.api.convert",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",

@@ -20,7 +20,7 @@ import torch
 import tyro  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
-SHEDS = ("live", "people", "gait", "export", "batch", "benchmark", "rig")
+SHEDS = ("live", "people", "gait", "export", "batch", "benchmark")
 
 
 class Locked:

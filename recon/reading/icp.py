@@ -22,7 +22,7 @@ _FLAT = 0.3
 _ROUNDS = ((0.4, 0.1, 0.5, 8), (0.2, 0.06, 0.5, 8), (0.1, 0.03, 0.7, 4), (0.05, 0.015, 0.8, 2))
 """From coarse to fine: distance of neighbours and scale of the kernel, metres, the cosine between
 their normals, at least, and the step at which points are looked at."""
-_STEPS, _STILL = 30, 1e-4
+_STEPS, _STILL = 50, 3e-5
 """Steps of a round, at most, and metres and radians of one that ends it."""
 
 

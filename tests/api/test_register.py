@@ -105,7 +105,7 @@ def test_cameras_without_poses_are_brought_together_by_the_body(tmp_path, monkey
         seen = next(shown) @ T[:3, :3].T + T[:3, 3]
         return SimpleNamespace(joints=seen, T_world_camera=torch.eye(4))
 
-    monkeypatch.setattr("recon.rig.register.fit", told)
+    monkeypatch.setattr("recon.api.register.fit", told)
     paths = saved(tmp_path, posed=False)
     rig = recon.register(paths)
     off = errors([file.camera for file in rig.files.values()])

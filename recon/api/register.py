@@ -25,17 +25,17 @@ from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors, together
-from recon.rig.icp import View, aligned
+from recon.reading.icp import View, aligned
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
-_FRAMES, _POINTS = 12, 3000
+_FRAMES, _POINTS = 20, 3000
 """Frames, evenly over the clip, and points of each that the alignment looks at."""
 _GROUND = 0.05
 """Metres above the ground below which points are left out: a plane slides along itself."""
 _SAME_TIME = 0.1
 """Frames by which what several cameras see at once may differ."""
-_ALIKE = 0.1
+_ALIKE = 0.15
 """Metres that joints told by single cameras may differ, in the middle, once put together."""
 _SHARED = 0.05
 """Share of a camera's points that another one sees as well, at least."""

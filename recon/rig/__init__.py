@@ -1,1 +1,0 @@
-"""Depth cameras that nobody calibrated to each other, brought into one frame by what they saw."""
