@@ -25,7 +25,7 @@ from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors, together
-from recon.reading.icp import View, aligned
+from recon.reading.icp import OrientedCloud, aligned
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -42,7 +42,7 @@ _SHARED = 0.05
 
 
 @dataclass(frozen=True, repr=False)
-class Rig:
+class DepthRig:
     """Clouds of several depth cameras in one world, z up; iterates over them as observations."""
 
     files: Mapping[str, PointsFile]
@@ -93,7 +93,7 @@ def register(
     camera: str | Path | None = None,
     frame_rate: float | None = None,
     depth_scale: float = 0.001,
-) -> Rig:
+) -> DepthRig:
     """Bring depth cameras that filmed one clip into one world, without a calibration of the rig.
 
     Each is a folder of depth images (.png), a folder of clouds (.ply, .pcd, ...) or observations
@@ -151,7 +151,7 @@ def register(
         else f"no ground is seen: {names[base]} is taken as held level; fit with --ground unknown"
     )  # fmt: skip
     begun = "stated poses" if posed else "a body fitted to every camera alone"
-    return Rig(
+    return DepthRig(
         placed, dict(zip(names, shared.tolist(), strict=True)), (f"begun by {begun}", ground)
     )
 
@@ -239,7 +239,7 @@ def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 def _views(
     files: Sequence[PointsFile], stands: np.ndarray, level: np.ndarray, base: int
-) -> list[View]:
+) -> list[OrientedCloud]:
     """Points of frames that two cameras saw at once, in level frames, without the ground."""
     generator, first = np.random.default_rng(0), files[base]
     ticks = [
@@ -261,7 +261,7 @@ def _views(
         kept &= (points[:, 2] > _GROUND) | (not flat)
         order = generator.permutation(np.flatnonzero(kept))
         rows = np.concatenate([order[frame[order] == one][:_POINTS] for one in chosen])
-        views.append(View.of(points[rows], frame[rows], T[:3, 3]))
+        views.append(OrientedCloud.of(points[rows], frame[rows], T[:3, 3]))
     return views
 
 

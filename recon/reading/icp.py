@@ -27,7 +27,7 @@ _STEPS, _STILL = 50, 3e-5
 
 
 @dataclass(frozen=True)
-class View:
+class OrientedCloud:
     """Points that one camera saw, metres, in a frame of its own."""
 
     points: Float[np.ndarray, "points 3"]
@@ -42,7 +42,7 @@ class View:
         points: Float[np.ndarray, "points 3"],
         frame: Int[np.ndarray, " points"],
         eye: Float[np.ndarray, "3"],
-    ) -> "View":
+    ) -> "OrientedCloud":
         """The points with normals: the least principal components of their neighbours."""
         from scipy.spatial import KDTree
 
@@ -53,13 +53,13 @@ class View:
         normals = axes[..., 0] * np.sign((axes[..., 0] * (eye - points)).sum(1, keepdims=True))
         return cls(points, frame, normals * (spread[:, :1] < _FLAT * spread[:, 1:2]))
 
-    def __getitem__(self, rows: slice) -> "View":
+    def __getitem__(self, rows: slice) -> "OrientedCloud":
         """Some of the points."""
-        return View(self.points[rows], self.frame[rows], self.normals[rows])
+        return OrientedCloud(self.points[rows], self.frame[rows], self.normals[rows])
 
 
 def aligned(
-    views: Sequence[View],
+    views: Sequence[OrientedCloud],
     poses: Float[np.ndarray, "cameras 4 4"],
     base: int,
     level: Bool[np.ndarray, " cameras"],
@@ -106,8 +106,8 @@ def aligned(
 
 
 def _pairs(
-    one: View,
-    other: View,
+    one: OrientedCloud,
+    other: OrientedCloud,
     T_other_one: Float[np.ndarray, "4 4"],
     T_world_other: Float[np.ndarray, "4 4"],
     tree: Any,
