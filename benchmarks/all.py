@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "humor": ("humor", "CORPUS", "--nc", "weights-nc/humor.safetensors"),
     "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", "weights-nc/humor.safetensors"),
     "two": ("two", "CORPUS"),
+    "coordinates": ("coordinates", "CORPUS"),
     "depth": (*_CLOUDS, "depth"),
     "depth_mixed": (*_CLOUDS, *_MIXED, "--only", "12"),
     "depth_walks": (*_CLOUDS, "walks"),

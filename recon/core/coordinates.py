@@ -46,6 +46,8 @@ _CLEAR = 1.5
 _STEADY = 0.25
 """Share of its movement along another axis, at most, by which the lowest point of a body that
 moves over a floor goes up and down."""
+_MOSTLY = 0.35
+"""Share of its length that the mean vector up a body has along an axis at least, else it turns."""
 _UPSIDE_DOWN = 0.5
 """Share of the swing of the feet below which that of the other end shows that it is at the floor:
 somebody stands on the hands."""
@@ -216,8 +218,11 @@ def settled_up(
     Raises:
         UnitsError: when none of these tells.
     """
-    rise = head_above_feet(names, positions, visible)
-    if rise is None and usual is None:
+    vectors = along_body(names, positions, visible)
+    rise = vectors.mean(0) if len(vectors) else None
+    if rise is not None and abs(rise).max() < _MOSTLY * np.linalg.norm(vectors, axis=-1).mean():
+        rise = None
+    elif rise is None and usual is None:
         rise = extent
     try:
         up, reason = decide_up(rise, usual, name)
@@ -258,7 +263,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
         if usual is not None and rise @ to_z_up(usual)[2] >= 0.5 * abs(rise[best]):
             return usual, f"up axis {usual}: by the file's custom, the body lies or bends"
     elif usual is not None:
-        return usual, f"up axis {usual}: by the file's custom, no head and feet by name"
+        return usual, f"up axis {usual}: by the file's custom, no head and feet tell it"
     described = "unknown" if rise is None else np.array2string(rise, precision=3)
     raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "

@@ -224,17 +224,17 @@ def check_tree(content: Any, path: Path) -> None:
     Raises:
         ValueError: when there are more entries or levels than `recon.core.limits` allows.
     """
-    level, count, depth = [content], 0, 0
+    level, count, depth = {id(content): (content, 1)}, 0, 0
     while level:
-        depth, count = depth + 1, count + sum(map(len, level))
+        depth, count = depth + 1, count + sum(times * len(one) for one, times in level.values())
         DEPTH.check(depth, path)
         ENTRIES.check(count, path)
-        level = [
-            child
-            for one in level
-            for child in (one.values() if isinstance(one, Mapping) else one)
-            if isinstance(child, Mapping | list | tuple | set | frozenset)
-        ]
+        below: dict[int, tuple[Any, int]] = {}
+        for one, times in level.values():
+            for child in one.values() if isinstance(one, Mapping) else one:
+                if isinstance(child, Mapping | list | tuple | set | frozenset):
+                    below[id(child)] = (child, below.get(id(child), (child, 0))[1] + times)
+        level = below
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:

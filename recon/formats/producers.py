@@ -48,10 +48,10 @@ class Producer:
 SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
-POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters"
 MARKERS = "markers or joint centres"
 """What the files of most producers hold."""
-_NUMBER = rb"\s*[-+\dN][\w.+-]*\s*"
+_NUMBER = rb"[-+\dN][\w.+-]*\s*"
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -59,10 +59,9 @@ PRODUCERS = (
         "millimetres; rate where `*_by_frame.csv` is beside",
     ),
     Producer(
-        "SAM 3D Body", POINTS_3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
-        "every frame, or frame and person, in a folder; `.npz` of stacked arrays: "
-        "`pred_keypoints_3d`, `pred_cam_t`, if there `pred_keypoints_2d`, `focal_length`",
-        (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
+        "SAM 3D Body", POINTS_3D, "lists by frame (`.pkl`, `.npy`), a folder of `.npz`, or "
+        "stacked arrays (`.npz`): `pred_keypoints_3d`, `pred_cam_t`, also `pred_keypoints_2d`, "
+        "`focal_length`", (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
         "names, metres in the camera", folder=True,
     ),
     Producer(
@@ -84,12 +83,12 @@ PRODUCERS = (
     ),
     Producer(
         "EasyMocap", POINTS_3D, "folder `keypoints3d`; `[{id, keypoints3d}]`", (".json",),
-        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence, not positive is missing",
+        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence",
         folder=True,
     ),
     Producer(
         "OpenPose", POINTS_3D, "folder; `people[].pose_keypoints_3d`", (".json",),
-        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence, not positive is missing",
+        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence",
         folder=True,
     ),
     Producer(
@@ -110,7 +109,7 @@ PRODUCERS = (
     ),
     Producer(
         "MMPose", POINTS_3D, "folder or JSON; `keypoints` of three numbers", (".json",),
-        rb'"keypoints"\s*:[\s\[]*' + rb",".join([_NUMBER] * 3) + rb"\]", _FIT, "",
+        rb'"keypoints"\s*:[\s\[]*' + rb",\s*".join([_NUMBER] * 3) + rb"\]", _FIT, "",
         folder=True,
     ),
     Producer(
@@ -129,7 +128,7 @@ PRODUCERS = (
     ),
     Producer(
         "SLEAP", POINTS_2D, "its analysis CSV; nodes matched by name", (".csv",),
-        rb"\A[^\n]*\bframe_idx\b[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
+        rb"\A(?=[^\n]*\bframe_idx\b)[^\n]*\.x\b", _FIT, "`NODE.score`", folder=True,
     ),
     Producer(
         "rtmlib, ViTPose, your own", POINTS_2D, "`.npz`: `keypoints (T,P,K,2)` with `scores "
@@ -167,7 +166,7 @@ PRODUCERS = (
         "(`FILE::MEMBER`)", (".bvh", ".amc", ".tar", ".tgz"), b"", ("convert",), "rate",
     ),
     Producer(
-        "Motion Capture Toolbox", "a recording of motion capture", "`.mat`", (".mat",), b"",
+        "Motion Capture Toolbox", "markers", "`.mat`", (".mat",), b"",
         ("convert",), "labels, rate",
     ),
     Producer(
@@ -220,22 +219,21 @@ PRODUCERS = (
     ),
     Producer(
         "PHALP (4D-Humans)", BODIES, "`.pkl`; by image the lists `smpl`, `camera`, `tid`",
-        (".pkl",), rb"smpl(?s:.*)tid|tid(?s:.*)smpl", _REFINE, "in the camera",
+        (".pkl",), rb"(?s)\A(?=.*smpl).*tid", _REFINE, "in the camera",
     ),
     Producer(
         "AMASS", BODIES, "`.npz`, `.pkl`; `poses`, `trans`", (".npz", ".pkl"),
-        rb"poses(?s:.*)trans|trans(?s:.*)poses", _REFINE, "rate",
+        rb"(?s)\A(?=.*poses).*trans", _REFINE, "rate",
     ),
     Producer(
         "SLAHMR", BODIES, "`.npz`; `root_orient`, `pose_body`, `trans` with an axis of people",
-        (".npz",), rb"pose_body(?s:.*)trans|trans(?s:.*)pose_body", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose_body).*trans", _REFINE, "",
     ),
     Producer(
         "SMPL, SMPL-X", BODIES, "`.npz`, `.pkl`, `.pt`; `global_orient`, `body_pose`, `transl`",
-        (".npz",), rb"pose(?s:.*)trans|trans(?s:.*)pose", _REFINE, "",
+        (".npz",), rb"(?s)\A(?=.*pose).*trans", _REFINE, "",
     ),
     Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
-    Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
     Producer(
         "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
         (), "run a 2D detector on it, and give its keypoints",

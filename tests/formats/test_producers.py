@@ -1,5 +1,6 @@
 """Every producer's files are known, and four verbs give one answer to each of them."""
 
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -207,3 +208,19 @@ def test_a_skeleton_file_that_is_cut_short_is_refused(tmp_path):
     path.write_text(path.read_text()[:4000])
     with pytest.raises(recon.ReconError, match=r"frame 2 is cut short"):
         read_points_3d(path)
+
+
+HOSTILE = (
+    b'"keypoints":' + b" " * (1 << 16), b'"keypoints":[1,' * 5000, b"frame_idx," * 7000,
+    b"smpl" * (1 << 15), b"poses" * (1 << 15), b"pose_body\n" * (1 << 14),
+    b"scorer\ncoords,,," * 5000,
+    b"[{" * (1 << 15), b"\ncoords" + b"," * (1 << 16), b" " * (1 << 16),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("head", HOSTILE, ids=lambda head: str(head[:12]))
+def test_files_are_looked_at_in_a_time_that_grows_with_their_size(head):
+    begun = time.perf_counter()
+    for producer in PRODUCERS:
+        re.search(producer.mark, head)
+    assert time.perf_counter() - begun < 2.0

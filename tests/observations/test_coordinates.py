@@ -9,12 +9,13 @@ import torch
 
 from observations.correspondences import BodyPoints
 from recon.body.landmarks import landmark
+from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
-from recon.core.coordinates import unit_of_path
+from recon.core.coordinates import settled_up, unit_of_path
 from recon.core.errors import ObservationError, UnitsError
-from recon.core.hands import facing
+from recon.core.hands import facing, right_handed
 from recon.core.skeleton import FEET, JOINTS, keypoint_names
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.observations import PositionsFile
@@ -131,3 +132,30 @@ def test_scans_of_a_walker_are_turned_and_scaled(up: Up) -> None:
     with pytest.raises(UnitsError, match="unit height"):
         up_of_clouds(small, "scans", told=False)
     assert up_of_clouds(small, "scans", told=True)[0] == up
+
+
+def test_no_laboratory_is_mirrored_but_one(data) -> None:
+    """Nor is any asked for its axes; `bmc/walk1.trc` has right and left exchanged in space."""
+    folder, told = data / "observations", []
+    paths = sorted(folder.glob("[b-or]*/*.c3d")) + sorted(folder.glob("[b-or]*/*.trc"))
+    for path in paths:
+        recording = read_recording(path)
+        assert isinstance(recording, MarkerRecording)
+        places, _ = match_markers(recording.marker_names)
+        names = [places.get(name, "") for name in recording.marker_names]
+        if right_handed(names, recording.positions, recording.visible)[1]:
+            told.append(path.name)
+    assert len(paths) > 50
+    assert told == ["walk1.trc"]
+
+
+def test_who_turns_over_tells_no_axis() -> None:
+    """A cartwheel of which the legs were hidden laid the room on its side."""
+    angle = np.linspace(0.0, 2 * np.pi, 30)
+    trunk = np.stack([np.zeros(30), np.sin(angle), np.cos(angle)], -1)[:, None]
+    points = np.concatenate([0 * trunk, trunk], axis=1)
+    points[:, 1, 0] += 0.2
+    seen = np.ones((30, 2), dtype=bool)
+    with pytest.raises(UnitsError, match="--up"):
+        settled_up(("pelvis", "neck"), points, seen, None, "cartwheel")
+    assert settled_up(("pelvis", "neck"), points, seen, "z", "cartwheel")[0] == "z"
