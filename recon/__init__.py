@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
+    from recon.api.register import register as register
     from recon.api.result import Result as Result
     from recon.api.retarget import retarget as retarget
     from recon.api.simulate import simulate as simulate
@@ -71,6 +72,7 @@ _HOMES = {
     "evaluate": "recon.api.evaluate",
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",
+    "register": "recon.api.register",
     "to_body": "recon.api.convert",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",

@@ -34,7 +34,6 @@ from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
-from recon.formats.producers import holds_sam3d_body, is_estimate, refuse_others
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -134,7 +133,7 @@ def fit(
         observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
-    if paths and is_estimate(paths):
+    if paths and _is_estimate(paths):
         _refuse_others(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
@@ -268,9 +267,7 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    if isinstance(motion, str | Path):
-        refuse_others(Path(motion), "refine")
-    if isinstance(motion, str | Path) and holds_sam3d_body(Path(motion)):
+    if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
         return fit(
             [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
             unit=unit, up=up, person=person, **how,
@@ -293,6 +290,20 @@ def refine(
     repairs = Findings(repaired)
     examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
+
+
+def _is_estimate(paths: Sequence[Path]) -> bool:
+    from recon.formats.producers import is_estimate  # of files alone
+
+    return is_estimate(paths)
+
+
+def _is_keypoints(path: Path) -> bool:
+    """Whether a file is of keypoints that are fitted; refused where nothing can be refined."""
+    from recon.formats.producers import holds_sam3d_body, refuse_others
+
+    refuse_others(path, "refine")
+    return holds_sam3d_body(path)
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:

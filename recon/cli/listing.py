@@ -40,6 +40,9 @@ CORE = {
         "all else a folder of .ply files.",
         out_follows=True,
     ),
+    "register": Verb(
+        "recon.api.register:register", (Place("out", folder),), "folder for a file per camera."
+    ),
     "evaluate": Verb(
         "recon.api.evaluate:evaluate", (Place("json", its_own_report),), "File for the metrics."
     ),

@@ -1,5 +1,6 @@
 """JSON written by other programs: one file per frame, or one file with all of them."""
 
+import gc
 import json
 import re
 from collections import Counter
@@ -50,6 +51,9 @@ def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
 
 
 def _parsed(path: Path, data: bytes) -> Any:
+    # a tree of JSON has no cycles, and looking for them takes most of the time
+    collects = gc.isenabled()
+    gc.disable()
     try:
         return json.loads(decode(data))
     except (RecursionError, json.JSONDecodeError) as error:
@@ -59,6 +63,9 @@ def _parsed(path: Path, data: bytes) -> Any:
             raise
         # a number with more digits than Python converts
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
+    finally:
+        if collects:
+            gc.enable()
 
 
 def read_frame_folder(folder: Path) -> Frames:

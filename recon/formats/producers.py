@@ -48,7 +48,7 @@ class Producer:
 SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
-POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters of every frame"
+POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters"
 MARKERS = "markers or joint centres"
 """What the files of most producers hold."""
 _NUMBER = rb"[-+\dN][\w.+-]*\s*"
@@ -59,10 +59,9 @@ PRODUCERS = (
         "millimetres; rate where `*_by_frame.csv` is beside",
     ),
     Producer(
-        "SAM 3D Body", POINTS_3D, "lists of lists of dictionaries (`.pkl`, `.npy`); `.npz` for "
-        "every frame, or frame and person, in a folder; `.npz` of stacked arrays: "
-        "`pred_keypoints_3d`, `pred_cam_t`, if there `pred_keypoints_2d`, `focal_length`",
-        (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
+        "SAM 3D Body", POINTS_3D, "lists by frame (`.pkl`, `.npy`), a folder of `.npz`, or "
+        "stacked arrays (`.npz`): `pred_keypoints_3d`, `pred_cam_t`, also `pred_keypoints_2d`, "
+        "`focal_length`", (".npz", ".pkl", ".npy"), SAM3D_POINTS.encode(), ("fit", "refine"),
         "names, metres in the camera", folder=True,
     ),
     Producer(
@@ -84,12 +83,12 @@ PRODUCERS = (
     ),
     Producer(
         "EasyMocap", POINTS_3D, "folder `keypoints3d`; `[{id, keypoints3d}]`", (".json",),
-        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence, not positive is missing",
+        rb'\A\s*\[\s*\{[^{}]*"keypoints3d"', _FIT, "confidence",
         folder=True,
     ),
     Producer(
         "OpenPose", POINTS_3D, "folder; `people[].pose_keypoints_3d`", (".json",),
-        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence, not positive is missing",
+        rb'"pose_keypoints_3d"\s*:\s*\[\s*[-\d]', _FIT, "confidence",
         folder=True,
     ),
     Producer(
@@ -167,7 +166,7 @@ PRODUCERS = (
         "(`FILE::MEMBER`)", (".bvh", ".amc", ".tar", ".tgz"), b"", ("convert",), "rate",
     ),
     Producer(
-        "Motion Capture Toolbox", "a recording of motion capture", "`.mat`", (".mat",), b"",
+        "Motion Capture Toolbox", "markers", "`.mat`", (".mat",), b"",
         ("convert",), "labels, rate",
     ),
     Producer(
@@ -235,7 +234,6 @@ PRODUCERS = (
         (".npz",), rb"(?s)\A(?=.*pose).*trans", _REFINE, "",
     ),
     Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
-    Producer("", "a pickle", "`.pickle`", (".pickle",), b"", (), "rename it to .pkl"),
     Producer(
         "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
         (), "run a 2D detector on it, and give its keypoints",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.core.arrays import cloud_points, held_numbers
+from recon.core.clouds import up_of_clouds
 from recon.core.errors import ObservationError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION, check_camera
 from recon.core.units import to_z_up
@@ -65,12 +66,18 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     kept = [thinned(cloud, POINTS, 3.0, generator) for cloud in clouds]
     if not any(map(len, kept)):
         raise ObservationError("no geometry has any point")
-    points = np.concatenate(kept)
+    points, said = np.concatenate(kept), ()
+    if camera is None:
+        up = settings.up
+        if up is None:
+            up, said = up_of_clouds(kept, "geometries", told=True)
+        points = points @ to_z_up(up).T
     file = PointsFile(
-        points=points if camera is not None else points @ to_z_up(settings.up or "z").T,
+        points=points,
         frame=np.repeat(np.arange(len(kept)), [len(cloud) for cloud in kept]),
         fps=settings.frame_rate,
         camera=camera,
+        decisions=said,
     )
     if camera is None:  # clouds and meshes are in a world; the caller places a plane in it
         settings = replace(settings, ground=None)

@@ -49,6 +49,7 @@ CASES = (
     Case("sample", "out", ("--out", "OUT", "--count", "2", "--weights", "IN.npz"), Kind.FOLDER),
     Case("predict", "out", ("IN.npz", "--out", "OUT.npz")),
     Case("predict", "out", ("IN.npz", "--out", "OUT", "--samples", "2"), Kind.FOLDER),
+    Case("register", "out", ("IN.npz", "other.npz", "--out", "OUT"), Kind.FOLDER),
     Case("interpolate", "out", ("other.npz", "IN.npz", "--out", "OUT")),
     Case("refine", "out", ("IN.npz", "--out", "OUT", "--prior", "pose")),
     Case("retarget", "out", ("IN.npz", "--out", "OUT", "--shape", "0")),

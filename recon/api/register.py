@@ -1,0 +1,272 @@
+"""`recon.register`: depth cameras that filmed one clip, in one world."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.api.fit import fit
+from recon.api.observations import ObservationsLike
+from recon.api.results import Tables, told
+from recon.body.model import BodyModel
+from recon.core.camera import depth_camera
+from recon.core.errors import ObservationError
+from recon.fitting.observed import Clip
+from recon.fitting.settings import DEFAULTS
+from recon.formats.calibration import load_cameras
+from recon.formats.cameras import CameraArrays
+from recon.formats.depth_images import read_depth_images
+from recon.formats.observations import PointsFile, load_observation, save_observation
+from recon.formats.outputs import Kind, Output
+from recon.formats.scans import read_scans
+from recon.formats.writing import writing
+from recon.method.sensor import Sensor
+from recon.reading.clip import format_errors, together
+from recon.reading.icp import OrientedCloud, aligned
+
+_READ = 20_000
+"""Points of a frame that are read; the ground takes most of them."""
+_FRAMES, _POINTS = 20, 3000
+"""Frames, evenly over the clip, and points of each that the alignment looks at."""
+_GROUND = 0.05
+"""Metres above the ground below which points are left out: a plane slides along itself."""
+_SAME_TIME = 0.1
+"""Frames by which what several cameras see at once may differ."""
+_ALIKE = 0.15
+"""Metres that joints told by single cameras may differ, in the middle, once put together."""
+_SHARED = 0.05
+"""Share of a camera's points that another one sees as well, at least."""
+
+
+@dataclass(frozen=True, repr=False)
+class DepthRig:
+    """Clouds of several depth cameras in one world, z up; iterates over them as observations."""
+
+    files: Mapping[str, PointsFile]
+    """What each camera saw, by its name, with its pose."""
+    shared: Mapping[str, float]
+    """Share of its points, without the ground, that another camera sees as well."""
+    decisions: tuple[str, ...]
+    """What was found."""
+    tables: ClassVar[Tables] = {}
+
+    def __iter__(self) -> Iterator[Sensor]:
+        """One observation after the other, as `recon.fit` takes them."""
+        return iter(
+            together(list(self.files.items()), (), DEFAULTS, BodyModel.load()).observations
+        )
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What is written beside them; see `MotionResult.report`."""
+        poses = {name: np.linalg.inv(_pose(file)).tolist() for name, file in self.files.items()}
+        found = {"T_world_camera": poses, "shared": dict(self.shared)}
+        return {**found, "decisions": list(self.decisions), **told(inputs, settings)}
+
+    def save(
+        self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
+    ) -> tuple[Path, ...]:
+        """Write OUT/CAMERA.npz, which `recon fit` takes, and `--camera` as a calibration.
+
+        Raises:
+            FileExistsError: when something is there that recon did not write, unless `overwrite`.
+        """
+        said = self.report() if report is None else report
+        output = Output(Path(out), Kind.FOLDER)
+        with writing(output, report=said, overwrite=overwrite) as (staged,):
+            for name, file in self.files.items():
+                save_observation(staged / f"{name}.npz", file)
+        return tuple(Path(out) / f"{name}.npz" for name in self.files)
+
+    def __repr__(self) -> str:
+        """The cameras and how much each shares with the others."""
+        return "Rig: " + ", ".join(f"{name} shares {one:.0%}" for name, one in self.shared.items())
+
+
+def register(
+    observations: ObservationsLike,
+    *,
+    camera: str | Path | None = None,
+    frame_rate: float | None = None,
+    depth_scale: float = 0.001,
+) -> DepthRig:
+    """Bring depth cameras that filmed one clip into one world, without a calibration of the rig.
+
+    Each is a folder of depth images (.png), a folder of clouds (.ply, .pcd, ...) or observations
+    of points (.npz), in the axes of its camera: x right, y down, z forward. Poses that files state
+    may be off by 10 cm and 5 degrees; where some have none, the body is fitted to every camera
+    alone, and the joints tell how they stand to each other. Then clouds are aligned by what two
+    cameras see at once, the person and the room; the ground, where it is seen, becomes z = 0.
+
+    Args:
+        observations: one per camera, of one clock.
+        camera: calibration of the lenses of depth images: one for all, or one of the name of each
+            folder.
+        frame_rate: frames per second, where files do not tell.
+        depth_scale: metres per unit of depth images.
+
+    Raises:
+        ReconError: when there are fewer than two cameras, something else than points, or cameras
+            that share too little; says what to do.
+        FileNotFoundError: when there is nothing there.
+    """
+    paths = [Path(one) for one in observations]  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    names = [path.stem for path in paths]
+    if len(set(names)) < max(len(names), 2):
+        raise ObservationError(
+            f"expected two or more cameras, each of a name of its own, got {', '.join(names)}"
+        )
+    with format_errors():
+        files = [_read(path, camera, frame_rate, depth_scale) for path in paths]
+    body = BodyModel.load()
+    own = [_alone(file) for file in files]
+    clips = [together([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
+    level = np.array([one.observations[0].ground_seen for one in clips])  # pyright: ignore[reportAttributeAccessIssue]
+    base = int(level.argmax())
+    level &= level[base]
+    stands = np.stack([np.asarray(one.T_recording_camera) for one in clips])
+    posed = all(file.camera and file.camera.T_camera_world is not None for file in files)
+    poses = [np.linalg.inv(_pose(file)) for file in files] if posed else _by_bodies(clips, base)
+    start = np.stack(poses) @ np.linalg.inv(stands)
+    start = np.linalg.inv(start[base]) @ start
+    start = np.stack([_upright(T) if flat else T for T, flat in zip(start, level, strict=True)])
+    views = _views(own, stands, level, base)
+    found, shared = aligned(views, start, base, level)
+    for name, share in zip(names, shared, strict=True):
+        if share < _SHARED:
+            raise ObservationError(
+                f"{name}: {share:.0%} of what it sees is seen by another camera, too, expected "
+                f"{_SHARED:.0%}: place cameras nearer to each other, or let them see the room"
+            )
+    placed = {
+        name: _placed(file, pose @ T, bare=given.camera is None)
+        for name, file, given, pose, T in zip(names, own, files, found, stands, strict=True)
+    }
+    ground = (
+        f"the ground that {names[base]} sees is z = 0" if level[base]
+        else f"no ground is seen: {names[base]} is taken as held level; fit with --ground unknown"
+    )  # fmt: skip
+    begun = "stated poses" if posed else "a body fitted to every camera alone"
+    return DepthRig(
+        placed, dict(zip(names, shared.tolist(), strict=True)), (f"begun by {begun}", ground)
+    )
+
+
+def _read(
+    path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
+) -> PointsFile:
+    """What one camera saw, in its own frame where it has no pose."""
+    if path.is_dir() and any(path.glob("*.png")):
+        if camera is None or frame_rate is None:
+            raise ObservationError(f"{path}: depth images need --camera and --frame-rate")
+        lenses = load_cameras(camera).cameras
+        lens = next(iter(lenses.values())) if len(lenses) == 1 else lenses.get(path.name)
+        if lens is None:
+            raise ObservationError(
+                f"{camera}: expected a camera {path.name}, or one for all, got {', '.join(lenses)}"
+            )
+        return read_depth_images(path, lens, fps=frame_rate, depth_scale=depth_scale, points=_READ)
+    if path.is_dir():
+        return read_scans(path, fps=frame_rate, up="z", points=_READ)
+    file = load_observation(path)
+    if not isinstance(file, PointsFile):
+        raise ObservationError(f"{path}: expected points of a depth camera, got another sensor")
+    return file
+
+
+def _alone(file: PointsFile) -> PointsFile:
+    """The points in the frame of their camera, as if it had no pose."""
+    T = _pose(file)
+    lens = replace(_lens(file), T_camera_world=None)
+    return replace(file, points=file.points @ T[:3, :3].T + T[:3, 3], camera=lens)
+
+
+def _lens(file: PointsFile) -> CameraArrays:
+    """The camera; of clouds that say nothing of one, any, at the origin."""
+    if file.camera is not None:
+        return file.camera
+    usual = depth_camera()
+    return CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
+
+
+def _pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
+    """T_camera_world of a fixed camera; the identity where it has none."""
+    known = None if file.camera is None else file.camera.T_camera_world
+    if known is not None and len(known) != 1:
+        raise ObservationError("expected cameras that stand still, got one that moves")
+    return np.eye(4) if known is None else known[0]
+
+
+def _by_bodies(clips: Sequence[Clip], base: int) -> list[Float[np.ndarray, "4 4"]]:
+    """T_base_camera of every camera by the joints of the body that is fitted to it alone."""
+    joints = []
+    for clip in clips:
+        found = fit(clip, "pose", checks=(), repair=False)
+        assert found.T_world_camera is not None
+        T = np.linalg.inv(found.T_world_camera.double().numpy())
+        joints.append(found.joints.double().numpy() @ T[:3, :3].T + T[:3, 3])
+    frames, poses = min(map(len, joints)), []
+    true = joints[base][:frames].reshape(-1, 3)
+    for clip, one in zip(clips, joints, strict=True):
+        own = one[:frames].reshape(-1, 3)
+        u, _, v = np.linalg.svd((true - true.mean(0)).T @ (own - own.mean(0)))
+        pose = np.eye(4)
+        pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+        pose[:3, 3] = true.mean(0) - pose[:3, :3] @ own.mean(0)
+        apart = np.median(np.linalg.norm(own @ pose[:3, :3].T + pose[:3, 3] - true, axis=-1))
+        if apart > _ALIKE:
+            raise ObservationError(
+                f"{clip.names[0]}: the body that it sees alone moves otherwise than that of "
+                f"{clips[base].names[0]} ({100 * apart:.0f} cm), expected the same person at the "
+                "same time; give files with rough poses (T_camera_world)"
+            )
+        poses.append(pose)
+    return poses
+
+
+def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """The nearest pose that keeps z up and the ground."""
+    turn = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
+    out = np.eye(4)
+    out[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    out[:2, 3] = T[:2, 3]
+    return out
+
+
+def _views(
+    files: Sequence[PointsFile], stands: np.ndarray, level: np.ndarray, base: int
+) -> list[OrientedCloud]:
+    """Points of frames that two cameras saw at once, in level frames, without the ground."""
+    generator, first = np.random.default_rng(0), files[base]
+    ticks = [
+        (one.start_time - first.start_time + one.frame / one.fps) * first.fps for one in files
+    ]
+    frames = [np.rint(one).astype(np.int64) for one in ticks]
+    together_at = [f[np.abs(t - f) < _SAME_TIME] for f, t in zip(frames, ticks, strict=True)]
+    several, counts = np.unique(
+        np.concatenate([np.unique(one) for one in together_at]), return_counts=True
+    )
+    several = several[counts > 1]
+    if len(several) == 0:
+        raise ObservationError("no two cameras saw anything at the same time; check their clocks")
+    chosen = several[np.unique(np.linspace(0, len(several) - 1, _FRAMES).round().astype(int))]
+    views = []
+    for file, frame, tick, T, flat in zip(files, frames, ticks, stands, level, strict=True):
+        points = file.points @ T[:3, :3].T + T[:3, 3]
+        kept = np.isin(frame, chosen) & (np.abs(tick - frame) < _SAME_TIME)
+        kept &= (points[:, 2] > _GROUND) | (not flat)
+        order = generator.permutation(np.flatnonzero(kept))
+        rows = np.concatenate([order[frame[order] == one][:_POINTS] for one in chosen])
+        views.append(OrientedCloud.of(points[rows], frame[rows], T[:3, 3]))
+    return views
+
+
+def _placed(file: PointsFile, T: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
+    """Points of a camera in the world, with its pose; without a camera where there was none."""
+    points = file.points @ T[:3, :3].T + T[:3, 3]
+    lens = None if bare else replace(_lens(file), T_camera_world=np.linalg.inv(T)[None])
+    return replace(file, points=points, camera=lens)

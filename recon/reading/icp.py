@@ -1,0 +1,149 @@
+"""Poses of several depth cameras by their clouds of one clip: ICP over all frames and pairs.
+
+A point's neighbour is sought in the same frame of the clip, as the person moves. The residual of a
+pair is its distance along the mean of both normals (Rusinkiewicz 2019), which is zero on a curved
+surface, too, where points lie beside each other; it is weighted by Geman & McClure's kernel.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+_APART = 100.0
+"""Metres that frames are apart in the search for neighbours, as its fourth dimension."""
+_NEIGHBOURS = 40
+"""Points that tell a normal: fewer tell the noise of depths from 3 m on."""
+_FLAT = 0.3
+"""Variance across a surface as a share of the next larger one, at most, where it has a normal."""
+_ROUNDS = ((0.4, 0.1, 0.5, 8), (0.2, 0.06, 0.5, 8), (0.1, 0.03, 0.7, 4), (0.05, 0.015, 0.8, 2))
+"""From coarse to fine: distance of neighbours and scale of the kernel, metres, the cosine between
+their normals, at least, and the step at which points are looked at."""
+_STEPS, _STILL = 50, 3e-5
+"""Steps of a round, at most, and metres and radians of one that ends it."""
+
+
+@dataclass(frozen=True)
+class OrientedCloud:
+    """Points that one camera saw, metres, in a frame of its own."""
+
+    points: Float[np.ndarray, "points 3"]
+    frame: Int[np.ndarray, " points"]
+    """The frame of the clip each was seen in, of one clock for all cameras."""
+    normals: Float[np.ndarray, "points 3"]
+    """Of unit length, towards the camera; zero where the surface is not flat."""
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "points 3"],
+        frame: Int[np.ndarray, " points"],
+        eye: Float[np.ndarray, "3"],
+    ) -> "OrientedCloud":
+        """The points with normals: the least principal components of their neighbours."""
+        from scipy.spatial import KDTree
+
+        placed = _in_frames(points, frame)
+        near = points[KDTree(placed).query(placed, min(_NEIGHBOURS, len(points)))[1]]
+        centred = near - near.mean(1, keepdims=True)
+        spread, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
+        normals = axes[..., 0] * np.sign((axes[..., 0] * (eye - points)).sum(1, keepdims=True))
+        return cls(points, frame, normals * (spread[:, :1] < _FLAT * spread[:, 1:2]))
+
+    def __getitem__(self, rows: slice) -> "OrientedCloud":
+        """Some of the points."""
+        return OrientedCloud(self.points[rows], self.frame[rows], self.normals[rows])
+
+
+def aligned(
+    views: Sequence[OrientedCloud],
+    poses: Float[np.ndarray, "cameras 4 4"],
+    base: int,
+    level: Bool[np.ndarray, " cameras"],
+) -> tuple[Float[np.ndarray, "cameras 4 4"], Float[np.ndarray, " cameras"]]:
+    """Poses at which the views agree, and the share of each view's points with a neighbour.
+
+    Args:
+        views: what each camera saw.
+        poses: T_world_view to begin with, off by 0.3 m and 10 degrees at most.
+        base: number of the camera that stays.
+        level: cameras whose frame stands on the ground as that of `base` does: they only turn
+            about z and move along x and y.
+    """
+    from scipy.spatial import KDTree
+
+    trees = [KDTree(_in_frames(one.points, one.frame)) for one in views]
+    count = len(views)
+    free = np.ones((count, 6), np.bool_)
+    free[level] = [False, False, True, True, True, False]
+    free[base] = False
+    moving = np.flatnonzero(free)
+    shares = np.zeros(count)
+    for reach, kernel, along, every in _ROUNDS:
+        for _ in range(_STEPS):
+            hessian, gradient = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
+            shares = np.zeros(count)
+            for i, j in permutations(range(count), 2):
+                T, some = np.linalg.inv(poses[j]) @ poses[i], views[i][::every]
+                residuals, jacobian = _pairs(some, views[j], T, poses[j], trees[j], reach, along)
+                weighted = jacobian * ((1 + (residuals / kernel) ** 2) ** -2)[:, None]
+                sign = np.eye(count)[i] - np.eye(count)[j]
+                hessian += np.kron(np.outer(sign, sign), weighted.T @ jacobian)
+                gradient += np.kron(sign, weighted.T @ residuals)
+                shares[i] = max(shares[i], len(residuals) / len(some.points))
+            damped = hessian + (1e-6 * np.trace(hessian) + 1e-9) * np.eye(6 * count)
+            step = np.zeros(6 * count)
+            step[moving] = -np.linalg.solve(damped[np.ix_(moving, moving)], gradient[moving])
+            poses = np.stack(
+                [_moved(*pair) for pair in zip(poses, step.reshape(-1, 6), strict=True)]
+            )
+            if np.abs(step).max() < _STILL:
+                break
+    return poses, shares
+
+
+def _pairs(
+    one: OrientedCloud,
+    other: OrientedCloud,
+    T_other_one: Float[np.ndarray, "4 4"],
+    T_world_other: Float[np.ndarray, "4 4"],
+    tree: Any,
+    reach: float,
+    along: float,
+) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, "pairs 6"]]:
+    """Residuals of the points of one view that have a neighbour in the other, and their Jacobian.
+
+    The Jacobian is of a small rotation and translation of the first view in the world; that of the
+    second is its negative.
+    """
+    here = one.points @ T_other_one[:3, :3].T + T_other_one[:3, 3]
+    turned = one.normals @ T_other_one[:3, :3].T
+    distance, near = tree.query(_in_frames(here, one.frame), distance_upper_bound=reach)
+    rows = np.flatnonzero(distance < reach)
+    rows = rows[(turned[rows] * other.normals[near[rows]]).sum(1) > along]
+    near, here = near[rows], here[rows]
+    middle = turned[rows] + other.normals[near]
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    residuals = ((here - other.points[near]) * middle).sum(1)
+    normals = middle @ T_world_other[:3, :3].T
+    places = (here + other.points[near]) / 2 @ T_world_other[:3, :3].T + T_world_other[:3, 3]
+    return residuals, np.concatenate((np.cross(places, normals), normals), 1)
+
+
+def _moved(T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+    """A pose after a small rotation and translation in the world."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    moved = T.copy()
+    moved[:3, :3], moved[:3, 3] = turn @ T[:3, :3], turn @ T[:3, 3] + step[3:]
+    return moved
+
+
+def _in_frames(
+    points: Float[np.ndarray, "points 3"], frame: Int[np.ndarray, " points"]
+) -> Float[np.ndarray, "points 4"]:
+    return np.concatenate((points, _APART * frame[:, None]), 1)
