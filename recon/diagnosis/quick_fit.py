@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from observations.keypoints2d import Keypoints2D
-from observations.noise import estimate_noise, weights_of
+from observations.noise import estimate_noise
 from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
-from recon.diagnosis.findings import stretches
-from recon.diagnosis.images import Images
 from recon.diagnosis.named_points import NamedPoints
-from recon.fitting.stages import without_root
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage, Stages
@@ -102,10 +98,12 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     only the version of the least cost is fitted whole, and only that one is returned.
     """
     first, noise = versions[0], _noise(versions[0])
-    method, excerpts = partial(_quick, noise), [_excerpt(one) for one in versions]
+    method, excerpts = partial(quick_stages, noise), [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
-        fits += _fitted(excerpts[1:], partial(_quick, noise, most=_ITERATIONS_OF_OTHERS), body)
+        fits += _fitted(
+            excerpts[1:], partial(quick_stages, noise, most=_ITERATIONS_OF_OTHERS), body
+        )
     if excerpts[0] is first:
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
@@ -149,71 +147,10 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    method, start = partial(_quick, _noise(fit.points)), fit.estimate.motion
+    method, start = partial(quick_stages, _noise(fit.points)), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
     (again,) = _fitted([fit.points], method, body, reached.detach())
     return again if again.cost < fit.cost else fit
-
-
-_AROUND_CHANGE_S = 0.5
-"""Seconds to either side of a change of names that are fitted."""
-_FALL = 0.8
-"""Share of its objective to which a fit must fall without a change of names. On training people
-true changes fall to 0.7 at most, right names that are exchanged rise to 1.4 at least."""
-_KEEPS_FACING = 0.95
-"""Share of the frames in which somebody who never turns faces the same side of the image."""
-
-
-def confirmed_sides(
-    images: Images, flags: Bool[np.ndarray, " moments"]
-) -> Bool[np.ndarray, " moments"]:
-    """The stretches of one view's exchanged names that a fit of the body confirms.
-
-    A quick fit of the second around each change must become better when the names do not change.
-    A stretch from the first or to the last moment has one change only, and either side of it may
-    be the wrong one: then the body must face the same side of the image throughout, too.
-    """
-    moments, changes = len(flags), np.flatnonzero(np.diff(flags)) + 1
-    half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
-    first = np.clip(changes - half, 0, moments - 2 * half).tolist()
-    after = images.exchanged(flags[None])
-    versions = [
-        view.derived(**view.some_frames(range(a, a + 2 * half)))
-        for view in (*images.sensors, *after.sensors)
-        for a in first
-    ]
-    given, new = _costs_of_views(versions, images.body).reshape(2, -1)
-    won = dict(zip(changes.tolist(), new < _FALL * given, strict=True))
-    sure = np.zeros_like(flags)
-    for a, b in stretches(flags):
-        ends = [won[t] for t in (a, b + 1) if t in won]
-        sure[a : b + 1] = all(ends) and (len(ends) == 2 or _keeps_facing(after))
-    return sure
-
-
-def _keeps_facing(images: Images) -> bool:
-    """Whether the right of hips and shoulders is on the same side of the image in all frames."""
-    seen = images.seen[0] & images.seen[0][:, images.counterparts]
-    names = ("shoulder", "hip")
-    pairs = [k for k, name in enumerate(images.points) if name in {f"left_{n}" for n in names}]
-    across = images.pixels[0] - images.pixels[0][:, images.counterparts]
-    across = np.where(seen[..., None], across, 0.0)[:, pairs].sum(1)
-    return bool((across @ across.mean(0) > 0)[seen[:, pairs].any(-1)].mean() > _KEEPS_FACING)
-
-
-def _costs_of_views(
-    versions: Sequence[Keypoints2D], body: BodyModel
-) -> Float[np.ndarray, " versions"]:
-    """Objectives of quick fits of what one camera saw, in equally long versions; metres²."""
-    seen = concatenate(list(versions))
-    start = seen.start(body)
-    noise = seen.noise(start, body)
-
-    def method(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return without_root(_quick(noise.metres, data))
-
-    found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
-    return found.reports[-1].solution.value.double().cpu().numpy()
 
 
 def _noise(points: TrackedPoints) -> float:
@@ -221,7 +158,7 @@ def _noise(points: TrackedPoints) -> float:
     return float(estimate_noise(points.positions, points.visible))
 
 
-def _quick(
+def quick_stages(
     noise: float, data: tuple[Term, ...], *, most: tuple[int, int] = _ITERATIONS
 ) -> tuple[Stage[Any], ...]:
     """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
