@@ -38,7 +38,8 @@ MODULES = {
         "tests/core/test_limits.py",
     ),
     "recon/ingest/marker_fit.py": (
-        "tests/ingest/test_marker_neighbours.py", "tests/ingest/test_clinic.py",
+        "tests/ingest/test_marker_frames.py", "tests/ingest/test_marker_neighbours.py",
+        "tests/ingest/test_clinic.py",
         "tests/ingest/test_marker_poses.py", "tests/ingest/test_markers.py",
     ),
     "recon/solver/line_search.py": (

@@ -152,7 +152,7 @@ class ParticleFilter:
 
     hypotheses: int = 4
     """Filters, each of which gives one motion."""
-    particles: int = 128
+    particles: int = 64
     """States in each."""
     place: float = 0.015
     """Standard deviation of the seen joints about their prediction, on average, metres."""

@@ -58,6 +58,8 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
             continue
         swap = {a: b, b: a}
         own = sum(misfit(bone, bone) for bone in touched)
+        if own <= max(best, _SAVED):  # no exchange can save more
+            continue
         new = sum(misfit((swap.get(k, k), swap.get(j, j)), (k, j)) for k, j in touched)
         if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)

@@ -78,8 +78,9 @@ _AT_NOISE = 0.95
 Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation people)."""
 _SHAPE = 1e-4
 """Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
-_ITERATIONS = (12, 40)
-"""Largest numbers of iterations of the two stages."""
+_ITERATIONS, _ITERATIONS_OF_OTHERS = (12, 40), (12, 12)
+"""Largest numbers of iterations of the two stages, of the version as given and of other ones: a
+right version is found within 5, and a wrong one goes on for long."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     method, excerpts = partial(_quick, noise), [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
-        fits += _fitted(excerpts[1:], method, body)
+        fits += _fitted(excerpts[1:], partial(_quick, noise, most=_ITERATIONS_OF_OTHERS), body)
     if excerpts[0] is first:
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
@@ -220,12 +221,14 @@ def _noise(points: TrackedPoints) -> float:
     return float(estimate_noise(points.positions, points.visible))
 
 
-def _quick(noise: float, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+def _quick(
+    noise: float, data: tuple[Term, ...], *, most: tuple[int, int] = _ITERATIONS
+) -> tuple[Stage[Any], ...]:
     """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
     prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
     return tuple(
-        replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
-        for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
+        replace(stage, minimiser=LBFGS(max_iterations=count, tolerance_decrease=1e-3))
+        for stage, count in zip(prior.stages(data), most, strict=True)
     )
 
 

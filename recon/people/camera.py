@@ -10,6 +10,7 @@ from torch import Tensor
 
 from recon.api.result import Result
 from recon.body.identities import nearest_shape
+from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.fitting.ground import camera_above
 from recon.method.sensor import views_of
@@ -47,7 +48,7 @@ class _Alone:
     """Mean distance of the pelvis along the viewing axis, metres."""
     up: Float[np.ndarray, "3"]
     places: Float[np.ndarray, "places 3"]
-    """Places of the pelvis, brought down to the ground; metres."""
+    """Places of the pelvis, brought down to the soles that stand; metres."""
 
     @classmethod
     def of(cls, result: Result) -> "_Alone":
@@ -55,12 +56,11 @@ class _Alone:
         (view,) = views_of(result.examined.fit.observations)
         T = result.T_world_camera
         assert T is not None
-        assert result.ground is not None
         back = torch.linalg.inv(T.double()).numpy()
         pelvis = result.joints[:, 0].double().numpy()
         rows = np.linspace(0, len(pelvis) - 1, min(_PLACES, len(pelvis))).round().astype(int)
         below = pelvis[rows].copy()
-        below[:, 2] = float(result.ground[3])
+        below[:, 2] = float(sole_heights(result.motion[None], result.body))
         depth = (pelvis @ back[:3, :3].T + back[:3, 3])[:, 2].mean()
         return cls(
             result=result,

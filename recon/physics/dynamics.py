@@ -4,11 +4,12 @@ A skinned vertex is linear in the bones, v = A_t u_v, so sums over all vertices 
 vertex: Σ m v aᵀ = A_t (Σ m u uᵀ) A''_tᵀ.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel, PosedBody
 from recon.body.parts import PARTS, Parts, part_volumes
@@ -76,7 +77,30 @@ def body_dynamics(
         fps: Frames per second.
     """
     total = masses.sum(-1)
-    moments = mass_moments(posed, masses / total[..., None])
+    moments = mass_moments(posed.model, posed.shape, masses / total[..., None])
+    return _moving(posed, total, moments, fps)
+
+
+_AVERAGE: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+
+
+def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
+    """Dynamics of a body of mass 1 whose segments are the average body's, hung from its joints.
+
+    The moments of mass are then the same for all shapes, made once and kept: the volumes of a
+    shape's parts and their derivatives cost several times what all else of `body_dynamics` does.
+    """
+    model = posed.model
+    if model.weights not in _AVERAGE:
+        zero = model.template.new_zeros(model.shape_size)
+        _AVERAGE[model.weights] = mass_moments(model, zero, vertex_masses(model, zero))
+    moments = _AVERAGE[model.weights].expand(*posed.rest.shape[:-2], -1, -1)
+    average = replace(posed, rest=model.joint_template.expand_as(posed.rest))
+    return _moving(average, moments.new_ones(moments.shape[:-2]), moments, fps)
+
+
+def _moving(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
+    """Dynamics of second moments of mass, a share of the `total`."""
     bones = affine_bones(posed)
     bends, places = second_differences(bones, fps), inner(bones, fps)
     first = first_moment(moments)

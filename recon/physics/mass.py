@@ -22,7 +22,7 @@ def centre_of_mass(
     posed: PosedBody, masses: Float[Tensor, "*batch vertices"]
 ) -> Float[Tensor, "*batch time 3"]:
     """Centre of mass in every frame, metres; of all vertices, without computing one."""
-    moments = mass_moments(posed, masses / masses.sum(-1, keepdim=True))
+    moments = mass_moments(posed.model, posed.shape, masses / masses.sum(-1, keepdim=True))
     return (affine_bones(posed) @ first_moment(moments))[..., 0]
 
 
@@ -32,15 +32,15 @@ def vertex_masses_of_segments(body: BodyModel) -> Float[Tensor, " vertices"]:
 
 
 def mass_moments(
-    posed: PosedBody, masses: Float[Tensor, "*batch vertices"]
+    body: BodyModel, shape: Float[Tensor, "*batch shape"], masses: Float[Tensor, "*batch vertices"]
 ) -> Float[Tensor, "*batch 88 88"]:
     """S = Σ m u uᵀ over all vertices, u = [w_vj (x_v, 1)] for the 22 bones j."""
-    rest = posed.model.rest_vertices(posed.shape)
-    pairs, weights = _bone_pairs(posed.model)
+    rest = body.rest_vertices(shape)
+    pairs, weights = _bone_pairs(body)
     place = torch.cat((rest, torch.ones_like(rest[..., :1])), -1)
     squares = (masses[..., None, None] * place[..., None] * place[..., None, :]).flatten(-2)
     blocks = weights @ squares
-    bones = posed.model.weights.shape[-1]
+    bones = body.weights.shape[-1]
     table = blocks.new_zeros(*blocks.shape[:-2], bones * bones, 16)
     table = table.index_add(-2, pairs, blocks).unflatten(-1, (4, 4)).unflatten(-3, (bones, bones))
     return table.transpose(-3, -2).flatten(-2).flatten(-3, -2)

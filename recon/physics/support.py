@@ -17,8 +17,12 @@ from recon.body.contacts import rest_heights, touching_heights
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.physics.dynamics import difference_step, inner, second_differences
-from recon.physics.energies import dynamics_of
+from recon.physics.dynamics import (
+    average_dynamics,
+    difference_step,
+    inner,
+    second_differences,
+)
 from recon.physics.mass import GRAVITY
 from recon.physics.zmp import zmp
 from recon.solver.banded import add_differences
@@ -56,9 +60,9 @@ class Support(TensorStruct):
         ground carries, 1 + a / g between 0 and 1, by the vertical acceleration a of the pelvis:
         zero in flight. u = ½ (h² / σ_h² + v² / σ_v²) says how far a joint is from rest: h is the
         distance from the height at which it touches, v² its mean squared speed in the steps
-        before and after. d is how far the zero-moment point of the body is from the line between
-        the two joints, less the reach of soles, and ρ(x) = s log(1 + x / s). The first and the
-        last frames, whose acceleration is not known, count nothing.
+        before and after. d is how far the zero-moment point of a body with average segments is
+        from the line between the two joints, less the reach of soles, and ρ(x) = s log(1 + x / s).
+        The first and the last frames, whose acceleration is not known, count nothing.
         """
         carried, nats = _load(estimate), heavy_tailed(_pairs(estimate, _unrest(estimate)))
         least = -SOFTNESS * ((-nats / SOFTNESS).logsumexp(-1) - math.log(len(_FIRST)))
@@ -151,7 +155,8 @@ def _pairs(
     """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of joints of feet; nats."""
     feet = inner(estimate.body.joints[..., FEET, :2], estimate.motion.fps)
     first, second = feet[..., _FIRST, :], feet[..., _SECOND, :]
-    line, away = second - first, zmp(dynamics_of(estimate))[..., None, :] - first
+    moving = average_dynamics(estimate.body, estimate.motion.fps)
+    line, away = second - first, zmp(moving)[..., None, :] - first
     share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
     # the root of a distance of zero has no derivative
     distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()

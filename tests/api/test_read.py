@@ -33,7 +33,7 @@ def test_motions_and_observations_come_by_one_door(tmp_path):
     assert len(recon.read([seen, seen])) == 2
     one = recon.read(str(seen), up="z")
     assert np.allclose(one.positions[0], load_observation(seen).positions)
-    with pytest.raises(recon.FormatError, match="kind"):
+    with pytest.raises(recon.FormatError, match="a motion of recon"):
         recon.read(motion, up="z")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         recon.read(tmp_path / "nowhere.npz")
