@@ -109,7 +109,7 @@ def test_the_constructor_and_the_reader_take_geometries(body):
 def test_geometries_beside_observations_are_refused_with_the_way_out(body):
     own = ours([person(0)], body)
     with pytest.raises(ReconError, match="make the geometries an observation first"):
-        recon.fit([own, SimpleNamespace(points=person(0))])
+        clip([own, SimpleNamespace(points=person(0))], body)
 
 
 def test_own_observations_are_no_geometries(body):
