@@ -6,15 +6,12 @@ what it has lost writes zeros, the last place, or the whole last frame again.
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.keypoints2d import Keypoints2D
-from observations.noise import weights_of
 from recon.body.model import BodyModel
-from recon.core.struct import concatenate
 from recon.diagnosis.exact import unchanged
 from recon.diagnosis.findings import (
     NOTHING,
@@ -28,14 +25,9 @@ from recon.diagnosis.findings import (
 )
 from recon.diagnosis.images import Images
 from recon.diagnosis.odds import all_mirrored, another_image, checked_together
-from recon.diagnosis.quick_fit import quick_stages
 from recon.diagnosis.rays import scale_findings
 from recon.diagnosis.sides import repaired_pairs, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
-from recon.fitting.stages import without_root
-from recon.method.reconstruction import solve
-from recon.method.stages import Stage
-from recon.method.terms import Term
 
 _MIN_HELD_MOMENTS = 4
 """Moments in a row at one place from which on a keypoint counts as held; two or three may be
@@ -331,64 +323,3 @@ def together(
         (rows, Images.of([views[k] for k in rows], [names[k] for k in rows], body))
         for rows in groups.values()
     ]
-
-
-_AROUND_CHANGE_S = 0.5
-"""Seconds to either side of a change of names that are fitted."""
-_FALL = 0.8
-"""Share of its objective to which a fit must fall without a change of names. On training people
-true changes fall to 0.7 at most, right names that are exchanged rise to 1.4 at least."""
-_KEEPS_FACING = 0.95
-"""Share of the frames in which somebody who never turns faces the same side of the image."""
-
-
-def confirmed_sides(
-    images: Images, flags: Bool[np.ndarray, " moments"]
-) -> Bool[np.ndarray, " moments"]:
-    """The stretches of one view's exchanged names that a fit of the body confirms.
-
-    A quick fit of the second around each change must become better when the names do not change.
-    A stretch from the first or to the last moment has one change only, and either side of it may
-    be the wrong one: then the body must face the same side of the image throughout, too.
-    """
-    moments, changes = len(flags), np.flatnonzero(np.diff(flags)) + 1
-    half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
-    first = np.clip(changes - half, 0, moments - 2 * half).tolist()
-    after = images.exchanged(flags[None])
-    versions = [
-        view.derived(**view.some_frames(range(a, a + 2 * half)))
-        for view in (*images.sensors, *after.sensors)
-        for a in first
-    ]
-    given, new = _costs_of_views(versions, images.body).reshape(2, -1)
-    won = dict(zip(changes.tolist(), new < _FALL * given, strict=True))
-    sure = np.zeros_like(flags)
-    for a, b in stretches(flags):
-        ends = [won[t] for t in (a, b + 1) if t in won]
-        sure[a : b + 1] = all(ends) and (len(ends) == 2 or _keeps_facing(after))
-    return sure
-
-
-def _keeps_facing(images: Images) -> bool:
-    """Whether the right of hips and shoulders is on the same side of the image in all frames."""
-    seen = images.seen[0] & images.seen[0][:, images.counterparts]
-    names = ("shoulder", "hip")
-    pairs = [k for k, name in enumerate(images.points) if name in {f"left_{n}" for n in names}]
-    across = images.pixels[0] - images.pixels[0][:, images.counterparts]
-    across = np.where(seen[..., None], across, 0.0)[:, pairs].sum(1)
-    return bool((across @ across.mean(0) > 0)[seen[:, pairs].any(-1)].mean() > _KEEPS_FACING)
-
-
-def _costs_of_views(
-    versions: Sequence[Keypoints2D], body: BodyModel
-) -> Float[np.ndarray, " versions"]:
-    """Objectives of quick fits of what one camera saw, in equally long versions; metres²."""
-    seen = concatenate(list(versions))
-    start = seen.start(body)
-    noise = seen.noise(start, body)
-
-    def method(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return without_root(quick_stages(noise.metres, data))
-
-    found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
-    return found.reports[-1].solution.value.double().cpu().numpy()

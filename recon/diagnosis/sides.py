@@ -103,7 +103,7 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
     doubted = np.zeros_like(flags)
     if len(flags) == 1 and flags.any():
         # fits are needed where names seem to be exchanged
-        from recon.diagnosis.keypoints import confirmed_sides
+        from recon.diagnosis.images import confirmed_sides
 
         sure = confirmed_sides(images, flags[0])[None]
         flags, doubted = sure, flags & ~sure
