@@ -80,6 +80,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon export motion.npz --glb motion.glb",
         "recon export motion.npz --trc motion.trc --markers opencap --mot motion.mot",
     ),
+    "register": (
+        "recon register left/ right/ --camera lens.npz --frame-rate 30 --out rig",
+        "recon register front.npz side.npz back.npz --out rig",
+    ),
     "info": (
         "recon info motion.npz",
         "recon info walk.c3d --json",

@@ -66,8 +66,9 @@ def positions_of(
             kernel, file.ground_known, std=file.std, level=file.level, placed=file.placed,
         )  # fmt: skip
     given = (points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
-    kind = Joints3D if file.kind == "joints3d" else Markers3D
-    return kind(*given, std=file.std)
+    if file.kind == "joints3d":
+        return Joints3D(*given, std=file.std)
+    return Markers3D(*given, std=file.std)
 
 
 def points_settled(
