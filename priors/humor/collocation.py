@@ -182,9 +182,9 @@ class Collocation(Prior[PoseVariables]):
         slower.
 
         Tolerances were chosen on the validation windows. Where all joints are seen, ten times
-        smaller ones take longer and leave the errors as they are; where legs are never seen, their
-        errors become larger, as the objective then falls by what the networks prefer and nobody
-        saw. Limbs that are hidden for a while need the smaller ones.
+        smaller ones take longer and leave the errors as they are. Where legs are never seen,
+        smaller ones make the errors of the legs larger: the networks alone decide there, and their
+        optimum is not the truth. Limbs that are hidden for a while need smaller ones.
         """
         del noise, body, method  # the weights were given to the constructor
         w = self.weights

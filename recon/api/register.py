@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from recon.api.fit import fit
 from recon.api.observations import ObservationsLike
 from recon.api.results import Tables, told
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.fitting.observed import Clip
@@ -213,9 +215,9 @@ def _by_bodies(clips: Sequence[Clip], base: int) -> list[Float[np.ndarray, "4 4"
     true = joints[base][:frames].reshape(-1, 3)
     for clip, one in zip(clips, joints, strict=True):
         own = one[:frames].reshape(-1, 3)
-        u, _, v = np.linalg.svd((true - true.mean(0)).T @ (own - own.mean(0)))
+        across = (true - true.mean(0)).T @ (own - own.mean(0))
         pose = np.eye(4)
-        pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+        pose[:3, :3] = so3.nearest(torch.from_numpy(across)).numpy()
         pose[:3, 3] = true.mean(0) - pose[:3, :3] @ own.mean(0)
         apart = np.median(np.linalg.norm(own @ pose[:3, :3].T + pose[:3, 3] - true, axis=-1))
         if apart > _ALIKE:

@@ -145,19 +145,6 @@ def unit_of_path(
     )
 
 
-def head_above_feet(
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> Float[np.ndarray, "3"] | None:
-    """Mean vector from feet to head, or between other visible parts; see `along_body`.
-
-    None when the names tell neither or no frame shows both.
-    """
-    found = along_body(names, positions, visible)
-    return found.mean(0) if len(found) else None
-
-
 def along_body(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],

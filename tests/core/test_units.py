@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from recon.core.coordinates import (
+    along_body,
     check_declared,
     decide_up,
-    head_above_feet,
     settled_up,
     surely_up,
     unit_from_bones,
@@ -108,9 +108,9 @@ def test_head_and_feet_are_found_among_the_names_of_many_systems() -> None:
     ]  # fmt: skip
     positions = np.array([[[0.0, 1.6, 0.0], [0.0, 0.1, 0.0]]])
     for names in systems:
-        rise = head_above_feet(names, positions, np.ones((1, 2), dtype=bool))
-        assert rise is not None, names
-        assert np.allclose(rise, [0, 1.5, 0]), names
+        rise = along_body(names, positions, np.ones((1, 2), dtype=bool))
+        assert len(rise) == 1, names
+        assert np.allclose(rise.mean(0), [0, 1.5, 0]), names
 
 
 def dancer(raised: bool) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -127,9 +127,9 @@ def dancer(raised: bool) -> tuple[list[str], np.ndarray, np.ndarray]:
 def test_a_raised_foot_whose_fellow_is_hidden_tells_nothing_of_the_up_axis() -> None:
     """The vector from it to the head told that the person stands along x: the file was refused."""
     names, positions, visible = dancer(raised=True)
-    rise = head_above_feet(names, positions, visible)
-    assert rise is not None
-    assert decide_up(rise, "z", "clip")[0] == "z"
+    rise = along_body(names, positions, visible)
+    assert len(rise) == 1
+    assert decide_up(rise.mean(0), "z", "clip")[0] == "z"
     assert surely_up("z", names, positions, visible) is None
 
 
