@@ -44,18 +44,23 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     return made
 
 
+def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages from the first on that moves more than place and heading."""
+    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+    return tuple(stages[first:])
+
+
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first on that moves more than place and heading.
+    """The stages after that of place and heading, fit for a body whose distance is not known.
 
     One image tells the distance of a body by the size of its bones. Placing a rest body there
     would trade its stretched limbs against distance. And a prior that knows of no ground has its
     minimum at another distance than the ground tells (8 cm too low a body, in a test): its stages
     are minimised by first order, which keeps the distance that they begin with.
     """
-    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
     return tuple(
         stage if stage.prior.knows_gravity else replace(stage, second_order=None)
-        for stage in stages[first:]
+        for stage in after_place(stages)
     )
 
 
