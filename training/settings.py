@@ -1,21 +1,36 @@
-"""Settings of a training run, and the check that a folder holds the same run."""
+"""What a training learns from and how: its settings, its clips, and the check of its folder."""
 
 import dataclasses
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
+from recon.core.motion import Motion
+from recon.core.skeleton import MIRROR
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, files_checksum
-from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
 """Logger of all trainings; its messages also stand in the log of the run."""
 
 Licence = Literal["open", "nc"]
 """Clips that weights in an open package may learn from, or those for non-commercial use too."""
+
+
+@dataclass(frozen=True)
+class CorpusClip:
+    """One recording on our body."""
+
+    name: str
+    subject: str
+    motion: Motion
 
 
 @dataclass(frozen=True)
@@ -166,3 +181,26 @@ def _contents(path: Path) -> str:
     motions = clip_files(path).values()
     notes = [motion.with_suffix(".json") for motion in motions]
     return _CONTENTS + files_checksum([*motions, *(n for n in notes if n.is_file())], path)
+
+
+def mirrored_rotations(
+    rotations: Float[Tensor, "*shape 22 3 3"],
+) -> Float[Tensor, "*shape 22 3 3"]:
+    """Rotations of the mirrored pose."""
+    flip = rotations.new_tensor([-1.0, 1.0, 1.0])
+    return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
+
+
+def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
+    """Poses of all clips, `rate` of them per second, evenly spaced, each with its mirror image.
+
+    No subject gives more than about `most` (before mirroring), taken evenly from all its clips:
+    whoever was recorded for an hour must not decide alone what a pose is.
+    """
+    by_subject: dict[str, list[Tensor]] = {}
+    for clip in clips:
+        step = max(1, round(clip.motion.fps / rate))
+        by_subject.setdefault(clip.subject, []).append(clip.motion.rotations[::step])
+    rows = [torch.cat(own) for own in by_subject.values()]
+    together = torch.cat([row[:: -(-len(row) // most)] for row in rows])
+    return torch.cat((together, mirrored_rotations(together)))

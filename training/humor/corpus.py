@@ -26,9 +26,8 @@ from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
 from training.humor.variation import chosen_rows, edited, joined
-from training.recordings import mirrored_rotations
 from training.run import LOG
-from training.settings import TrainingSettings
+from training.settings import TrainingSettings, mirrored_rotations
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "uneven ground": ("uneven", "playground", "stairs"),

@@ -14,9 +14,8 @@ from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
-from training.recordings import mirrored_rotations
 from training.run import LOG
-from training.settings import TrainingSettings
+from training.settings import TrainingSettings, mirrored_rotations
 
 _HIGH, _LONG = 0.25, 5
 """Clips whose lowest point is above so many metres in more than so many frames stand on something
