@@ -153,7 +153,8 @@ def _added(verb: Verb, own: set[str]) -> Iterator[Parameter]:
         if result == "json":
             yield _option("json", Annotated[Path | None, arg(help=verb.out)], None)
         else:
-            kind = Annotated[Path, arg(help=verb.out)]
+            also = " Also as --out OUT." if verb.out_follows else ""
+            kind = Annotated[Path, arg(help=verb.out + also)]
             yield _option(result, Positional[kind] if verb.out_follows else kind)
     written = {place.parameter for place in verb.places}
     if "json" not in written and not own & written:
