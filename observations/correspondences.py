@@ -10,7 +10,8 @@ from torch import Tensor
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel, PosedBody
 from recon.core.errors import ObservationError
-from recon.core.skeleton import JOINT, JOINTS, PARENTS, joint_index, keypoint_names
+from recon.core.layouts import JOINT, keypoint_names
+from recon.core.skeleton import JOINTS, PARENTS, joint_index
 
 _MIN_REST_DISTANCE_M = 0.03
 """Metres at rest between two points whose distance tells something."""
