@@ -28,7 +28,8 @@ from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import ReconError
 from recon.core.hands import right_handed
-from recon.core.skeleton import JOINTS, keypoint_names
+from recon.core.layouts import keypoint_names
+from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 from recon.keypoints3d.people_files import People, of_people
 from recon.keypoints3d.records import Points3D
 

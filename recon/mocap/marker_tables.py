@@ -9,8 +9,8 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES, TEXT
 from recon.core.units import Up, parse_unit
-from recon.formats.opening import decode, read_bytes
 from recon.formats.text_tables import numbers, read_rows
+from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 
