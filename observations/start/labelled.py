@@ -19,7 +19,7 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.rigid import cheapest_path
+from observations.start.images import cheapest_path
 from observations.start.surface_steps import SeenSurface, evidence
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels

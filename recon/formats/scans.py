@@ -13,9 +13,10 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import decode, existing, numbers_in, read_bytes, replacing
+from recon.formats.opening import existing, replacing
 from recon.formats.pcd import read_pcd
 from recon.formats.scan_times import timed
+from recon.formats.texts import decode, numbers_in, read_bytes
 
 _BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import Limit
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 
 _CELLS = Limit(
     "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.json_files import Frames, as_floats, as_identity, listed_frames
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 from recon.keypoints3d.records import Person, Points3D, followed, taken
 
 _LISTS = ("instance_info", "predictions", "frames")

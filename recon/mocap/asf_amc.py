@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Up
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,

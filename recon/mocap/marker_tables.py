@@ -14,8 +14,9 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
-from recon.formats.opening import decode, read_bytes, replacing
+from recon.formats.opening import replacing
 from recon.formats.text_tables import numbers, read_rows
+from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 

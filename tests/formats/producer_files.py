@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 from observations.correspondences import BodyPoints
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38

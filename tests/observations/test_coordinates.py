@@ -16,7 +16,8 @@ from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.coordinates import settled_up, unit_of_path
 from recon.core.errors import ObservationError, UnitsError
 from recon.core.hands import facing, right_handed
-from recon.core.skeleton import FEET, JOINTS, keypoint_names
+from recon.core.layouts import keypoint_names
+from recon.core.skeleton import FEET, JOINTS
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.ingest.marker_sets import full_body_markers, right_handed_markers

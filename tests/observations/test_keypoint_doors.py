@@ -11,7 +11,7 @@ import recon
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from observations.start.standing import planted_path
-from recon.core.skeleton import LAYOUTS, keypoint_names
+from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import FitSettings
 from recon.keypoints3d.labels import are_keypoints, meant_keypoints

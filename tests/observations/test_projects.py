@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from observations.correspondences import BodyPoints
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import DEFAULTS
 from recon.formats.projects import project_at
