@@ -110,7 +110,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "estimate.npz"
             np.savez(path, poses=vectors, trans=place, fps=FPS)
-            found = estimate_given(path, body, True, truth.shape, *[None] * 4)[0]
+            found = estimate_given(path, body, True, truth.shape, *[None] * 5)[0]
         pelvis = (found.translation + posed.rest[0])[:, None]
         turned = found.rotations[:, 0].mT
         return torch.cat((pelvis, pelvis + turned), 1).double().numpy()
