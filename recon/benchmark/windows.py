@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -74,7 +75,7 @@ class TrueWindows:
 def load_windows(
     corpus: str | Path,
     splits: Splits,
-    part: Part,
+    part: Part | Literal["strangers"],
     body: BodyModel,
     seed: int = 0,
     frames: int = FRAMES,
