@@ -35,7 +35,7 @@ from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import FPS, load_windows
 from recon.core import rotations as so3
 from recon.core.skeleton import FEET, JOINTS, TOES
-from training.settings import mirrored_rotations
+from training.recordings import mirrored_rotations
 
 _LEGS = tuple(
     k for k, name in enumerate(JOINTS) if any(part in name for part in ("hip", "knee", "ankle"))

@@ -16,8 +16,9 @@ from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from training.recordings import poses
 from training.run import LOG
-from training.settings import CorpusSettings, poses, told_settings
+from training.settings import CorpusSettings, told_settings
 from training.weights import save_checkpoint
 
 

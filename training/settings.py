@@ -1,21 +1,17 @@
-"""What a training learns from and how: its settings, its clips, and the check of its folder."""
+"""Settings of a training run, and the check that a folder holds the same run."""
 
 import dataclasses
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
-from recon.core.motion import Motion
-from recon.core.skeleton import MIRROR
-from recon.formats.motions import load_motion
+from recon.formats.motions import MotionFile
 from recon.formats.replacing import file_checksum, files_checksum
+from training.manifest import MANIFEST, Lesson, Row, read_manifest, taught
+from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
 """Logger of all trainings; its messages also stand in the log of the run."""
@@ -25,20 +21,11 @@ Licence = Literal["open", "nc"]
 
 
 @dataclass(frozen=True)
-class CorpusClip:
-    """One recording on our body."""
-
-    name: str
-    subject: str
-    motion: Motion
-
-
-@dataclass(frozen=True)
 class CorpusSettings:
     """What every prior is learned from, and where to."""
 
     corpus: Path
-    """Folder of converted motions (`recon convert --all`)."""
+    """Folder of converted motions (`python -m training.conversion`, or `recon convert --all`)."""
     out: Path
     """Weights to write; or the folder of a run that takes steps: checkpoint.pt, losses.csv,
     losses.png, train.log. A run that was interrupted goes on from its checkpoint."""
@@ -61,16 +48,39 @@ class CorpusSettings:
             if own == part and (self.data == "nc" or splits.is_open(name))
         }
 
-    def flat_files(self, part: Part) -> dict[str, Path]:
-        """`files` without the clips on stairs or slopes, where heights mean nothing."""
-        return {name: path for name, path in self.files(part).items() if is_flat(path)}
+    def taught(self, part: Part, lesson: Lesson) -> Iterator[tuple[str, Path, MotionFile]]:
+        """Name, file and stretches of the clips of one part that teach something.
 
-    def load_clips(self, part: Part, fps: float = 30.0) -> list[CorpusClip]:
-        """All clips of one part, resampled; those of one frame only are skipped."""
+        Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
+        slopes, where heights mean nothing.
+
+        Raises:
+            FileNotFoundError: as `files` does.
+            ValueError: when the manifest is damaged, or lacks a clip.
+        """
+        manifest = read_manifest(self.corpus)
+        for name, path in self.files(part).items():
+            rows: list[Row] | None = None
+            if manifest is not None:
+                rows = manifest.get(name)
+                if rows is None:
+                    raise ValueError(
+                        f"{self.corpus / MANIFEST}: knows no clip {name}; write it anew by "
+                        "python -m training.conversion"
+                    )
+            elif lesson != "poses" and not is_flat(path):
+                continue
+            for stretch in taught(path, rows, lesson):
+                yield name, path, stretch
+
+    def load_clips(
+        self, part: Part, fps: float = 30.0, lesson: Lesson = "poses"
+    ) -> list[CorpusClip]:
+        """Stretches of one part that teach something, resampled; not those of one frame only."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
-        for name, path in self.files(part).items():
-            motion = load_motion(path).motion.resample(fps)
+        for name, _, file in self.taught(part, lesson):
+            motion = file.motion.resample(fps)
             if motion.frames > 1:
                 clips.append(CorpusClip(name, splits.subject(name), motion))
         LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
@@ -180,27 +190,5 @@ def _contents(path: Path) -> str:
         return _CONTENTS + file_checksum(path)
     motions = clip_files(path).values()
     notes = [motion.with_suffix(".json") for motion in motions]
-    return _CONTENTS + files_checksum([*motions, *(n for n in notes if n.is_file())], path)
-
-
-def mirrored_rotations(
-    rotations: Float[Tensor, "*shape 22 3 3"],
-) -> Float[Tensor, "*shape 22 3 3"]:
-    """Rotations of the mirrored pose."""
-    flip = rotations.new_tensor([-1.0, 1.0, 1.0])
-    return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
-
-
-def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
-    """Poses of all clips, `rate` of them per second, evenly spaced, each with its mirror image.
-
-    No subject gives more than about `most` (before mirroring), taken evenly from all its clips:
-    whoever was recorded for an hour must not decide alone what a pose is.
-    """
-    by_subject: dict[str, list[Tensor]] = {}
-    for clip in clips:
-        step = max(1, round(clip.motion.fps / rate))
-        by_subject.setdefault(clip.subject, []).append(clip.motion.rotations[::step])
-    rows = [torch.cat(own) for own in by_subject.values()]
-    together = torch.cat([row[:: -(-len(row) // most)] for row in rows])
-    return torch.cat((together, mirrored_rotations(together)))
+    beside = [one for one in (*notes, path / MANIFEST) if one.is_file()]
+    return _CONTENTS + files_checksum([*motions, *beside], path)

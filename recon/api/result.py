@@ -321,7 +321,7 @@ def result_of(
     cycle = None
     if completes and not found.stretches:
         # only a cycle of gait is judged as one
-        from recon.diagnosis.doubts import cycle_report
+        from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None

@@ -77,7 +77,7 @@ class TrueWindows:
 def load_windows(
     corpus: str | Path,
     splits: Splits,
-    part: Part,
+    part: Part | Literal["strangers"],
     body: BodyModel,
     seed: int = 0,
     frames: int = FRAMES,

@@ -19,7 +19,8 @@ from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.__main__ import train
 from training.pose import fit_density, score
-from training.settings import CorpusSettings, mirrored_rotations, poses
+from training.recordings import mirrored_rotations, poses
+from training.settings import CorpusSettings
 from training.weights import save_checkpoint
 
 pytestmark = pytest.mark.numerics

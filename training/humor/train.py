@@ -152,12 +152,12 @@ def train(settings: HumorTraining) -> Path:
     with in_folder(settings):
         body = BodyModel.load()
         learned = held_out = Corpus.load(settings, "train", body)
-        if settings.flat_files("validation"):
+        if any(True for _ in settings.taught("validation", "steps")):
             held_out = Corpus.load(settings, "validation", body)
         else:
             LOG.warning(
-                "no validation clip is on flat ground: the validation losses of this run are "
-                "those of its training clips"
+                "no validation clip teaches steps: the validation losses of this run are those of "
+                "its training clips"
             )
         return HumorRun(settings, learned, held_out).go()
 

@@ -13,9 +13,9 @@ from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
-from recon.formats.motions import load_motion
+from training.recordings import mirrored_rotations
 from training.run import LOG
-from training.settings import TrainingSettings, mirrored_rotations
+from training.settings import TrainingSettings
 
 _HIGH, _LONG = 0.25, 5
 """Clips whose lowest point is above so many metres in more than so many frames stand on something
@@ -82,7 +82,7 @@ class BodyCorpus(TensorStruct):
         body: BodyModel,
         speeds: tuple[float, ...] = (1.0,),
     ) -> "BodyCorpus":
-        """All clips of one part on flat ground, put on the ground.
+        """All stretches of one part that teach steps, put on the ground.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -94,8 +94,8 @@ class BodyCorpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found: list[tuple[str, BodyFrames, Tensor, Tensor]] = []
-        for name, path in settings.flat_files(part).items():
-            motion = load_motion(path).motion
+        for name, _, stretch in settings.taught(part, "steps"):
+            motion = stretch.motion
             for speed in speeds:
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
                 if clip.frames < _SHORTEST_S * FPS:
@@ -106,7 +106,7 @@ class BodyCorpus(TensorStruct):
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip on flat ground there ({settings.data})"
+                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
             )
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
