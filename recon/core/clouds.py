@@ -110,8 +110,8 @@ def up_of_clouds(
         if stands and swing[0, 2] < max(_STEADIER * swing.min(), _SWAYS):
             return "z", ()
         raise UnitsError(
-            f"{name}: nobody in the clouds stands along an axis, and the lowest points do not stay "
-            f"at z = 0, so that nothing tells which axis points up; {asked}"
+            f"{name}: nobody in the clouds stands along an axis, and the lowest points do not "
+            f"stay at z = 0, so that nothing tells which axis points up; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR

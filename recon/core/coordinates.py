@@ -145,8 +145,11 @@ def unit_of_path(
     if unit == "cm" or (unit == "mm" and cm > _FASTEST_SLIDE):
         slides = f"{m:.0f} m/s, so at {cm if unit == 'cm' else mm:.1f}"
         return unit, (f"unit of the translation {unit}: as metres, feet would slide at {slides}",)
-    lowest = {k: float(np.median(((METRES[k] * path[:, None] + feet) @ up).min(1))) for k in _USUAL}
-    if len(level := [k for k in _USUAL if abs(lowest[k]) < _NEAR_FLOOR]) == 1:
+    level = [
+        one for one in _USUAL
+        if abs(np.median(((METRES[one] * path[:, None] + feet) @ up).min(1))) < _NEAR_FLOOR
+    ]  # fmt: skip
+    if len(level) == 1:
         return level[0], (f"unit of the translation {level[0]}: the feet are on the floor by it",)
     raise UnitsError(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "

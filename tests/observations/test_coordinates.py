@@ -143,7 +143,7 @@ def test_scans_of_who_crouches_have_z_up_where_the_floor_is() -> None:
     """Acrobats whose scans had another axis were laid on the side, as z was 0 now and then."""
     random = np.random.default_rng(0)
     clouds = [
-        random.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 0.9), (200, 3)) + (shift, 0.0, 0.0)
+        random.uniform((shift - 0.5, -0.5, 0.0), (shift + 0.5, 0.5, 0.9), (200, 3))
         for shift in np.linspace(0.0, 1.0, 20)
     ]
     assert up_of_clouds(clouds, "scans", told=False) == ("z", ())

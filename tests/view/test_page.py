@@ -39,8 +39,12 @@ BLOCK = 10
 READY = {"until": "document.querySelector('#recon-legend.switched') !== null && "
                   "Object.keys(window.__viserMutable.skinnedMeshState).length >= 6"}  # fmt: skip
 SETTLED = {"sleep": 1.5}
-MIDDLE = {"seek": [".mantine-Slider-root",
-                   "Math.abs(document.querySelectorAll('input')[1].value - 1) < 0.002"]}  # fmt: skip
+MIDDLE = {
+    "seek": [
+        ".mantine-Slider-root",
+        "Math.abs(document.querySelectorAll('input')[1].value - 1) < 0.002",
+    ]
+}
 """Clicks into the middle of the timeline, until it stands there: while the film plays, a click
 pauses it late where pictures are drawn without a graphics card."""
 
