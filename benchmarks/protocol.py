@@ -26,7 +26,7 @@ import torch
 import recon
 from recon import Motion
 from recon.benchmark.dataset import SPLITS, Splits
-from recon.benchmark.table import Interval, interval, paired
+from recon.benchmark.table import Interval, interval
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.opening import replacing
@@ -145,20 +145,14 @@ def cells(
     ]
 
 
-def mean_of(
-    values: Sequence[float | None],
-    windows: TrueWindows,
-    less: Sequence[float | None] | None = None,
-) -> Interval | None:
-    """The mean over subjects, or that of paired differences; None where no window has a value."""
+def mean_of(values: Sequence[float | None], windows: TrueWindows) -> Interval | None:
+    """The mean over subjects; None where no window has a value."""
     kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
     if all(value is None for value in own):
         return None
-    if less is None:
-        return interval(own, clips, people)
-    return paired(own, [less[k] for k in kept], clips, people)
+    return interval(own, clips, people)
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:
