@@ -25,9 +25,10 @@ import torch
 
 import recon
 from recon import Motion
-from recon.benchmark.dataset import SPLITS
+from recon.benchmark.dataset import SPLITS, Splits
 from recon.benchmark.table import Interval, interval, paired
-from recon.benchmark.windows import TrueWindows
+from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
+from recon.body.model import BodyModel
 from recon.formats.opening import replacing
 from recon.formats.replacing import files_checksum
 
@@ -35,6 +36,8 @@ ROOT = Path(__file__).parents[1]
 """The source checkout."""
 RESULTS = Path(__file__).parent / "results"
 """The committed tables."""
+NINE_TENTHS = 1.645
+"""Standard deviations within which nine of ten normal errors lie."""
 DASH = "–"
 """Cell of what was not measured."""
 
@@ -197,6 +200,15 @@ def over_windows(about: str | None) -> argparse.ArgumentParser:
     made.add_argument("--part", choices=("test", "validation"), default="test")
     made.add_argument("--only", type=int, default=None, help="use so many windows in all")
     return made
+
+
+def listed_windows(
+    given: argparse.Namespace, body: BodyModel, frames: int = FRAMES
+) -> TrueWindows:
+    """The windows that a command line of `over_windows` chooses, as many as `--only` says."""
+    listed = Splits.load(given.splits)
+    windows = load_windows(given.corpus, listed, given.part, body, frames=frames)
+    return windows.take(evenly(windows, given.only))
 
 
 def tell(

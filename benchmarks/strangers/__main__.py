@@ -23,9 +23,9 @@ import torch
 
 from benchmarks.protocol import ROOT, commit, corpus_source, parser, tell
 from benchmarks.strangers.choice import FRAMES, RUN_FRAMES, chosen
+from benchmarks.strangers.compare import tables
 from benchmarks.strangers.fits import RUNS, SEED, WHOLE, fits
 from benchmarks.strangers.folds import Fold, corpus_folds
-from benchmarks.strangers.tables import tables
 from benchmarks.strangers.training import Schedule, trained
 from recon import BodyModel
 from recon.benchmark.dataset import SPLITS, Splits, clip_files

@@ -18,6 +18,7 @@ from recon.core.camera import Camera
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.method.sensor import UPRIGHT
+from recon.solver.viterbi import cheapest_path
 
 HEADINGS = 36
 """Directions the body may face, evenly spread."""
@@ -165,24 +166,3 @@ def _running_median(
     reach = min(reach, values.shape[-1] - 1)
     padded = torch.nn.functional.pad(values[:, None], (reach, reach), mode="replicate")[:, 0]
     return padded.unfold(-1, 2 * reach + 1, 1).median(-1).values
-
-
-def cheapest_path(
-    cost: Float[Tensor, "batch time states"],
-    change: Float[Tensor, "*#batch between states states"],
-) -> Int[Tensor, "batch time"]:
-    """The state of every frame that costs least in all (Viterbi's algorithm).
-
-    Args:
-        cost: of every state in every frame.
-        change: cost of going from a state (last axis but one) to one of the next frame.
-    """
-    best, back = cost[:, 0], list[Tensor]()
-    for own, between in zip(cost.unbind(1)[1:], change.unbind(-3), strict=True):
-        reached = (best[:, :, None] + between).min(1)
-        back.append(reached.indices)
-        best = reached.values + own
-    path = [best.argmin(-1)]
-    for came in reversed(back):
-        path.append(came.gather(1, path[-1][:, None])[:, 0])
-    return torch.stack(path[::-1], 1)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.api.results import MotionResult, described_residuals, in_ten_lines
+from recon.api.results import MotionResult, described_residual, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -275,7 +275,7 @@ class Result(MotionResult):
         found += [f"warning: {finding.message}" for finding in self.warnings]
         sure = self.certainty
         known = [] if sure is None else [f"standard deviation of a joint: {sure}"]
-        known += described_residuals(self.residuals)
+        known += map(described_residual, self.residuals)
         return in_ten_lines(first, known, found)
 
 
@@ -321,7 +321,7 @@ def result_of(
     cycle = None
     if completes and not found.stretches:
         # only a cycle of gait is judged as one
-        from recon.diagnosis.doubts import cycle_report
+        from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None

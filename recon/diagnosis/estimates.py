@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -14,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, stretches
-from recon.diagnosis.sides import cheapest_path
+from recon.solver.viterbi import cheapest_path
 
 _SWITCH = 0.18
 """Root mean square angle over the joints of both limbs, radians, whose square a change of sides
@@ -42,9 +41,8 @@ def exchanged_frames(
     step = both[1:, :, None] - both[:-1, None, :]  # axes (time, to, from, joints, 3, 3)
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # angle², nearly
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
-    between = (squared + switch).mT.numpy()
-    here = np.tile((0.0, _STAY), (len(both), 1))
-    return torch.from_numpy(cheapest_path(here, between)[0]).bool()
+    here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
+    return cheapest_path(here[None], (squared + switch).mT)[0].bool()
 
 
 def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "time joints 3 3"]:

@@ -9,6 +9,7 @@ import torch
 
 from benchmarks.strangers import compare
 from benchmarks.strangers.choice import kind_of, spread, starts
+from benchmarks.strangers.compare import tables
 from benchmarks.strangers.fits import feet_right
 from benchmarks.strangers.folds import (
     GROUP,
@@ -18,7 +19,6 @@ from benchmarks.strangers.folds import (
     without_doubles,
     write_splits,
 )
-from benchmarks.strangers.tables import tables
 from benchmarks.strangers.training import Schedule, humor_settings
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
