@@ -29,8 +29,7 @@ from recon.benchmark.dataset import SPLITS, Splits
 from recon.benchmark.table import Interval, interval
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
-from recon.formats.opening import replacing
-from recon.formats.replacing import files_checksum
+from recon.formats.replacing import files_checksum, write_text
 
 ROOT = Path(__file__).parents[1]
 """The source checkout."""
@@ -77,8 +76,7 @@ class Table:
             f' "{key}": {_lines(value)}' for key, value in {**parts, "rows": self.rows}.items()
         ]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as beside:
-            beside.write_text("{\n" + ",\n".join(said) + "\n}\n", encoding="utf-8")
+        write_text(path, "{\n" + ",\n".join(said) + "\n}\n")
 
     def markdown(self) -> str:
         """The table, its note, and where its numbers are from."""

@@ -8,7 +8,6 @@ COLLECTION/CLIP.npz with notes beside (CLIP.json), `manifest.csv` (`training.man
 `minutes.csv`, which is logged, too.
 """
 
-import csv
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +22,8 @@ from recon.batch.corpus import CONVERSION_VERSION, convert_clips
 from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
-from recon.formats.replacing import file_checksum, replacing, value_checksum
+from recon.formats.replacing import file_checksum, value_checksum, write_text
+from recon.formats.text_tables import write_rows
 from recon.ingest.conversion import Conversion, convert_skeletons
 from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
@@ -128,8 +128,7 @@ def _convert_others(
             "key": key,
             "checksum": file_checksum(path),
         }
-        with replacing(path.with_suffix(".json")) as beside:
-            beside.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+        write_text(path.with_suffix(".json"), json.dumps(row, indent=1) + "\n")
         LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
 
 
@@ -191,10 +190,7 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
             )
     write_manifest(rows, out)
     table = minutes(rows, parts)
-    with replacing(out / "minutes.csv") as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows(table)
+    write_rows(out / "minutes.csv", table)
     for row in table:
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in row.items()))
     return rows
