@@ -181,13 +181,8 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     for name, path in clip_files(out).items():
         told = notes(path)
         collection = str(told.get("collection", path.parent.name))
-        file = load_motion(path)
-        for span in judged(file, source_of(collection, parts.subject(name), told), body):
-            seconds = (span.stop - span.first) / file.motion.fps
-            lessons = (span.poses, span.steps, span.contacts, span.shape)
-            rows.append(
-                Row(name, collection, span.first, span.stop, round(seconds, 3), *lessons, span.why)
-            )
+        source = source_of(name, collection, parts.subject(name), told)
+        rows += judged(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes(rows, parts)
     write_rows(out / "minutes.csv", table)
@@ -196,10 +191,11 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     return rows
 
 
-def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
+def source_of(clip: str, collection: str, person: str, told: Mapping[str, Any]) -> Source:
     """What is known of a clip's recording.
 
     Args:
+        clip: its name in the corpus.
         collection: to which it belongs.
         person: who moves.
         told: the notes beside the clip.
@@ -209,6 +205,8 @@ def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
         retargeted=collection == HUMANOID,
         true_rate=person not in _TOO_FAST,
         flat=bool(told.get("flat", True)),
+        clip=clip,
+        collection=collection,
         residuals=tuple(told.get("residuals", ())),
     )
 
