@@ -25,18 +25,22 @@ from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, replacing, value_checksum
 from recon.ingest.conversion import Conversion, convert_skeletons
+from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
+from recon.mocap.recording import SkeletonRecording
 from training.lessons import Source, judged
 from training.manifest import Row, minutes, write_manifest
 from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
+    WINDOWS,
     OtherClip,
-    humanoid_clips,
+    copied_clips,
     marker_clips,
     read_humanoid,
     read_markers,
+    read_windows,
     skeleton_clips,
 )
 
@@ -72,16 +76,17 @@ def convert(
         ValueError: when a manifest is damaged, or a name in `only` is no collection.
     """
     body = BodyModel.load()
-    skeletons, humanoid, markers = skeleton_clips(data), humanoid_clips(data), marker_clips(data)
-    known = {clips[0].collection for clips in skeletons if clips}
-    known |= {clip.collection for clip in (*humanoid, *markers)}
+    skeletons, markers = skeleton_clips(data), marker_clips(data)
+    copied = {name: copied_clips(data, name) for name in (HUMANOID, WINDOWS)}
+    known = {clips[0].collection for clips in skeletons if clips} | copied.keys()
+    known |= {clip.collection for clip in markers}
     if wrong := sorted(set(only) - known):
         raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
     asked = set(only) or known
     out.mkdir(parents=True, exist_ok=True)
     _convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
-    if HUMANOID in asked:
-        _convert_others(humanoid, out, body, _from_humanoid(humanoid, body))
+    for name in asked & copied.keys():
+        _convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
     if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
         convert_clips(chosen, out, processes=processes)
     judge(out, body)
@@ -132,15 +137,22 @@ def _from_markers(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
     return convert_markers(read_markers(clip), body), True
 
 
-def _from_humanoid(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
-    """What converts motions of the humanoid, whose bones are calibrated from all when needed."""
+def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
+    """What converts motions of one skeleton, which is calibrated from all of them when needed."""
 
     @cache
-    def subject() -> SubjectModel:
-        return calibrate([read_humanoid(one.path) for one in clips], HUMANOID_MAP, body)
+    def read() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
+        if clips[0].collection == WINDOWS:
+            every = read_windows(clips)
+            skeleton = recognise(next(iter(every.values())))
+        else:
+            every = {clip.name: read_humanoid(clip.path) for clip in clips}
+            skeleton = HUMANOID_MAP
+        return every, calibrate(list(every.values()), skeleton, body)
 
     def made(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
-        (found,) = convert_skeletons([read_humanoid(clip.path)], subject(), body)
+        every, subject = read()
+        (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
 
     return made

@@ -23,8 +23,10 @@ _RATE = 60.0
 """Frames per second at which motions are judged."""
 _NEAR = 0.05
 """Metres above the ground of a sole that may carry."""
-SLIDES = 0.15
-"""Metres per second of the slowest point of the feet near the ground, median of a second."""
+_OWN, _COMMON = (0.25, 0.15), (0.5, 0.1)
+"""Share of a second's frames whose slowest point of the feet near the ground must be slower than
+so many metres per second: of people on their own bones, who may run, and on common ones. Walks on
+own bones have 0.04 to 0.08 in the median."""
 _SHOWN = 0.25
 """Share of a second's frames in which a foot is near the ground, for its feet to be judged."""
 _RAISED, _RESTS = 0.1, 0.3
@@ -145,7 +147,8 @@ def _against(
         always.append("rate")
     if not source.flat:
         always.append("ground")
-    overall = float(np.median(slide[near])) if near.any() else np.inf
+    share, limit = _OWN if source.own_bones else _COMMON
+    overall = float(np.quantile(slide[near], share)) if near.any() else np.inf
     found: list[tuple[str, ...]] = []
     for k, (first, stop) in enumerate(pairwise(edges)):
         here = slice(int(first / step), max(int(first / step) + 1, int(stop / step)))
@@ -157,8 +160,8 @@ def _against(
         if k < len(source.residuals) and source.residuals[k] > RESIDUAL:
             words.append("residual")
         shown = near[here].mean() >= _SHOWN
-        moving = float(np.median(slide[here][near[here]])) if shown else overall
-        if (shown or not source.own_bones) and moving > SLIDES:
+        moving = float(np.quantile(slide[here][near[here]], share)) if shown else overall
+        if (shown or not source.own_bones) and moving > limit:
             words.append("slides")
         if raised[here].any():
             words.append("raised")

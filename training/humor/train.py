@@ -194,26 +194,6 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     return path
 
 
-def _main(settings: HumorTraining, export: Path | None = None) -> None:
-    """Train; or write the best weights so far.
-
-    Args:
-        settings: of the run.
-        export: weights to write (.safetensors) instead of training.
-    """
-    if export is None:
-        train(settings)
-    else:
-        export_weights(settings, export)
-
-
-if __name__ == "__main__":
-    import tyro
-
-    logging.basicConfig(level=logging.INFO)
-    tyro.cli(_main, config=(tyro.conf.OmitArgPrefixes,))
-
-
 _SHRINKAGE = 0.05
 """Share by which variances of errors are raised, so that directions of almost no variance do not
 count without end."""
@@ -260,3 +240,23 @@ def error_whitening(
     factor = torch.linalg.cholesky(covariance)
     identity = torch.eye(len(factor), dtype=factor.dtype)
     return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()
+
+
+def _main(settings: HumorTraining, export: Path | None = None) -> None:
+    """Train; or write the best weights so far.
+
+    Args:
+        settings: of the run.
+        export: weights to write (.safetensors) instead of training.
+    """
+    if export is None:
+        train(settings)
+    else:
+        export_weights(settings, export)
+
+
+if __name__ == "__main__":
+    import tyro
+
+    logging.basicConfig(level=logging.INFO)
+    tyro.cli(_main, config=(tyro.conf.OmitArgPrefixes,))
