@@ -28,7 +28,8 @@ from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import ReconError
 from recon.core.hands import right_handed
-from recon.core.skeleton import JOINTS, keypoint_names
+from recon.core.layouts import keypoint_names
+from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile
@@ -109,7 +110,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "estimate.npz"
             np.savez(path, poses=vectors, trans=place, fps=FPS)
-            found = estimate_given(path, body, True, truth.shape, *[None] * 4)[0]
+            found = estimate_given(path, body, True, truth.shape, *[None] * 5)[0]
         pelvis = (found.translation + posed.rest[0])[:, None]
         turned = found.rotations[:, 0].mT
         return torch.cat((pelvis, pelvis + turned), 1).double().numpy()

@@ -153,6 +153,15 @@ def triangulate(
     return torch.where(exists[..., None], points, 0.0), exists
 
 
+def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
+    """The views that share the clock of the first one."""
+
+    def clock(view: Keypoints2D) -> tuple[object, ...]:
+        return (view.fps, view.start_time, *view.pixels.shape[:-1])
+
+    return [view for view in views if clock(view) == clock(views[0])]
+
+
 def tell_distance(views: Sequence[Keypoints2D]) -> bool:
     """Whether every clip has a point seen from different enough directions to triangulate it.
 

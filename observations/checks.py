@@ -14,17 +14,15 @@ from torch import Tensor
 
 from recon.core.arrays import (
     bool_tensor,
-    cloud_points,
     finite,
     first_where,
     float_tensor,
-    geometries_given,
     index_tuple,
     positive,
     require_shape,
 )
 from recon.core.errors import ObservationError, UnitsError
-from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POINT_DEVIATION, POSITION, TIME
+from recon.core.limits import FRAME_RATE, POINT_DEVIATION, POSITION, TIME
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
@@ -34,8 +32,6 @@ else:  # points in space have no camera
 FARTHEST = 5.0
 """Metres that the points of one moment lie from their middle, the median over points and moments.
 A person's lie half a metre from it; in centimetres they would lie 50 from it."""
-FARTHEST_OFFSET = 0.5
-"""Metres from its landmark that no marker sits; wands are 10 cm long."""
 _MOMENTS, _POINTS = 64, 256
 """How many of them are enough to tell a unit."""
 
@@ -55,36 +51,16 @@ def checked_positions(
     Raises:
         ValueError: for other shapes, NaN or infinity where visible, and what are no metres.
     """
-    hidden = _masked(positions)
+    hidden = masked(positions)
     positions = float_tensor(positions, f"{kind}.{name}")
     require_shape(positions, f"{kind}.{name}", ("moments", "points", 3))
     visible = bool_tensor(mask, f"{kind}.{mask_name}").to(positions.device)
-    _same_points(kind, name, positions, mask_name, visible)
+    same_points(kind, name, positions, mask_name, visible)
     visible = visible & ~hidden
-    positions = _seen_and_finite(kind, name, positions, mask_name, visible)
+    positions = seen_and_finite(kind, name, positions, mask_name, visible)
     POSITION.check(positions.detach().cpu(), kind, name)
     _refuse_other_units(kind, name, positions.detach(), visible)
     return positions, visible
-
-
-def padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Clouds of any sizes, one per moment, as one array (moments, points, 3) and what it holds.
-
-    Args:
-        given: arrays (N, 3), or clouds and meshes of Open3D, metres.
-
-    Raises:
-        ValueError: when one has no points of three coordinates, or all are empty.
-    """
-    several = geometries_given(given) or given
-    clouds = [cloud_points(one, f"PointCloud, moment {k}") for k, one in enumerate(several)]
-    most = max(map(len, clouds), default=0)
-    if most == 0:
-        raise ObservationError("PointCloud: expected points, but no cloud has any")
-    present = np.arange(most) < np.array([len(one) for one in clouds])[:, None]
-    points = np.zeros((*present.shape, 3))
-    points[present] = np.concatenate(clouds)
-    return points, present
 
 
 def checked_std(
@@ -122,28 +98,7 @@ def checked_std(
     return values.where(visible, 0.0), float(mean)
 
 
-def checked_pixels(
-    kind: str, pixels: Any, confidence: Any
-) -> tuple[Float[Tensor, "*batch moments points 2"], Float[Tensor, "*batch moments points"]]:
-    """Pixels, zero where the confidence is, and confidences from 0 to 1.
-
-    Raises:
-        ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
-            numbers that are no pixels or no confidences.
-    """
-    hidden = _masked(pixels)
-    pixels = float_tensor(pixels, f"{kind}.pixels")
-    require_shape(pixels, f"{kind}.pixels", ("moments", "points", 2))
-    confidence = float_tensor(confidence, f"{kind}.confidence").to(pixels)
-    _same_points(kind, "pixels", pixels, "confidence", confidence)
-    confidence = confidence.where(~hidden, 0.0)
-    CONFIDENCE.check(confidence.detach().cpu(), kind, "confidence")
-    pixels = _seen_and_finite(kind, "pixels", pixels, "confidence", confidence > 0)
-    PIXEL.check(pixels.detach().cpu(), kind, "pixels")
-    return pixels, confidence
-
-
-def _masked(values: Any) -> Tensor:
+def masked(values: Any) -> Tensor:
     """Points of which `numpy.ma` masks a coordinate; one false for other arrays."""
     if not isinstance(values, np.ma.MaskedArray):
         return torch.tensor(False)
@@ -176,31 +131,6 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
     return places
 
 
-def checked_offsets(
-    kind: str, offsets: Any, points: int
-) -> tuple[tuple[float, float, float], ...] | None:
-    """The offset of each point from its place on the body, metres; None where none are given.
-
-    Raises:
-        ValueError: when these are no finite vectors, not one for each point, or no offsets of
-            markers.
-    """
-    if offsets is None:
-        return None
-    values = float_tensor(offsets, f"{kind}.offsets").detach().double().cpu()
-    if values.shape != (points, 3) or not bool(values.isfinite().all()):
-        raise ObservationError(
-            f"{kind}.offsets: expected a finite vector for each of the {points} points, shape "
-            f"({points}, 3); got the shape {tuple(values.shape)}"
-        )
-    if bool((values.norm(dim=-1) > FARTHEST_OFFSET).any()):
-        raise ObservationError(
-            f"{kind}.offsets: expected metres from a point of the skin, got a vector of "
-            f"{float(values.norm(dim=-1).max()):.3g}; divide millimetres by 1000"
-        )
-    return tuple((x, y, z) for x, y, z in values.tolist())
-
-
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
     """The camera with the leading axes of its keypoints; without them it is one fixed camera.
 
@@ -229,7 +159,7 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
     return lengthened
 
 
-def _same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
+def same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
     """Refuse a mask whose axes differ from those of the points, and arrays without any point."""
     if mask.shape != values.shape[:-1]:
         raise ObservationError(
@@ -243,7 +173,7 @@ def _same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Ten
         )
 
 
-def _seen_and_finite(
+def seen_and_finite(
     kind: str, name: str, values: Tensor, mask_name: str, visible: Tensor
 ) -> Tensor:
     """Values, zero where not visible; NaN and infinity elsewhere are refused."""

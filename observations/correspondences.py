@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -11,12 +10,11 @@ from torch import Tensor
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel, PosedBody
 from recon.core.errors import ObservationError
-from recon.core.skeleton import JOINT, JOINTS, PARENTS, joint_index, keypoint_names
+from recon.core.layouts import JOINT, keypoint_names
+from recon.core.skeleton import JOINTS, PARENTS, joint_index
 
 _MIN_REST_DISTANCE_M = 0.03
 """Metres at rest between two points whose distance tells something."""
-_NEAR_JOINT_M = 0.2
-"""Metres at rest within which a point on a neighbouring bone tells where a joint is."""
 
 
 @dataclass(frozen=True)
@@ -201,42 +199,3 @@ class BodyPoints:
         return points + self.of_vertices.to(shape) @ body.rest_vertices(
             shape, self.vertices.to(shape.device)
         )
-
-
-def joints_shown(
-    bones: Sequence[int], rest: Float[np.ndarray, "points 3"], body: BodyModel
-) -> Bool[np.ndarray, "points 22"]:
-    """Joints that each point locates, as a mask (points, joints).
-
-    They lie near it at rest, and its bone ends or begins there.
-
-    Args:
-        bones: the joint whose bone carries each point.
-        rest: the points on the average body in its rest pose, metres.
-        body: whose joints they are.
-    """
-    joints = body.joint_template.double().cpu().numpy()
-    near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR_JOINT_M
-    touches = np.array(
-        [[b == j or PARENTS[j] == b or PARENTS[b] == j for j in range(len(JOINTS))] for b in bones]
-    )
-    return near & touches
-
-
-def told_joints(
-    shown: Bool[Tensor, "*batch moments points"], shows: Bool[np.ndarray, "points 22"]
-) -> Float[Tensor, "*batch 22"]:
-    """Share of the frames in which some visible point locates each joint.
-
-    Moments before the first and after the last that shows anything do not count: a clip that is
-    fitted beside longer ones is filled up with them.
-
-    Args:
-        shown: which points were seen.
-        shows: joints whose place each point tells (`joints_shown`).
-    """
-    tells = torch.from_numpy(shows).to(device=shown.device, dtype=torch.get_default_dtype())
-    anything = shown.any(-1).to(tells)
-    within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
-    told = ((shown.to(tells) @ tells) > 0) & within[..., None]
-    return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)

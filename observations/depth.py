@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,15 +14,15 @@ from observations.checks import (
     checked_clock,
     checked_positions,
     checked_view,
-    padded_clouds,
 )
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
 from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers, float_tensor
+from recon.core.arrays import Numbers, float_tensor, geometries_given
 from recon.core.camera import Camera
+from recon.core.clouds import cloud_points
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.nearest import nearest, nearest_alike
@@ -110,7 +111,7 @@ class PointCloud(Sensor):
             ValueError: naming the array, what was expected and what came.
         """
         if present is None:
-            points, present = padded_clouds(points)
+            points, present = _padded_clouds(points)
         surfels = Surfels.of(BodyModel.load()) if surfels is None else surfels
         points, present = checked_positions("PointCloud", "points", points, "present", present)
         fps, start_time = checked_clock("PointCloud", fps, start_time)
@@ -349,3 +350,23 @@ class PointCloud(Sensor):
 def _labeller() -> CloudLabeller:
     """The bundled network, loaded once, and with the first cloud."""
     return CloudLabeller.load()
+
+
+def _padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Clouds of any sizes, one per moment, as one array (moments, points, 3) and what it holds.
+
+    Args:
+        given: arrays (N, 3), or clouds and meshes of Open3D, metres.
+
+    Raises:
+        ValueError: when one has no points of three coordinates, or all are empty.
+    """
+    several = geometries_given(given) or given
+    clouds = [cloud_points(one, f"PointCloud, moment {k}") for k, one in enumerate(several)]
+    most = max(map(len, clouds), default=0)
+    if most == 0:
+        raise ObservationError("PointCloud: expected points, but no cloud has any")
+    present = np.arange(most) < np.array([len(one) for one in clouds])[:, None]
+    points = np.zeros((*present.shape, 3))
+    points[present] = np.concatenate(clouds)
+    return points, present

@@ -2,18 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.method.sensor import Sensor, views_of
-
-if TYPE_CHECKING:
-    from observations.keypoints2d import Keypoints2D
-else:
-    Keypoints2D = Sensor  # the code of a sensor is loaded with its data
 
 
 @dataclass(frozen=True)
@@ -45,25 +39,17 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(observations[0].start(body), True)
     if named:
         return FirstGuess(named[0].start(body), True)
-    if len(alike := one_clock(views)) > 1:
+    if len(views) > 1:
         # rays meet where several cameras saw the person
-        from observations.camera_paths import tell_distance, views_start
+        from observations.camera_paths import one_clock, tell_distance, views_start
 
-        if tell_distance(alike):
+        alike = one_clock(views)
+        if len(alike) > 1 and tell_distance(alike):
             return FirstGuess(views_start(body, alike), True)
     if clouds:
         posed = clouds[0].start(body)
         return FirstGuess(_moved_like(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
-
-
-def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
-    """The views that share the clock of the first one."""
-
-    def clock(view: Keypoints2D) -> tuple[object, ...]:
-        return (view.fps, view.start_time, *view.pixels.shape[:-1])
-
-    return [view for view in views if clock(view) == clock(views[0])]
 
 
 def _moved_like(posed: Motion, placed: Motion) -> Motion:

@@ -11,15 +11,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
-from observations.correspondences import BodyPoints, told_joints
-from observations.curvature import of_pixels
+from observations.checks import (
+    checked_clock,
+    checked_places,
+    checked_view,
+    masked,
+    same_points,
+    seen_and_finite,
+)
+from observations.correspondences import BodyPoints
 from observations.noise import LIMITS, estimate_noise
 from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers, positive
+from recon.core.arrays import Numbers, float_tensor, positive, require_shape
 from recon.core.camera import NEAREST, Camera, Projection
+from recon.core.limits import CONFIDENCE, PIXEL
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.core.robust import geman_mcclure
@@ -95,7 +102,7 @@ class Keypoints2D(PointsOfBody):
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
-        pixels, confidence = checked_pixels("Keypoints2D", pixels, confidence)
+        pixels, confidence = _checked_pixels(pixels, confidence)
         checked_places("Keypoints2D", "points", points.bones, pixels.shape[-2])
         fps, start_time = checked_clock("Keypoints2D", fps, start_time)
         self._settle(
@@ -168,10 +175,25 @@ class Keypoints2D(PointsOfBody):
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
         """The energy about predicted points, frame of the recording, metres."""
-        return of_pixels(
-            points, self.camera, self.pixels, self.confidence, self.sigma,
-            REFERENCE_FPS / self.fps,
-        )  # fmt: skip
+        seen = self.camera.to_camera(points)
+        in_front = seen[..., 2] > NEAREST
+        depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]
+        rays = seen[..., :2] / depth
+        matrix = self.camera.camera_matrix
+        predicted = rays @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
+        bent = torch.cat((torch.eye(2).to(rays).expand(*rays.shape, 2), -rays[..., None]), -1)
+        jacobian = matrix[..., None, :2, :2] @ (bent / depth[..., None])
+        jacobian = jacobian @ self.camera.T_camera_world[..., None, :3, :3]
+        away, scale = predicted - self.pixels, self.sigma**2
+        error = torch.where(in_front[..., None], geman_mcclure(away.square(), self.sigma), scale)
+        counts = REFERENCE_FPS / self.fps * self.confidence.square()
+        slope = (scale / (scale + away.square())).square() * (counts * in_front)[..., None]
+        weighted = slope[..., None] * jacobian
+        return PointModel(
+            0.5 * (counts * error.sum(-1)).sum((-2, -1)),
+            (away[..., None, :] @ weighted)[..., 0, :],
+            jacobian.mT @ weighted,
+        )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints2D":
         """The view with its camera's pose expressed in another frame, after a rigid transform."""
@@ -206,7 +228,10 @@ class Keypoints2D(PointsOfBody):
         keypoint of less than a fifth of the greatest confidence tells nothing.
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
-        return told_joints(self.shown & (self.confidence > FAINT * greatest), self.shows(body))
+        sure = self.confidence > FAINT * greatest
+        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).told_joints(
+            body
+        )
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose placed by the keypoints of the torso; see `image_start`."""
@@ -214,3 +239,24 @@ class Keypoints2D(PointsOfBody):
             body, self.points, self.pixels, self.confidence, self.camera,
             fps=self.fps, start_time=self.start_time,
         )  # fmt: skip
+
+
+def _checked_pixels(
+    pixels: Numbers, confidence: Numbers
+) -> tuple[Float[Tensor, "*batch moments points 2"], Float[Tensor, "*batch moments points"]]:
+    """Pixels, zero where the confidence is, and confidences from 0 to 1.
+
+    Raises:
+        ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
+            numbers that are no pixels or no confidences.
+    """
+    hidden = masked(pixels)
+    pixels = float_tensor(pixels, "Keypoints2D.pixels")
+    require_shape(pixels, "Keypoints2D.pixels", ("moments", "points", 2))
+    confidence = float_tensor(confidence, "Keypoints2D.confidence").to(pixels)
+    same_points("Keypoints2D", "pixels", pixels, "confidence", confidence)
+    confidence = confidence.where(~hidden, 0.0)
+    CONFIDENCE.check(confidence.detach().cpu(), "Keypoints2D", "confidence")
+    pixels = seen_and_finite("Keypoints2D", "pixels", pixels, "confidence", confidence > 0)
+    PIXEL.check(pixels.detach().cpu(), "Keypoints2D", "pixels")
+    return pixels, confidence

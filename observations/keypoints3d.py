@@ -52,7 +52,7 @@ class Keypoints3D(TrackedPoints):
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
 
-        `points` may be the name of a layout (`recon.core.skeleton.LAYOUTS`) or the names of the
+        `points` may be the name of a layout (`recon.core.layouts.LAYOUTS`) or the names of the
         keypoints in their order, which are then points of the bundled body. `std` may have any
         shape that broadcasts to (moments, points).
 

@@ -8,17 +8,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.checks import checked_offsets
 from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import Numbers
+from recon.core.arrays import Numbers, float_tensor
+from recon.core.errors import ObservationError
 from recon.core.robust import squared
 from recon.core.skeleton import JOINTS
 
 Offset = tuple[float, float, float]
 """A vector in the frame of a bone, metres."""
+_FARTHEST_OFFSET = 0.5
+"""Metres from its landmark that no marker sits; wands are 10 cm long."""
 
 
 @dataclass(frozen=True, init=False)
@@ -65,7 +67,7 @@ class Markers3D(TrackedPoints):
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
         self._settle(
-            vertices=places, offsets=checked_offsets("Markers3D", offsets, len(places)),
+            vertices=places, offsets=_checked_offsets(offsets, len(places)),
             labels=None if labels is None else tuple(labels),
         )  # fmt: skip
 
@@ -108,3 +110,26 @@ class Markers3D(TrackedPoints):
             return self.labels
         named = {vertex: name for name, vertex in landmarks().items()}
         return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)
+
+
+def _checked_offsets(offsets: Numbers | None, points: int) -> tuple[Offset, ...] | None:
+    """The offset of each point from its place on the body, metres; None where none are given.
+
+    Raises:
+        ValueError: when these are no finite vectors, not one for each point, or no offsets of
+            markers.
+    """
+    if offsets is None:
+        return None
+    values = float_tensor(offsets, "Markers3D.offsets").detach().double().cpu()
+    if values.shape != (points, 3) or not bool(values.isfinite().all()):
+        raise ObservationError(
+            f"Markers3D.offsets: expected a finite vector for each of the {points} points, shape "
+            f"({points}, 3); got the shape {tuple(values.shape)}"
+        )
+    if bool((values.norm(dim=-1) > _FARTHEST_OFFSET).any()):
+        raise ObservationError(
+            f"Markers3D.offsets: expected metres from a point of the skin, got a vector of "
+            f"{float(values.norm(dim=-1).max()):.3g}; divide millimetres by 1000"
+        )
+    return tuple((x, y, z) for x, y, z in values.tolist())

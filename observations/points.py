@@ -3,15 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_places, checked_positions, checked_std
-from observations.correspondences import BodyPoints, joints_shown, told_joints
-from observations.curvature import of_places
 from observations.noise import estimate_noise
 from observations.start.rigid import limbs_towards, rigid_start
 from recon.body.derivatives import CarriedPoints
@@ -20,13 +19,21 @@ from recon.core.arrays import Numbers
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.robust import geman_mcclure, squared
+from recon.core.skeleton import PARENTS
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
 from recon.method.sensor import Sensor
 
+if TYPE_CHECKING:
+    from observations.correspondences import BodyPoints
+else:  # joints and markers need no table of keypoints
+    from typing import Any as BodyPoints
+
 OFFSET_UNIT = 0.05
 """Metres; offsets of keypoints in images are in this unit: they are seen in all frames and views
 at once, so that a variable in metres would be stiff."""
+_NEAR_JOINT_M = 0.2
+"""Metres at rest within which a point on a neighbouring bone tells where a joint is."""
 
 
 class PointsOfBody(Sensor):
@@ -94,17 +101,36 @@ class PointsOfBody(Sensor):
         return found.displaced(self.bones(body), own)
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the frames in which some visible point locates each joint."""
-        return told_joints(self.shown, self.shows(body))
+        """Share of the frames in which some visible point locates each joint.
+
+        Moments before the first and after the last that shows anything do not count: a clip that
+        is fitted beside longer ones is filled up with them.
+        """
+        shows = torch.from_numpy(self.shows(body)).to(self.shown.device)
+        tells = shows.to(torch.get_default_dtype())
+        anything = self.shown.any(-1).to(tells)
+        within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
+        told = ((self.shown.to(tells) @ tells) > 0) & within[..., None]
+        return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
         """Joints of the first clip that some visible point locates, in every frame."""
         return self.shown[0].cpu().numpy() @ self.shows(estimate.body.model)
 
     def shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-        """Joints that each point locates, as a mask (points, joints)."""
+        """Joints that each point locates, as a mask (points, joints).
+
+        They lie near it at rest, and its bone ends or begins there.
+        """
         rest = self.at_rest(body).double().cpu().numpy()
-        return joints_shown(self.bones(body), rest, body)
+        joints = body.joint_template.double().cpu().numpy()
+        near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR_JOINT_M
+        touches = np.array([
+            [bone == joint or PARENTS[joint] == bone or PARENTS[bone] == joint
+             for joint in range(len(PARENTS))]
+            for bone in self.bones(body)
+        ])  # fmt: skip
+        return near & touches
 
 
 P = TypeVar("P", bound="TrackedPoints")
@@ -266,3 +292,29 @@ class TrackedPoints(PointsOfBody):
             start_time=self.start_time,
         )  # fmt: skip
         return limbs_towards(start, body, rest, bones, self.positions, self.visible)
+
+
+def of_places(
+    points: Float[Tensor, "*batch moments points 3"],
+    positions: Float[Tensor, "*batch moments points 3"],
+    weights: Tensor,
+    kernel: Callable[[Tensor], Tensor],
+    rate: float,
+) -> PointModel:
+    """The model of E = rate ½ Σ kernel(w² |p - observed|²); weights w (*batch, frames, points)."""
+    away = points - positions
+    slope = weights.to(points).square()
+    value = slope * away.square().sum(-1)
+    if kernel is not squared:
+        with torch.enable_grad():
+            variable = value.detach().requires_grad_()
+            counted = kernel(variable)
+            (by_square,) = torch.autograd.grad(counted.sum(), variable)
+        value, slope = counted.detach(), by_square * slope
+    slope = rate * slope
+    identity = torch.eye(3, dtype=points.dtype, device=points.device)
+    return PointModel(
+        0.5 * rate * value.sum((-2, -1)),
+        slope[..., None] * away,
+        slope[..., None, None] * identity,
+    )

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.formats.observations import CameraArrays
 
 SIZE = (1280, 720)

@@ -2,13 +2,15 @@
 
 import dataclasses
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
-from recon.formats.motions import load_motion
+from recon.formats.motions import MotionFile
 from recon.formats.replacing import file_checksum, files_checksum
+from training.manifest import MANIFEST, Lesson, Row, read_manifest, taught
 from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
@@ -23,7 +25,7 @@ class CorpusSettings:
     """What every prior is learned from, and where to."""
 
     corpus: Path
-    """Folder of converted motions (`recon convert --all`)."""
+    """Folder of converted motions (`python -m training.conversion`, or `recon convert --all`)."""
     out: Path
     """Weights to write; or the folder of a run that takes steps: checkpoint.pt, losses.csv,
     losses.png, train.log. A run that was interrupted goes on from its checkpoint."""
@@ -46,16 +48,39 @@ class CorpusSettings:
             if own == part and (self.data == "nc" or splits.is_open(name))
         }
 
-    def flat_files(self, part: Part) -> dict[str, Path]:
-        """`files` without the clips on stairs or slopes, where heights mean nothing."""
-        return {name: path for name, path in self.files(part).items() if is_flat(path)}
+    def taught(self, part: Part, lesson: Lesson) -> Iterator[tuple[str, Path, MotionFile]]:
+        """Name, file and stretches of the clips of one part that teach something.
 
-    def load_clips(self, part: Part, fps: float = 30.0) -> list[CorpusClip]:
-        """All clips of one part, resampled; those of one frame only are skipped."""
+        Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
+        slopes, where heights mean nothing.
+
+        Raises:
+            FileNotFoundError: as `files` does.
+            ValueError: when the manifest is damaged, or lacks a clip.
+        """
+        manifest = read_manifest(self.corpus)
+        for name, path in self.files(part).items():
+            rows: list[Row] | None = None
+            if manifest is not None:
+                rows = manifest.get(name)
+                if rows is None:
+                    raise ValueError(
+                        f"{self.corpus / MANIFEST}: knows no clip {name}; write it anew by "
+                        "python -m training.conversion"
+                    )
+            elif lesson != "poses" and not is_flat(path):
+                continue
+            for stretch in taught(path, rows, lesson):
+                yield name, path, stretch
+
+    def load_clips(
+        self, part: Part, fps: float = 30.0, lesson: Lesson = "poses"
+    ) -> list[CorpusClip]:
+        """Stretches of one part that teach something, resampled; not those of one frame only."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
-        for name, path in self.files(part).items():
-            motion = load_motion(path).motion.resample(fps)
+        for name, _, file in self.taught(part, lesson):
+            motion = file.motion.resample(fps)
             if motion.frames > 1:
                 clips.append(CorpusClip(name, splits.subject(name), motion))
         LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
@@ -165,4 +190,5 @@ def _contents(path: Path) -> str:
         return _CONTENTS + file_checksum(path)
     motions = clip_files(path).values()
     notes = [motion.with_suffix(".json") for motion in motions]
-    return _CONTENTS + files_checksum([*motions, *(n for n in notes if n.is_file())], path)
+    beside = [one for one in (*notes, path / MANIFEST) if one.is_file()]
+    return _CONTENTS + files_checksum([*motions, *beside], path)

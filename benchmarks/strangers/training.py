@@ -87,12 +87,12 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
     poses = own / "pose.safetensors"
     export_poses(PoseTraining(corpus, out=poses, splits=settings.splits), poses)
-    flat = settings.flat_files("validation")
+    checked = any(True for _ in settings.taught("validation", "steps"))
     state = trained_state(settings.out / CHECKPOINT)
     return FoldPriors(
         humor=Humor.load(weights),
         density=PosePrior.load(poses).density,
-        drift=state["rows"][-1]["drift_cm"] / 100 if flat else None,
+        drift=state["rows"][-1]["drift_cm"] / 100 if checked else None,
         checksums={path.stem: file_checksum(path) for path in (weights, poses)},
     )
 

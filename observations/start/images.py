@@ -11,13 +11,14 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, at_rest_in, cheapest_path, nearest_placed
+from observations.start.rigid import TORSO, at_rest_in, nearest_placed
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.method.sensor import UPRIGHT
+from recon.solver.viterbi import cheapest_path
 
 HEADINGS = 36
 """Directions the body may face, evenly spread."""

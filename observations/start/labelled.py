@@ -19,7 +19,6 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.rigid import cheapest_path
 from observations.start.surface_steps import SeenSurface, evidence
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
@@ -29,6 +28,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
+from recon.solver.viterbi import cheapest_path
 
 RATE = 10.0
 """Moments per second that are posed; the others lie between them."""

@@ -1,7 +1,7 @@
 """A first guess from points in space: the rest body laid rigidly on each frame's torso."""
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -89,27 +89,6 @@ def nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
     after = torch.where(placed, index, far).flip(-1).cummin(-1).values.flip(-1)
     closer = torch.where(index - before <= after - index, before, after)
     return closer.clamp(0, frames - 1)
-
-
-def cheapest_path(
-    cost: Float[Tensor, "batch time states"],
-    change: Float[Tensor, "*#batch between states states"],
-) -> Int[Tensor, "batch time"]:
-    """The state of every frame that costs least in all (Viterbi's algorithm).
-
-    Args:
-        cost: of every state in every frame.
-        change: cost of going from a state (last axis but one) to one of the next frame.
-    """
-    best, back = cost[:, 0], list[Tensor]()
-    for own, between in zip(cost.unbind(1)[1:], change.unbind(-3), strict=True):
-        reached = (best[:, :, None] + between).min(1)
-        back.append(reached.indices)
-        best = reached.values + own
-    path = [best.argmin(-1)]
-    for came in reversed(back):
-        path.append(came.gather(1, path[-1][:, None])[:, 0])
-    return torch.stack(path[::-1], 1)
 
 
 _LIMBS = tuple(

@@ -6,7 +6,7 @@ Feet on the ground do not slide.
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core.skeleton import JOINT
+from recon.core.layouts import JOINT
 
 _PARTS = {"heel": 0.015, "big_toe": 0.015, f"foot{JOINT}": 0.02, "ankle": 0.08}
 """Points of a foot, and metres above the ground of each where the foot stands."""

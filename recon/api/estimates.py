@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
@@ -14,7 +15,7 @@ from recon.core.errors import ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.estimates import BodyEstimate, read_estimate
 from recon.formats.opening import load_arrays
 
@@ -30,6 +31,7 @@ def estimate_given(
     frame_rate: float | None,
     unit: str | None,
     up: Up | None,
+    hand: Hand | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
     """The estimate on our body in a world with z up, the mask of its frames, and what was assumed.
@@ -42,6 +44,7 @@ def estimate_given(
         frame_rate: frames per second of an estimate that does not say it.
         unit: of its translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up; None tells it from how the body stands.
+        hand: handedness of its coordinates; None is right.
         person: which of several people in a file, from 0 on.
 
     Raises:
@@ -51,6 +54,11 @@ def estimate_given(
     """
     known_shape = None if shape is None else shape_given(shape, body)
     if not isinstance(motion, Path | str) or _of_this_body(Path(motion), body):
+        if unit or up or hand:
+            raise ReconError(
+                "a motion of recon's is in metres with z up and right-handed; unit, up and hand "
+                "are of estimates of other programs"
+            )
         found = motion_given(motion, body).motion
         if known_shape is not None:
             found = found.replace(shape=known_shape)
@@ -64,9 +72,12 @@ def estimate_given(
         )
     FRAME_RATE.check(positive(rate, "frame_rate"), "refine", "frame_rate")
     coefficients, words = _shape(read, body, own_body, known_shape)
+    translation, rotations = read.translation, read.rotations
+    if hand == "left":
+        translation, rotations = _unmirrored(translation, rotations, read.up)
     placed = Motion.create(
-        torch.from_numpy(read.translation).float(),
-        torch.from_numpy(read.rotations).float(),
+        torch.from_numpy(translation).float(),
+        torch.from_numpy(rotations).float(),
         coefficients,
         fps=rate,
     )
@@ -74,14 +85,29 @@ def estimate_given(
     check_override(unit)
     if unit is None:
         feet = body.pose(placed).joints[:, list(FEET)] - placed.translation[:, None]
-        path, steps = read.translation[read.known], feet.double().numpy()[read.known]
-        unit, said = unit_of_path(path, steps, rate, str(motion))
+        path, steps = translation[read.known], feet.double().numpy()[read.known]
+        unit, said = unit_of_path(path, steps, rate, to_z_up(read.up)[2], str(motion))
         words = (*said, *words)
     placed = placed.replace(translation=METRES[unit] * placed.translation)
     turn = torch.eye(4)
     turn[:3, :3] = torch.from_numpy(to_z_up(read.up))
     upright = placed.carried(turn, pelvis)
     return upright, torch.from_numpy(read.known), (*read.notes, *words)
+
+
+def _unmirrored(
+    translation: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time 22 3 3"], up: Up
+) -> tuple[Float[np.ndarray, "time 3"], Float[np.ndarray, "time 22 3 3"]]:
+    """The same motion in right-handed coordinates.
+
+    A horizontal axis of the world is turned round, and the axis that the body's rest pose has
+    from right to left, SMPL's x.
+    """
+    world, own = np.ones(3), np.array([-1.0, 1.0, 1.0])
+    world["zxy".index(up[0])] = -1.0
+    turned = own[:, None] * rotations * own
+    turned[:, 0] = world[:, None] * rotations[:, 0] * own
+    return translation * world, turned
 
 
 def _of_this_body(path: Path, body: BodyModel) -> bool:

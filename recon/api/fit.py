@@ -28,7 +28,7 @@ from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.core.units import Unit, Up
+from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
@@ -138,7 +138,7 @@ def fit(
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
             frame_rate=how_read.frame_rate, unit=how_read.unit, up=how_read.up,
-            person=how_read.person,  # pyright: ignore[reportArgumentType]
+            hand=how_read.hand, person=how_read.person,  # pyright: ignore[reportArgumentType]
             ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
@@ -231,6 +231,7 @@ def refine(
     frame_rate: float | None = None,
     unit: Unit | None = None,
     up: Up | None = None,
+    hand: Hand | None = None,
     person: int | None = None,
     ground: GroundChoice | str = "unknown",
     **how: Any,
@@ -256,6 +257,8 @@ def refine(
         frame_rate: frames per second of an estimate that does not say it.
         unit: of the estimate's translation; None tells it from feet that stand.
         up: axis of the estimate's world that points up, or down; None tells it from the body.
+        hand: handedness of the estimate's coordinates; None is right, of keypoints told from the
+            body.
         person: which of several people in a file, from 0 on; None takes the one of most frames.
         ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
         how: others of `recon.fit`.
@@ -270,7 +273,7 @@ def refine(
     if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
         return fit(
             [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
-            unit=unit, up=up, person=person, **how,
+            unit=unit, up=up, hand=hand, person=person, **how,
         )  # fmt: skip
     # scipy is needed for estimates only
     from recon.api.estimates import LEAST_FRAMES, estimate_given
@@ -278,7 +281,9 @@ def refine(
 
     model = body_given(body)
     own = body is not None
-    given, known, notes = estimate_given(motion, model, own, shape, frame_rate, unit, up, person)
+    given, known, notes = estimate_given(
+        motion, model, own, shape, frame_rate, unit, up, hand, person
+    )
     if given.frames < LEAST_FRAMES:
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
@@ -308,7 +313,7 @@ def _is_keypoints(path: Path) -> bool:
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
-    heeded = ("frame_rate", "unit", "up", "person")
+    heeded = ("frame_rate", "unit", "up", "hand", "person")
     given = [name for name in options.given() if name not in heeded]
     given += [] if start is None else ["start"]
     if given:

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,8 +15,12 @@ from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import MotionFile
+
+if TYPE_CHECKING:
+    from recon.formats.joint_table import JointCertainty
+else:
+    from typing import Any as JointCertainty
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Numbers for the person at the terminal: rows of columns, by title and by name."""
@@ -47,13 +51,8 @@ def described_motion(motion: Motion, tall: float) -> str:
     )
 
 
-def described_residuals(residuals: Sequence[ResidualSummary]) -> list[str]:
-    """One line per observation: its noise and its median residual."""
-    return [_sensor(one) for one in residuals]
-
-
-def _sensor(one: ResidualSummary) -> str:
-    """An observation in one line."""
+def described_residual(one: ResidualSummary) -> str:
+    """An observation's noise and median residual in one line."""
     seen = "nothing seen" if one.median is None else f"median residual {_size(one.median, one)}"
     return f"{one.name}: noise {_size(one.noise, one)}, {seen}"
 
@@ -141,6 +140,8 @@ class MotionResult(ABC):
     @property
     def certainty(self) -> JointCertainty | None:
         """Median standard deviations of joints that were seen and of joints that were not."""
+        from recon.formats.joint_table import JointCertainty  # a report alone has one
+
         return JointCertainty.of(self.file)
 
     @property

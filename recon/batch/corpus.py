@@ -69,8 +69,31 @@ def convert_corpus(
         ValueError: when nothing in it is a recording, a manifest is damaged, two recordings would
             have one output, or another run is writing to OUT.
     """
+    return convert_clips(
+        collections(Path(folder)),
+        out,
+        processes=processes,
+        body=body,
+        calibration=calibration,
+        overwrite=overwrite,
+    )
+
+
+def convert_clips(
+    found: Sequence[Sequence[SourceClip]],
+    out: str | Path,
+    *,
+    processes: int = 2,
+    body: str | Path | None = None,
+    calibration: Callable[..., Any] = calibrate_group,
+    overwrite: bool = False,
+) -> list[Row]:
+    """Convert the clips of collections that were listed already; see `convert_corpus`.
+
+    Raises:
+        ValueError: when another run is writing to OUT.
+    """
     out = Path(out)
-    found = collections(Path(folder))
     settings = config_hash(BodyModel.load(body))
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "report.json").exists():

@@ -34,10 +34,11 @@ class Splits:
     non_commercial: tuple[str, ...]
     """Patterns of clips whose licence forbids commercial use."""
     excluded: tuple[str, ...]
-    """Clips in no part."""
+    """Patterns of clips in no part."""
     windows: dict[str, dict[int, Listed]]
     """Listed windows by part ("test" or "validation") and by their number of frames at 30 Hz.
-    Those of subjects apart are listed with the test windows."""
+    Those of subjects apart are listed with the test windows; "strangers" are those of test people
+    of another laboratory."""
 
     @classmethod
     def load(cls, path: str | Path = SPLITS) -> "Splits":
@@ -89,7 +90,7 @@ class Splits:
 
         Every tenth is counted in the order of names, from the first.
         """
-        kept = sorted(set(clips) - set(self.excluded))
+        kept = sorted(clip for clip in set(clips) if not _matches(clip, self.excluded))
         held_out: dict[str, Part] = {}
         for clip in kept:
             subject = self.subject(clip)

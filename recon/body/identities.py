@@ -14,7 +14,8 @@ from torch import Tensor
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY, BodyModel
 from recon.body.motion_files import load_motion_of
-from recon.body.parts import Parts, part_volumes
+from recon.body.parts import Parts
+from recon.body.volumes import part_volumes
 from recon.core.errors import ReconError
 
 DENSITY = 1010.0

@@ -17,7 +17,7 @@ from typing import cast
 from recon.body.landmarks import landmark, landmarks
 from recon.core.errors import ReconError
 from recon.formats.json_files import read_json
-from recon.formats.toml_files import read_toml
+from recon.formats.texts import read_toml
 
 FEWEST_MARKERS = 10
 """Markers of known places without which no recording is put on a body."""

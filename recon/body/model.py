@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
@@ -57,7 +58,10 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled()
-        return _from_smpl(Path(path))
+        from recon.formats.smpl import load_smpl  # few give a body of their own
+
+        path = Path(path)
+        return _model(path.stem, path.read_bytes(), load_smpl(path).of_body())
 
     @property
     def shape_size(self) -> int:
@@ -173,59 +177,27 @@ def _bundled() -> BodyModel:
     data = (resources.files("recon") / "assets" / "body.npz").read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
         arrays = {key: file[key] for key in file.files}
-    weights = np.zeros((len(arrays["template"]), len(JOINTS)))
-    rows = np.arange(len(weights))[:, None]
-    np.add.at(weights, (rows, arrays["weight_index"].astype(int)), arrays["weight_value"])
+    index = arrays["weight_index"].astype(int)
+    weights = np.zeros((len(index), len(JOINTS)))
+    np.add.at(weights, (np.arange(len(index))[:, None], index), arrays["weight_value"])
+    arrays["weights"] = weights / weights.sum(1, keepdims=True)
+    return _model("recon", data, arrays)
+
+
+def _model(name: str, data: bytes, arrays: Mapping[str, np.ndarray]) -> BodyModel:
+    """The model of arrays by its fields' names, in single precision, and of their file."""
+    tensors = {
+        key: torch.from_numpy(np.ascontiguousarray(arrays[key], np.float32))
+        for key in (
+            "template", "shape_directions", "pose_directions", "joint_template",
+            "joint_directions", "weights", "male", "female",
+        )
+        if key in arrays
+    }  # fmt: skip
     return BodyModel(
-        name="recon",
-        checksum=_checksum(data),
-        template=_tensor(arrays["template"]),
-        shape_directions=_tensor(arrays["shape_directions"]),
-        pose_directions=None,
-        joint_template=_tensor(arrays["joint_template"]),
-        joint_directions=_tensor(arrays["joint_directions"]),
-        weights=_tensor(weights / weights.sum(1, keepdims=True)),
+        name=name,
+        checksum=hashlib.sha256(data).hexdigest()[:16],
         faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
-        male=_tensor(arrays["male"]),
-        female=_tensor(arrays["female"]),
+        pose_directions=tensors.pop("pose_directions", None),
+        **tensors,
     )
-
-
-def _from_smpl(path: Path) -> BodyModel:
-    """Reduce a licensed body to 22 joints; its joints regressed from the shaped surface."""
-    # the bundled body is no such file
-    from recon.formats.smpl import load_smpl
-
-    arrays = load_smpl(path)
-    count = len(JOINTS)
-    ancestor = list(range(len(arrays.parents)))
-    for joint in range(count, len(ancestor)):
-        ancestor[joint] = ancestor[int(arrays.parents[joint])]
-    weights = np.zeros((len(arrays.template), count))
-    np.add.at(weights.T, ancestor, arrays.weights.T)
-    regressor = arrays.joint_regressor[:count]
-    poses = arrays.pose_directions
-    nobody = np.zeros(arrays.shape_directions.shape[-1])
-    return BodyModel(
-        name=path.stem,
-        checksum=_checksum(path.read_bytes()),
-        template=_tensor(arrays.template),
-        shape_directions=_tensor(arrays.shape_directions),
-        pose_directions=None
-        if poses is None
-        else _tensor(poses[..., : 9 * (count - 1)].transpose(2, 0, 1)),
-        joint_template=_tensor(regressor @ arrays.template),
-        joint_directions=_tensor(np.einsum("jv,vdk->jdk", regressor, arrays.shape_directions)),
-        weights=_tensor(weights),
-        faces=torch.from_numpy(arrays.faces.astype(np.int64)),
-        male=_tensor(nobody),
-        female=_tensor(nobody),
-    )
-
-
-def _checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:16]
-
-
-def _tensor(array: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array, np.float32))

@@ -45,12 +45,6 @@ TYPES: dict[str, Any] = {
 it. Arguments of other types, such as functions and arrays, no command line can give."""
 
 
-_MOTION = (
-    "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells what "
-    "happened."
-)
-
-
 @dataclass(frozen=True)
 class Verb:
     """A function whose command line is made from its signature and docstring."""
@@ -60,8 +54,8 @@ class Verb:
     places: tuple[Place, ...] = (Place("out"),)
     """Its outputs; what it does not write itself is its result, which is saved at the first."""
     out: str = (
-        "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells \
-what happened."
+        "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells "
+        "what happened."
     )
     """What is said of the argument that names its result."""
     out_follows: bool = False
@@ -153,7 +147,8 @@ def _added(verb: Verb, own: set[str]) -> Iterator[Parameter]:
         if result == "json":
             yield _option("json", Annotated[Path | None, arg(help=verb.out)], None)
         else:
-            kind = Annotated[Path, arg(help=verb.out)]
+            also = " Also as --out OUT." if verb.out_follows else ""
+            kind = Annotated[Path, arg(help=verb.out + also)]
             yield _option(result, Positional[kind] if verb.out_follows else kind)
     written = {place.parameter for place in verb.places}
     if "json" not in written and not own & written:

@@ -59,6 +59,9 @@ def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     import tyro
 
     verb = listing.verb(name)
+    options = options_of(verb)
+    if "--out" not in options and "out" in inspect.signature(verb).parameters:
+        words = _out_last(words)
     later = _put_off(verb)
     ask = functools.partial(
         tyro.cli, later, prog=f"recon {name}", description=_description(name, verb), args=words
@@ -68,7 +71,6 @@ def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     except SystemExit as end:
         if not end.code:
             raise
-    options = options_of(verb)
     if unknown := _unknown(words, options):
         word = unknown[0]
         _refuse(
@@ -77,6 +79,16 @@ def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
         )
     # other errors are reported by tyro
     return ask()
+
+
+def _out_last(words: Sequence[str]) -> Sequence[str]:
+    """The words with `--out PLACE` as the last one, for verbs whose output follows the inputs."""
+    for k, word in enumerate(words):
+        if word == "--out" and k + 1 < len(words):
+            return [*words[:k], *words[k + 2 :], words[k + 1]]
+        if word.startswith("--out="):
+            return [*words[:k], *words[k + 1 :], word.removeprefix("--out=")]
+    return words
 
 
 def options_of(verb: Callable[..., None]) -> set[str]:

@@ -58,29 +58,6 @@ def is_geometry(one: Any) -> bool:
     return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 
 
-def held_numbers(values: Any) -> np.ndarray:
-    """Numbers that Open3D holds: vectors of its older interface, tensors of the newer."""
-    values = values.cpu().numpy() if hasattr(values, "cpu") else values
-    return np.asarray(values, dtype=np.float64)
-
-
-def cloud_points(one: Any, name: str) -> np.ndarray:
-    """Points (N, 3) of an array, or of a cloud or mesh of Open3D, without those that are NaN.
-
-    Raises:
-        ValueError: when it has no points of three coordinates.
-    """
-    held = next((getattr(one, key) for key in ("points", "vertices") if hasattr(one, key)), one)
-    if held is one and is_geometry(one):  # open3d.t.geometry
-        inside = one.point if hasattr(one, "point") else one.vertex
-        held = held_numbers(inside["positions"]) if "positions" in inside else ()
-    found = held_numbers(held)
-    found = found.reshape(0, 3) if found.size == 0 else found
-    if found.ndim != 2 or found.shape[1] != 3:
-        raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
-    return found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
-
-
 def bool_tensor(values: Any, name: str) -> Tensor:
     """A mask as a tensor of true and false; numbers must be 0 and 1.
 

@@ -1,17 +1,17 @@
 """Pinhole cameras with OpenCV's lens distortion: world points to pixels and back."""
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from recon.core import limits
 from recon.core import rotations as so3
 from recon.core.arrays import Numbers, float_tensor, index_tuple, require_shape
 from recon.core.errors import ReconError
-from recon.core.limits import check_camera, check_pose
 from recon.core.rotations import transform as transform
 from recon.core.struct import TensorStruct
 
@@ -71,10 +71,6 @@ class Camera(TensorStruct):
                 f"expected {' or '.join(map(str, COEFFICIENT_COUNTS))} distortion coefficients "
                 f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {lens.shape[-1]}"
             )
-        self._check_ranges()
-
-    def _check_ranges(self) -> None:
-        """Refuse intrinsics that no camera has, and poses that are no rigid transforms."""
         check_pose(self.T_camera_world.detach().cpu(), "Camera", "T_camera_world")
         lenses = [None] if self.distortion is None else self._different(self.distortion)
         for matrix in self._different(self.camera_matrix.flatten(-2)):
@@ -151,7 +147,8 @@ class Camera(TensorStruct):
         plane = torch.where(in_front, seen[..., :2], 0.0)
         rays = plane / torch.where(in_front, depth[..., None], 1.0)
         if self.distortion is not None:
-            rays = distort(rays, self.distortion[..., None, :])
+            radial, shift = _lens(rays, self.distortion[..., None, :])
+            rays = rays * radial + shift
         pixels = rays @ self.camera_matrix[..., :2, :2].mT + self.camera_matrix[..., None, :2, 2]
         return Projection(pixels, depth)
 
@@ -162,7 +159,7 @@ class Camera(TensorStruct):
         centred = (pixels - self.camera_matrix[..., None, :2, 2]).mT
         rays = torch.linalg.solve(self.camera_matrix[..., :2, :2], centred).mT
         if self.distortion is not None:
-            rays = undistort(rays, self.distortion[..., None, :])
+            rays = _undistort(rays, self.distortion[..., None, :])
         rays = torch.cat((rays, torch.ones_like(rays[..., :1])), -1)
         return self.to_world(rays * depth[..., None])
 
@@ -186,6 +183,64 @@ class Camera(TensorStruct):
         return self.replace(T_camera_world=looking(position, target))
 
 
+def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: str = "") -> None:
+    """Refuse the intrinsics of a camera that nobody can have.
+
+    Args:
+        matrix: (3, 3), pixels.
+        size: width and height, pixels.
+        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6]] or None.
+        source: the file, for the message.
+        key: the camera's name, for the message.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    K, longer = np.asarray(matrix, np.float64), float(max(size))
+    limits.IMAGE_SIZE.check(size, source, f"{key} image_size".strip())
+    place = f"{key} camera_matrix".strip()
+    if np.abs(K[[1, 2, 2], [0, 0, 1]]).max() > 1e-6 or abs(K[2, 2] - 1) > 1e-6:
+        raise ReconError(
+            f"{source}: expected a camera matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] at "
+            f"{place}, got {K.tolist()}"
+        )
+    focal = np.diag(K)[:2]
+    limits.FOCAL_LENGTH.check(focal, source, place)
+    limits.FIELD.check(focal / longer, source, place)
+    limits.PIXEL_ASPECT.check(focal[0] / focal[1], source, place)
+    limits.PRINCIPAL_POINT.check(K[:2, 2] / longer, source, place)
+    limits.SKEW.check(K[0, 1] / focal[0], source, place)
+    if distortion is not None:
+        place = f"{key} distortion".strip()
+        limits.DISTORTION.check(distortion, source, place)
+        k = np.pad(np.asarray(distortion, np.float64), (0, 8))[:8]
+        r2 = (min(size) / 4 / float(focal.max())) ** 2
+        over = 1 + k[0] * r2 + k[1] * r2**2 + k[4] * r2**3
+        limits.LENS.check(over / (1 + k[5] * r2 + k[6] * r2**2 + k[7] * r2**3), source, place)
+
+
+def check_pose(pose: Any, source: object, key: str) -> None:
+    """Refuse transforms (..., 4, 4) that are not rigid or lead farther than people are recorded.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    T = np.asarray(pose, np.float64)
+    rotation = T[..., :3, :3]
+    # numbers near the largest double may overflow here; the limit refuses infinity
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max((-1, -2))
+        limits.ORTHOGONALITY.check(off, source, key)
+        mirrored = np.linalg.det(rotation) < 0
+        bottom = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max()
+    if mirrored.any() or not bottom < 1e-6:
+        raise ReconError(
+            f"{source}: expected rigid transforms in {key} with a last row 0 0 0 1, got one that "
+            "mirrors or does not end so"
+        )
+    limits.POSITION.check(T[..., :3, 3], source, key)
+
+
 def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
     """T_camera_world of an upright camera at `position` whose viewing axis meets `target`.
 
@@ -206,18 +261,10 @@ def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[T
     return pose
 
 
-def distort(
+def _undistort(
     rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
 ) -> Float[Tensor, "*shape 2"]:
-    """Ideal image coordinates x/z, y/z as the lens bends them (Brown; OpenCV's equations)."""
-    radial, shift = _lens(rays, coefficients)
-    return rays * radial + shift
-
-
-def undistort(
-    rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
-) -> Float[Tensor, "*shape 2"]:
-    """The inverse of `distort`, by fixed-point iteration (lenses whose distortion is monotone)."""
+    """Ideal coordinates of bent ones, by fixed-point iteration (for monotone distortion)."""
     straight = rays
     for _ in range(_UNDISTORT_STEPS):
         radial, shift = _lens(straight, coefficients)
@@ -226,7 +273,7 @@ def undistort(
 
 
 def _lens(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """Radial factor and tangential shift at given ideal coordinates."""
+    """Radial factor and tangential shift at ideal coordinates x/z, y/z (Brown; OpenCV's)."""
     missing = COEFFICIENT_COUNTS[-1] - coefficients.shape[-1]
     padded = torch.nn.functional.pad(coefficients, (0, missing))[..., None]
     k1, k2, p1, p2, k3, k4, k5, k6 = padded.unbind(-2)
@@ -301,22 +348,6 @@ class Ground(TensorStruct):
         inner = (1,) * (points.dim() - self.normal.dim())
         normal = self.normal.unflatten(-1, (*inner, 3))
         return (points * normal).sum(-1) - self.offset[(..., *(None for _ in inner))]
-
-    def moved(self, tilt: Float[Tensor, "*batch 2"], shift: Float[Tensor, "*batch"]) -> "Ground":
-        """The ground after turning its normal along two tangent directions and shifting it.
-
-        n' = cos|v| n + sin|v|/|v| v with v = tilt in a basis of the tangent plane: |tilt| is the
-        angle turned, in radians, and the normal stays a unit vector. `shift` is added to d.
-        """
-        v = (tangent_basis(self.normal) @ tilt[..., None])[..., 0]
-        # selected before the root, whose derivative at zero is infinite
-        squared = v.square().sum(-1, keepdim=True)
-        small = squared < 1e-12
-        angle = torch.where(small, 1.0, squared).sqrt()
-        cosine = torch.where(small, 1 - squared / 2, angle.cos())
-        ratio = torch.where(small, 1 - squared / 6, angle.sin() / angle)
-        normal = cosine * self.normal + ratio * v
-        return Ground(torch.nn.functional.normalize(normal, dim=-1), self.offset + shift)
 
 
 def tangent_basis(normal: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 2"]:

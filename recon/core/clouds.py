@@ -1,12 +1,13 @@
-"""Unit and up axis of scans, told by the size of the person in them and by how they stand."""
+"""Clouds of points: as arrays, and their unit and up axis, told by the person in them."""
 
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.arrays import is_geometry
 from recon.core.coordinates import along
-from recon.core.errors import UnitsError
+from recon.core.errors import ReconError, UnitsError
 from recon.core.units import METRES, Up, to_z_up
 
 _PERSON = (0.9, 2.6)
@@ -25,6 +26,33 @@ _SWAY = 0.01
 """Metres by which ends of a cloud go up and down that says nothing."""
 _NEAR = 0.15
 """Metres from z = 0 within which the lowest points stand on the floor."""
+
+_STEADIER, _SWAYS = 2.0, 0.1
+"""Multiple of the movement of the steadiest end of the clouds, and metres, up to which the lowest
+points of somebody who crouches stay on the floor."""
+
+
+def held_numbers(values: Any) -> np.ndarray:
+    """Numbers that Open3D holds: vectors of its older interface, tensors of the newer."""
+    values = values.cpu().numpy() if hasattr(values, "cpu") else values
+    return np.asarray(values, dtype=np.float64)
+
+
+def cloud_points(one: Any, name: str) -> np.ndarray:
+    """Points (N, 3) of an array, or of a cloud or mesh of Open3D, without those that are NaN.
+
+    Raises:
+        ValueError: when it has no points of three coordinates.
+    """
+    held = next((getattr(one, key) for key in ("points", "vertices") if hasattr(one, key)), one)
+    if held is one and is_geometry(one):  # open3d.t.geometry
+        inside = one.point if hasattr(one, "point") else one.vertex
+        held = held_numbers(inside["positions"]) if "positions" in inside else ()
+    found = held_numbers(held)
+    found = found.reshape(0, 3) if found.size == 0 else found
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
+    return found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
 
 
 def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
@@ -78,11 +106,12 @@ def up_of_clouds(
         return "z", ()
     asked = f"give it with --up, one of {', '.join(get_args(Up))}"
     if extent[axis] < _UPRIGHT * np.delete(extent, axis).max():
-        if stands:
+        swing = np.ptp(ends, axis=0)
+        if stands and swing[0, 2] < max(_STEADIER * swing.min(), _SWAYS):
             return "z", ()
         raise UnitsError(
-            f"{name}: nobody in the clouds stands along an axis, and the lowest points are not at "
-            f"z = 0, so that nothing tells which axis points up; {asked}"
+            f"{name}: nobody in the clouds stands along an axis, and the lowest points do not "
+            f"stay at z = 0, so that nothing tells which axis points up; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core.skeleton import JOINT
+from recon.core.layouts import JOINT
 from recon.core.units import Hand
 
 _FORWARDS: tuple[tuple[tuple[str, ...], ...], ...] = (

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
+from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAME_NUMBER, KEYPOINTS, PEOPLE, PERSON, PIXEL, SCORE
-from recon.core.skeleton import LAYOUTS, keypoint_names
 
 _BY_COUNT = {
     17: "coco17", 23: "coco133", 26: "halpe26", 33: "mediapipe33", 133: "coco133", 136: "halpe26"
@@ -123,7 +123,7 @@ class Detections:
     name: str
     """Name of the folder or file."""
     layout: str
-    """One of `recon.core.skeleton.LAYOUTS`."""
+    """One of `recon.core.layouts.LAYOUTS`."""
     frame_numbers: Int[np.ndarray, " frames"]
     """Frames that were looked at, increasing; also those without anybody."""
     frame: Int[np.ndarray, " rows"]

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from recon.core.errors import FormatError
+from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
-from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.detections.records import Detections, Row, gather
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import each_once, first_rows, numbers, read_rows

@@ -14,8 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import tell_distance
-from observations.first_guess import one_clock
+from observations.camera_paths import one_clock, tell_distance
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD

@@ -1,7 +1,7 @@
 """Standard deviations of every joint, from the curvature of the fit's objective."""
 
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float
@@ -15,10 +15,14 @@ from recon.core.residuals import Unit
 from recon.core.skeleton import JOINTS
 from recon.fitting.clip import GROUND_DEVIATION
 from recon.fitting.fitted import ClipFit
-from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief
 from recon.method.laplace import Deviations, Measure, deviations
 from recon.method.sensor import frame_is_level, views_of
+
+if TYPE_CHECKING:
+    from recon.formats.joint_table import JointCertainty
+else:  # a report alone has one
+    from typing import Any as JointCertainty
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""

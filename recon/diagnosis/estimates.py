@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -12,9 +11,9 @@ from observations.noise import estimate_noise
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS, MIRROR
+from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, stretches
-from recon.diagnosis.sides import cheapest_path
+from recon.solver.viterbi import cheapest_path
 
 _SWITCH = 0.18
 """Root mean square angle over the joints of both limbs, radians, whose square a change of sides
@@ -42,9 +41,8 @@ def exchanged_frames(
     step = both[1:, :, None] - both[:-1, None, :]  # axes (time, to, from, joints, 3, 3)
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # angle², nearly
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
-    between = (squared + switch).mT.numpy()
-    here = np.tile((0.0, _STAY), (len(both), 1))
-    return torch.from_numpy(cheapest_path(here, between)[0]).bool()
+    here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
+    return cheapest_path(here[None], (squared + switch).mT)[0].bool()
 
 
 def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "time joints 3 3"]:
@@ -57,10 +55,10 @@ def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "ti
 FASTEST = 60.0
 """Hz; estimates at higher rates are thinned to it."""
 OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
-"""Error of a point relative to the path of the body. The numbers are chosen on windows of
-validation people and on martial arts, runs and climbs of training people (benchmarks/refine.py):
-numbers that suit walks alone let a prior that never saw a handspring overrule it. The jitter is
-the least assumed."""
+"""Error of a point relative to the path of the body, as networks on video make it. The numbers are
+chosen on windows of validation people and on martial arts, runs and climbs of training people
+(benchmarks/refine.py): numbers that suit walks alone let a prior that never saw a handspring
+overrule it. Estimates with smaller errors get a share of it; the jitter is the least assumed."""
 PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
 """Error of the path."""
 _ALIKE = 2.0
@@ -71,6 +69,14 @@ _LIMITS = (0.004, 0.05)
 _JUMP, _TIMES = 0.01, 4.0
 """A point jumps where its step differs from those before and after by more than so many metres
 and so many times as much as usual."""
+_STAND_S, _STANDS = 0.25, 0.2
+"""Seconds over which feet are averaged, and share of the frames in which at least one foot stands
+even in runs and jumps."""
+_JITTER, _SLIDE = (0.0007, 0.0022), (0.05, 0.11)
+"""Jitter of points in metres, and speed of standing feet in m/s: of motion capture, whose errors
+count as none, and of networks on video. Chosen on windows of training people."""
+_LEAST = 0.05
+"""Least share of the usual errors that is assumed."""
 _LIMBS = {
     "legs": ("hip", "knee", "ankle", "foot"),
     "arms": ("collar", "shoulder", "elbow", "wrist"),
@@ -104,19 +110,46 @@ def believed(
     points = body.pose(motion).points(torch.tensor(vertices)).detach()
     visible = known[:, None].expand(points.shape[:-1])
     path = points.mean(-2, keepdim=True)
-    jitter = _ALIKE * estimate_noise(points - path, visible, _LIMITS)
-    along = _ALIKE * estimate_noise(path, visible[:, :1], _LIMITS)
+    share = _share_of_usual(motion, known, body, points - path)
+    limits = (share * _LIMITS[0], _LIMITS[1])
+    jitter = _ALIKE * estimate_noise(points - path, visible, limits)
+    along = _ALIKE * estimate_noise(path, visible[:, :1], limits)
     seen = EstimatedPoints(
         positions=points.where(visible[..., None], 0.0)[None],
         visible=visible[None].clone(),
         vertices=vertices,
-        own=replace(OWN, jitter=max(OWN.jitter, jitter)),
-        path=replace(PATH, jitter=max(PATH.jitter, along)),
+        own=replace(OWN, jitter=max(share * OWN.jitter, jitter), slow=share * OWN.slow),
+        path=replace(PATH, jitter=max(share * PATH.jitter, along), slow=share * PATH.slow),
         fps=motion.fps,
         segment=_segments(points - path)[None],
         start_time=motion.start_time,
     )
     return seen, motion, tuple(repairs)
+
+
+def _share_of_usual(
+    motion: Motion,
+    known: Bool[Tensor, " time"],
+    body: BodyModel,
+    points: Float[Tensor, "time points 3"],
+) -> float:
+    """The estimate's errors as a share of those of a usual network on video, from _LEAST to 1.
+
+    Two things tell that an estimate is noisy: points jitter about the path, and no foot ever
+    stands. Where too few frames are known to see it, the share is 1.
+    """
+    frames = max(round(_STAND_S * motion.fps), 1)
+    feet = body.pose(motion).joints.detach()[:, list(FEET)]
+    if len(feet) < 3 * frames:
+        return 1.0
+    slides = feet.unfold(0, frames, 1).mean(-1).diff(dim=0).norm(dim=-1) * motion.fps
+    slides = slides[known.unfold(0, frames + 1, 1).all(-1)]
+    if len(slides) < frames:
+        return 1.0
+    still = float(slides.amin(-1).quantile(_STANDS))
+    jitter = estimate_noise(points, known[:, None].expand(points.shape[:-1]), (0.0, 1.0))
+    shares = [(x - a) / (b - a) for x, (a, b) in ((jitter, _JITTER), (still, _SLIDE))]
+    return min(max(*shares, _LEAST), 1.0)
 
 
 def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:

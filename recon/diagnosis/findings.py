@@ -10,72 +10,39 @@ from jaxtyping import Bool
 Data = TypeVar("Data")
 
 Code = Literal[
-    "sides exchanged",
-    "points exchanged",
-    "identity change",
-    "constant point",
-    "zeros",
-    "offset point",
-    "rate",
-    "frame order",
-    "repeated frames",
-    "floor",
-    "scale",
-    "mirrored",
-    "outliers",
-    "camera moves",
-    "view at odds",
-    "views out of step",
-    "wrong basin",
-    "unseen",
-    "guessed",
-    "undecided",
-    "treadmill",
-    "uneven ground",
-    "residual",
-    "body size",
-    "body surface",
-    "distance",
-    "gap",
-    "jump",
-    "joint centres",
-    "focal",
-    "stopped",
+    "sides exchanged",  # left and right are exchanged, in all frames or in a stretch
+    "points exchanged",  # two points carry each other's name
+    "identity change",  # another person is seen from some frame on
+    "constant point",  # a point stays in one place or repeats its last value while the body moves
+    "zeros",  # points at exactly zero that are marked as seen
+    "offset point",  # one point is away from its place on the body throughout
+    "rate",  # the number of frames per second is wrong by a factor
+    "frame order",  # frames are not in the order of time
+    "repeated frames",  # frames occur more than once
+    "floor",  # the ground is not at the height that the recording says
+    "scale",  # everything is larger or smaller than a person by one factor
+    "mirrored",  # the recording is a mirror image
+    "outliers",  # many points are far from any body
+    "camera moves",  # a camera that is declared fixed moves
+    "view at odds",  # one camera contradicts the others, by its pose or by what it shows
+    "views out of step",  # one camera's clock is shifted against the others'
+    "wrong basin",  # a fit to depth has locked on to the wrong posture or heading
+    "unseen",  # frames or limbs that nothing was seen of; they are inferred
+    "guessed",  # a large part of the body was not seen, and its standard deviation is large
+    "undecided",  # another motion explains the data nearly as well
+    "treadmill",  # all standing feet are carried along at one velocity
+    "uneven ground",  # feet stand at several heights, or the person sits
+    "residual",  # the body stays away from the data for a reason that is not known
+    "body size",  # the fitted person is smaller, larger or odder than people are
+    "body surface",  # the skins of two bodies do not agree, between which a motion is carried
+    "distance",  # a camera would be nearer or farther than people are filmed
+    "gap",  # a stretch of frames without data
+    "jump",  # the body moves faster between two frames than the data does
+    "joint centres",  # points that are called markers lie inside the body
+    "focal",  # nobody measured the focal length of the camera; it was found with the motion
+    "stopped",  # the caller ended the fit before it was done
 ]
-"""The likeliest cause of a finding.
-
-* sides exchanged: left and right are exchanged, in all frames or in a stretch.
-* points exchanged: two points carry each other's name.
-* identity change: another person is seen from some frame on.
-* constant point: a point stays in one place or repeats its last value while the body moves.
-* zeros: points at exactly zero that are marked as seen.
-* offset point: one point is away from its place on the body throughout.
-* rate: the number of frames per second is wrong by a factor.
-* frame order: frames are not in the order of time.
-* repeated frames: frames occur more than once.
-* floor: the ground is not at the height that the recording says.
-* scale: everything is larger or smaller than a person by one factor.
-* mirrored: the recording is a mirror image.
-* outliers: many points are far from any body.
-* camera moves: a camera that is declared fixed moves.
-* view at odds: one camera contradicts the others, by its pose or by what it shows.
-* views out of step: one camera's clock is shifted against the others'.
-* wrong basin: a fit to depth has locked on to the wrong posture or heading.
-* unseen: frames or limbs that nothing was seen of; they are inferred.
-* guessed: a large part of the body was not seen, and its standard deviation is large.
-* undecided: another motion explains the data nearly as well.
-* treadmill: all standing feet are carried along at one velocity.
-* uneven ground: feet stand at several heights, or the person sits.
-* residual: the body stays away from the data for a reason that is not known.
-* body surface: the skins of two bodies do not agree, between which a motion is carried.
-* body size: the fitted person is smaller, larger or odder than people are.
-* distance: a camera would be nearer or farther than people are filmed.
-* gap: a stretch of frames without data.
-* jump: the body moves faster between two frames than the data does.
-* joint centres: points that are called markers lie inside the body.
-* focal: nobody measured the focal length of the camera; it was found with the motion.
-* stopped: the caller ended the fit before it was done.
-"""
+"""The likeliest cause of a finding."""
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 
 from recon.diagnosis.findings import Finding, Findings, spans, stretches
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
+from recon.solver.viterbi import cheapest_path
 
 _MIN_FORWARD_M = 0.02
 """Metres by which something must stick out forwards for its direction to count."""
@@ -169,27 +171,13 @@ def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments
     stay, change = _steps(images)
     differ = states[:, None] ^ states
     between = np.where(differ, (change + _CHANGE).T[:, None, None], stay.T[:, None, None]).sum(-1)
-    path, cost = cheapest_path(here, between[1:])
-    unchanged = here[:, 0].sum() + between[1:, 0, 0].sum()
-    return states[path if unchanged - cost >= _MIN_SAVED_COST else 0 * path].T
+    path = cheapest_path(torch.from_numpy(here)[None], torch.from_numpy(between[1:]))[0].numpy()
 
+    def cost(path: Int[np.ndarray, " moments"]) -> float:
+        steps = between[np.arange(1, len(path)), path[:-1], path[1:]]
+        return float(here[np.arange(len(path)), path].sum() + steps.sum())
 
-def cheapest_path(
-    here: Float[np.ndarray, "moments states"], between: Float[np.ndarray, "steps from to"]
-) -> tuple[Int[np.ndarray, " moments"], float]:
-    """The state of every moment with the least sum of costs of moments and of steps, and the sum.
-
-    Viterbi's algorithm.
-    """
-    best, back = here[0], []
-    for cost, step in zip(here[1:], between, strict=True):
-        reached = best[:, None] + step
-        back.append(reached.argmin(0))
-        best = reached.min(0) + cost
-    path = [int(best.argmin())]
-    for origin in reversed(back):
-        path.append(int(origin[path[-1]]))
-    return np.array(path[::-1]), float(best.min())
+    return states[path if cost(0 * path) - cost(path) >= _MIN_SAVED_COST else 0 * path].T
 
 
 def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.ndarray, " moments"]:

@@ -4,8 +4,10 @@ It needs the package usd-core (`pip install motion-recon[usd]`), which is loaded
 written.
 """
 
+import shutil
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -41,14 +43,11 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
-    with replacing(path) as beside:
-        # the library tells the kind of file by its name
-        staged = beside.with_name(f"{beside.name}{path.suffix}")
-        try:
-            _save(staged, motion, body)
-            staged.replace(beside)
-        finally:
-            staged.unlink(missing_ok=True)
+    with replacing(path) as beside, TemporaryDirectory() as folder:
+        # the library tells the kind of file by its name, which it reads as UTF-8 with arguments
+        staged = Path(folder) / f"motion{path.suffix.lower()}"
+        _save(staged, motion, body)
+        shutil.copyfile(staged, beside)
 
 
 def joint_paths() -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.methods import FitOptions, checked_method, loaded
+from recon.method.free import FreeMotion
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term, joint_acceleration, relative_acceleration
 
@@ -45,22 +46,23 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
 
 def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first on that moves more than place and heading."""
-    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+    """The stages from the first on that has a prior: those before place a motion as it is."""
+    first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
     return tuple(stages[first:])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages after that of place and heading, fit for a body whose distance is not known.
+    """The stages from the first on that moves more than place and heading.
 
     One image tells the distance of a body by the size of its bones. Placing a rest body there
     would trade its stretched limbs against distance. And a prior that knows of no ground has its
     minimum at another distance than the ground tells (8 cm too low a body, in a test): its stages
     are minimised by first order, which keeps the distance that they begin with.
     """
+    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
     return tuple(
         stage if stage.prior.knows_gravity else replace(stage, second_order=None)
-        for stage in after_place(stages)
+        for stage in stages[first:]
     )
 
 

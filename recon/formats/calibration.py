@@ -13,14 +13,15 @@ from typing import Literal
 
 import numpy as np
 
+from recon.core.camera import check_pose
 from recon.core.errors import FormatError
-from recon.core.limits import CALIBRATION, check_pose
+from recon.core.limits import CALIBRATION
 from recon.core.units import METRES, Up, to_z_up
 from recon.formats.cameras import CameraArrays, CameraFields, settle_camera
 from recon.formats.json_files import read_json
 from recon.formats.opencv_yaml import read_opencv_yaml
 from recon.formats.opening import existing, load_arrays
-from recon.formats.toml_files import read_toml
+from recon.formats.texts import read_toml
 
 
 def toml_cameras(path: Path) -> dict[str, CameraFields]:

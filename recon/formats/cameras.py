@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.camera import check_camera, check_pose
 from recon.core.errors import FormatError
-from recon.core.limits import IMAGE_SIZE, check_camera, check_pose
+from recon.core.limits import IMAGE_SIZE
 
 _COEFFICIENTS = (4, 5, 8)
 """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""

@@ -22,8 +22,8 @@ from recon.core.coordinates import along
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Up, to_z_up
-from recon.formats.opening import check_tree, existing, load_arrays
-from recon.formats.pickles import read_tree
+from recon.formats.opening import existing, load_arrays
+from recon.formats.pickles import check_tree, read_tree
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
 _ROOT = ("global_orient", "root_orient")

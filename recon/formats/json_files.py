@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_NUMBER, JSON, PERSON, Limit
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from recon.core import limits
 from recon.core import rotations as so3
 from recon.core.errors import FormatError
-from recon.core.limits import Limit, check_pose
+from recon.core.limits import Limit
 from recon.core.motion import Motion
 from recon.core.units import snapped_rate
 from recon.formats.opening import load_arrays, save_arrays
@@ -280,6 +280,8 @@ def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
+        from recon.core.camera import check_pose  # few motions come with a camera
+
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:
         place = extra["in_camera"].double().numpy()

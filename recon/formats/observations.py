@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from recon.core import limits
+from recon.core.camera import check_pose
 from recon.core.errors import FormatError
-from recon.core.limits import Limit, check_pose
+from recon.core.limits import Limit
 from recon.core.units import METRES, check_override, to_z_up
 from recon.formats.cameras import CameraArrays as CameraArrays
 from recon.formats.cameras import CameraFields, settle_camera

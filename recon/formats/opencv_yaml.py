@@ -9,7 +9,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import CALIBRATION
 from recon.formats.cameras import CameraFields
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M")
 _DISTORTION = (

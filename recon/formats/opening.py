@@ -1,18 +1,16 @@
-"""Opening files that may be damaged, and writing arrays in one step."""
+"""Arrays in files: opening archives that may be damaged, and writing them in one step."""
 
 import lzma
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, DEPTH, ENTRIES, MASKS, PAYLOAD, TEXT, Limit
+from recon.core.limits import BINARY, MASKS, PAYLOAD, Limit
 from recon.formats.replacing import clear_leftovers
 from recon.formats.replacing import replacing as replacing
 
@@ -131,50 +129,6 @@ def existing(path: Path) -> Path:
     return path
 
 
-def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
-    """Contents of a file, unpacked when its name ends in .xz; `read_binary` for larger ones.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when it is empty, damaged or too large for memory.
-    """
-    existing(path)
-    if path.suffix.lower() != ".xz":
-        limit.check(path.stat().st_size, path)
-        return path.read_bytes()
-    most = packed(path, min(limit, TEXT, key=lambda one: one.high))
-    try:
-        with lzma.open(path) as file:
-            data = file.read(int(most.high) + 1)
-    except (lzma.LZMAError, EOFError) as error:
-        raise FormatError(f"{path}: expected xz-compressed data, but {error}") from error
-    most.check(len(data), path)
-    return data
-
-
-def inflated(data: bytes, path: Path) -> bytes:
-    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
-    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
-        return data
-    most = packed(path, BINARY)
-    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(most.high) + 1)
-    most.check(len(content), path)
-    return content
-
-
-def read_binary(path: Path) -> bytes:
-    """Contents of a file whose numbers take no more memory than the file."""
-    return read_bytes(path, BINARY)
-
-
-def decode(data: bytes) -> str:
-    """Text of a recording: UTF-8, else Latin-1 (old tools wrote the local code page)."""
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an .npz file; pickled objects are never opened.
 
@@ -215,58 +169,8 @@ def load_array(path: Path) -> np.ndarray:
         ) from error
 
 
-def check_tree(content: Any, path: Path) -> None:
-    """Refuse containers that are nested deeply, hold themselves, or have too many entries.
-
-    A container that several others share counts for each of them, as whoever walks through the
-    tree meets it that often: thirty lists of two can hold a thousand million entries.
-
-    Raises:
-        ValueError: when there are more entries or levels than `recon.core.limits` allows.
-    """
-    level, count, depth = {id(content): (content, 1)}, 0, 0
-    while level:
-        depth, count = depth + 1, count + sum(times * len(one) for one, times in level.values())
-        DEPTH.check(depth, path)
-        ENTRIES.check(count, path)
-        below: dict[int, tuple[Any, int]] = {}
-        for one, times in level.values():
-            for child in one.values() if isinstance(one, Mapping) else one:
-                if isinstance(child, Mapping | list | tuple | set | frozenset):
-                    below[id(child)] = (child, below.get(id(child), (child, 0))[1] + times)
-        level = below
-
-
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write an .npz file; readers see the old file or the whole new one."""
     clear_leftovers(path)
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
-
-
-_PIECE = 1 << 20
-"""Characters looked at together."""
-_LONGEST = 1000
-"""Characters a number may have."""
-
-
-def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
-    """An array of `count` numbers between white space, from a place in the text to its end.
-
-    Raises:
-        ValueError: when there are more or fewer, or something is no number.
-    """
-    values, filled = np.empty(count), 0
-    while start < len(text):
-        end = start + _PIECE
-        stop = min(end + _LONGEST, len(text))
-        while end < stop and not text[end : end + 1].isspace():
-            end += 1
-        words = text[start:end].split()
-        if filled + len(words) > count:
-            raise FormatError(f"expected {count} numbers, got more")
-        values[filled : filled + len(words)] = [float(word) for word in words]
-        filled, start = filled + len(words), end
-    if filled < count:
-        raise FormatError(f"expected {count} numbers, got {filled}")
-    return values

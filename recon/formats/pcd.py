@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import CLOUD, KEYPOINTS
-from recon.formats.opening import numbers_in, read_binary
+from recon.formats.texts import numbers_in, read_binary
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 

@@ -2,6 +2,7 @@
 
 import pickle
 import struct
+import zlib
 from collections import OrderedDict
 from collections.abc import Mapping
 from io import BytesIO
@@ -12,8 +13,8 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, MODEL_NUMBERS
-from recon.formats.opening import DAMAGE, HEADERS, check_tree, inflated
+from recon.core.limits import BINARY, DEPTH, ENTRIES, MODEL_NUMBERS
+from recon.formats.opening import DAMAGE, HEADERS, packed
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
@@ -40,7 +41,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
-        data = inflated(file.read(), path)
+        data = _inflated(file.read(), path)
         kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
         source = BytesIO(data)
         if array := data.startswith(_MAGIC):
@@ -272,3 +273,35 @@ class _JoblibUnpickler(_InPython):
             self.stack[-1] = self.stack[-1].read(self.bytes_behind)
 
     dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
+
+
+def _inflated(data: bytes, path: Path) -> bytes:
+    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
+    if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
+        return data
+    most = packed(path, BINARY)
+    content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(most.high) + 1)
+    most.check(len(content), path)
+    return content
+
+
+def check_tree(content: Any, path: Path) -> None:
+    """Refuse containers that are nested deeply, hold themselves, or have too many entries.
+
+    A container that several others share counts for each of them, as whoever walks through the
+    tree meets it that often: thirty lists of two can hold a thousand million entries.
+
+    Raises:
+        ValueError: when there are more entries or levels than `recon.core.limits` allows.
+    """
+    level, count, depth = {id(content): (content, 1)}, 0, 0
+    while level:
+        depth, count = depth + 1, count + sum(times * len(one) for one, times in level.values())
+        DEPTH.check(depth, path)
+        ENTRIES.check(count, path)
+        below: dict[int, tuple[Any, int]] = {}
+        for one, times in level.values():
+            for child in one.values() if isinstance(one, Mapping) else one:
+                if isinstance(child, Mapping | list | tuple | set | frozenset):
+                    below[id(child)] = (child, below.get(id(child), (child, 0))[1] + times)
+        level = below

@@ -14,8 +14,7 @@ from typing import Any
 
 from recon.core.errors import FormatError, ObservationError
 from recon.core.limits import FRAME_NUMBER, FRAME_RATE
-from recon.formats.opening import decode
-from recon.formats.toml_files import read_toml
+from recon.formats.texts import decode, read_toml
 
 _POSES = ("pose-associated", "pose-sync", "pose")
 """Folders of 2D detections of Pose2Sim; those after association with a person come first."""

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 
 _EVEN = 0.2
 """Frames that the times of a recording may differ from an even clock."""

@@ -55,6 +55,34 @@ class SmplArrays:
     faces: np.ndarray
     """(F, 3) vertex numbers."""
 
+    def of_body(self) -> dict[str, np.ndarray]:
+        """The body's 22 joints alone, by the names of the arrays of `recon.body.model.BodyModel`.
+
+        Their places are regressed from the shaped surface; weights of further joints are added to
+        their nearest ancestor in the body.
+        """
+        count = len(JOINTS)
+        ancestor = list(range(len(self.parents)))
+        for joint in range(count, len(ancestor)):
+            ancestor[joint] = ancestor[int(self.parents[joint])]
+        weights = np.zeros((len(self.template), count))
+        np.add.at(weights.T, ancestor, self.weights.T)
+        regressor, poses = self.joint_regressor[:count], self.pose_directions
+        nobody = np.zeros(self.shape_directions.shape[-1])
+        known = {
+            "template": self.template,
+            "shape_directions": self.shape_directions,
+            "joint_template": regressor @ self.template,
+            "joint_directions": np.einsum("jv,vdk->jdk", regressor, self.shape_directions),
+            "weights": weights,
+            "faces": self.faces,
+            "male": nobody,
+            "female": nobody,
+        }
+        if poses is not None:
+            known["pose_directions"] = poses[..., : 9 * (count - 1)].transpose(2, 0, 1)
+        return known
+
 
 def load_smpl(path: str | Path) -> SmplArrays:
     """A model file of the SMPL family.

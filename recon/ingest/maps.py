@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import FormatError, ReconError
 from recon.core.skeleton import FEET, JOINTS, joint_index
-from recon.formats.toml_files import read_toml
+from recon.formats.texts import read_toml
 from recon.mocap.reader import (
     NEEDED,
     SkeletonTable,

@@ -3,7 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from recon.core.skeleton import JOINT, JOINTS, LAYOUTS
+from recon.core.layouts import JOINT, LAYOUTS
+from recon.core.skeleton import JOINTS
 from recon.detections.tables import normalised
 
 _PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")

@@ -2,12 +2,8 @@
 
 from dataclasses import replace
 
-from recon.core.skeleton import LAYOUTS
+from recon.core.layouts import LAYOUTS, pairs
 from recon.keypoints3d.records import Points3D
-
-
-def _both(*names: str) -> tuple[str, ...]:
-    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
 
 
 def _hand(side: str) -> tuple[str, ...]:
@@ -18,15 +14,15 @@ def _hand(side: str) -> tuple[str, ...]:
 
 _FOOT = ("big_toe", "small_toe", "heel")
 MHR70 = (
-    "nose", *_both("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
+    "nose", *pairs("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
     *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
     *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
-    *_both("olecranon", "cubital_fossa", "acromion"), "neck",
+    *pairs("olecranon", "cubital_fossa", "acromion"), "neck",
 )  # fmt: skip
 """Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
 ZED38 = (
     "pelvis", "spine_1", "spine_2", "spine_3", "neck", "nose",
-    *_both("eye", "ear", "clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle",
+    *pairs("eye", "ear", "clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle",
            "big_toe", "small_toe", "heel", "thumb_tip", "index", "fingertip", "pinky"),
 )  # fmt: skip
 """Names of `sl.BODY_38_PARTS` of Stereolabs' ZED SDK."""

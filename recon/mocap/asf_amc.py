@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Up
-from recon.formats.opening import decode, read_bytes
+from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -64,8 +64,7 @@ def read_amc(
 
     Args:
         path: of the motion.
-        skeleton: of the .asf; None looks beside the motion for its subject's (NN for NN_MM.amc),
-            then for the only one in the folder.
+        skeleton: of the .asf; None looks beside the motion (see `find_skeleton`).
         fps: frames per second, which the format leaves out.
         unit: see `settle_skeleton`.
         up: see `settle_skeleton`; by custom y.
@@ -87,21 +86,25 @@ def read_amc(
 def find_skeleton(path: Path) -> Path:
     """The skeleton (.asf) of an .amc file, in the same folder.
 
+    It is the one whose name the motion's begins with (07.asf for 07_01.amc, HDM_bk.asf for
+    HDM_bk_kick_01.amc), the longest such name, or else the only one there.
+
     Raises:
         FileNotFoundError: when there is none.
     """
-    subject = path.name.split(".")[0].split("_")[0]
+    words = path.name.split(".")[0].split("_")
     found = sorted(
         p for p in path.parent.iterdir() if p.name.lower().endswith((".asf", ".asf.xz"))
     )
-    same = [p for p in found if p.name.split(".")[0] == subject]
-    if len(same) == 0 and len(found) == 1:
-        same = found
-    if len(same) == 0:
+    by_name = {p.name.split(".")[0]: p for p in reversed(found)}
+    for count in range(len(words), 0, -1):
+        if (skeleton := by_name.get("_".join(words[:count]))) is not None:
+            return skeleton
+    if len(found) != 1:
         raise FileNotFoundError(
-            f"{path}: needs its skeleton, but {path.parent} holds no {subject}.asf; put it there"
+            f"{path}: needs its skeleton, but {path.parent} holds no {words[0]}.asf; put it there"
         )
-    return same[0]
+    return found[0]
 
 
 def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.opening import decode, numbers_in, read_bytes
+from recon.formats.texts import decode, numbers_in, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,

@@ -15,7 +15,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
 from recon.core.units import Up, parse_unit
-from recon.formats.opening import read_binary
+from recon.formats.texts import read_binary
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 _BLOCK = 512

@@ -7,14 +7,15 @@ vertex: Σ m v aᵀ = A_t (Σ m u uᵀ) A''_tᵀ.
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel, PosedBody
-from recon.body.parts import PARTS, Parts, part_volumes
+from recon.body.parts import PARTS, Parts
+from recon.body.volumes import part_volumes
 from recon.core.struct import TensorStruct
-from recon.physics.mass import affine_bones, first_moment, mass_moments, spread_over_skin
+from recon.physics.mass import spread_over_skin
 
 SPAN = 1 / 20
 """Seconds between the samples of a second difference: the frame time of HUMOS."""
@@ -67,8 +68,9 @@ def body_dynamics(
 ) -> Dynamics:
     """Dynamics of all vertices of a body, without computing one.
 
-    With bones A_t = [R_j | s_j] and the second moments S = Σ m u uᵀ of u = [w_vj (x_v, 1)]:
-    Σ m v aᵀ = A S A''ᵀ, whose skew part less that of M G a_Gᵀ is the rate of angular momentum.
+    With bones side by side, A_t = [R_j | s_j], and the second moments S = Σ m u uᵀ of
+    u = [w_vj (x_v, 1)]: Σ m v aᵀ = A S A''ᵀ, whose skew part less that of M G a_Gᵀ is the rate
+    of angular momentum.
     Exact for linear blend skinning; pose-dependent offsets (SMPL files) are left out.
 
     Args:
@@ -77,7 +79,7 @@ def body_dynamics(
         fps: Frames per second.
     """
     total = masses.sum(-1)
-    moments = mass_moments(posed.model, posed.shape, masses / total[..., None])
+    moments = _mass_moments(posed.model, posed.shape, masses / total[..., None])
     return _moving(posed, total, moments, fps)
 
 
@@ -93,7 +95,7 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
     model = posed.model
     if model.weights not in _AVERAGE:
         zero = model.template.new_zeros(model.shape_size)
-        _AVERAGE[model.weights] = mass_moments(model, zero, vertex_masses(model, zero))
+        _AVERAGE[model.weights] = _mass_moments(model, zero, vertex_masses(model, zero))
     moments = _AVERAGE[model.weights].expand(*posed.rest.shape[:-2], -1, -1)
     average = replace(posed, rest=model.joint_template.expand_as(posed.rest))
     return _moving(average, moments.new_ones(moments.shape[:-2]), moments, fps)
@@ -101,15 +103,44 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
 
 def _moving(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
     """Dynamics of second moments of mass, a share of the `total`."""
-    bones = affine_bones(posed)
+    bones = posed.bones.flatten(-3, -2).mT
     bends, places = second_differences(bones, fps), inner(bones, fps)
-    first = first_moment(moments)
+    # Σ m u as a column: a vertex' weights sum to one, so the fourth entries of u do
+    first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
     centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
     product = places @ moments[..., None, :, :] @ bends.mT
     product = product - centre[..., :, None] * acceleration[..., None, :]
     skew = product - product.mT
     spin = torch.stack((skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1]), -1)
     return Dynamics(total, centre, acceleration, total[..., None, None] * spin)
+
+
+def _mass_moments(
+    body: BodyModel, shape: Float[Tensor, "*batch shape"], masses: Float[Tensor, "*batch vertices"]
+) -> Float[Tensor, "*batch 88 88"]:
+    """S = Σ m u uᵀ over all vertices, u = [w_vj (x_v, 1)] for the 22 bones j."""
+    rest = body.rest_vertices(shape)
+    pairs, weights = _bone_pairs(body)
+    place = torch.cat((rest, torch.ones_like(rest[..., :1])), -1)
+    squares = (masses[..., None, None] * place[..., None] * place[..., None, :]).flatten(-2)
+    blocks = weights @ squares
+    bones = body.weights.shape[-1]
+    table = blocks.new_zeros(*blocks.shape[:-2], bones * bones, 16)
+    table = table.index_add(-2, pairs, blocks).unflatten(-1, (4, 4)).unflatten(-3, (bones, bones))
+    return table.transpose(-3, -2).flatten(-2).flatten(-3, -2)
+
+
+_PAIRS: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+
+
+def _bone_pairs(body: BodyModel) -> tuple[Int[Tensor, " pairs"], Float[Tensor, "pairs vertices"]]:
+    """Pairs of bones that share a vertex, as 22 j + k, and w_vj w_vk; made once and kept."""
+    if body.weights not in _PAIRS:
+        touching = (body.weights > 0).to(body.weights)
+        first, second = (touching.mT @ touching).nonzero(as_tuple=True)
+        shared = (body.weights[:, first] * body.weights[:, second]).mT.contiguous()
+        _PAIRS[body.weights] = (first * body.weights.shape[-1] + second, shared)
+    return _PAIRS[body.weights]
 
 
 def vertex_masses(

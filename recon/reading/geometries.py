@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
-from recon.core.arrays import cloud_points, held_numbers
-from recon.core.clouds import up_of_clouds
+from recon.core.camera import check_camera
+from recon.core.clouds import cloud_points, held_numbers, up_of_clouds
 from recon.core.errors import ObservationError
-from recon.core.limits import CLOUD, FRAME_RATE, POSITION, check_camera
+from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import to_z_up
 from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings

@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.coordinates import settled_up
 from recon.core.errors import FormatError, UnitsError
 from recon.core.hands import right_handed
-from recon.core.skeleton import JOINT, keypoint_names
+from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.labels import meant_keypoints

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.errors import ObservationError
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
 from recon.detections.tables import holds_detections
 from recon.formats.depth_images import read_png

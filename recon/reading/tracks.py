@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from recon.core.errors import ObservationError
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
 from recon.formats.cameras import CameraArrays
 from recon.reading.linking import LOST_AFTER, farthest, linked

@@ -49,7 +49,8 @@ def squatting(frames: int = 21, bend: float = 0.6) -> Motion:
 
 def test_the_committed_table_keeps_its_promises() -> None:
     splits, listed = Splits.load(), tomllib.loads(IDENTITIES.read_text())
-    held = {"test": splits.test, "validation": splits.validation}
+    later = {"hdm_bk", "hdm_dg", "prmd_s08"}
+    held = {"test": set(splits.test) - later, "validation": set(splits.validation) - later}
     names = [row[0] for part in held for row in listed[part]]
     assert len(set(names)) == len(names)
     for part, subjects in held.items():

@@ -4,7 +4,8 @@ import pytest
 import torch
 import trimesh
 
-from recon.body.parts import PARTS, Parts, part_volumes
+from recon.body.parts import PARTS, Parts
+from recon.body.volumes import Openings, part_volumes
 
 MIRRORED = [0, 1, 3, 2, 5, 4, 7, 6, 9, 8]
 
@@ -23,7 +24,7 @@ def test_an_ellipsoid_has_its_volume() -> None:
     volumes = part_volumes(vertices, whole)
     assert volumes[0].item() == pytest.approx(exact, rel=5e-3)
     assert (volumes[1:] == 0).all()
-    assert len(whole.open_edges) == 0
+    assert len(Openings.of(whole).edges) == 0
 
 
 def test_halves_are_closed_and_thirds_too() -> None:

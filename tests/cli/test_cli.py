@@ -175,3 +175,14 @@ def test_public_names_exist():
         assert getattr(recon, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'frobnicate'"):
         _ = recon.frobnicate
+
+
+@pytest.mark.parametrize("words", ["OUT", "--out OUT", "--out=OUT"])
+def test_an_output_is_named_by_its_place_or_by_an_option(tmp_path, words):
+    """`recon convert` took no --out, `recon fit` nothing else."""
+    out = tmp_path / "seen.npz"
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as motion:
+        before, after = ([], [str(motion)]) if "-" in words else ([str(motion)], [])
+        said = words.replace("OUT", str(out)).split(" ")
+        assert recon_("simulate", *before, *said, *after, "--kind", "joints3d") == cli.OK
+    assert out.is_file()

@@ -14,7 +14,8 @@ import pytest
 import scipy.sparse
 
 from recon.core import limits
-from recon.core.limits import LIMITS, Limit, check_camera, check_pose
+from recon.core.camera import check_camera, check_pose
+from recon.core.limits import LIMITS, Limit
 from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.formats.depth_images import read_png

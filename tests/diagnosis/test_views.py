@@ -12,8 +12,8 @@ import torch
 
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
+from recon.core.layouts import keypoint_names
 from recon.core.motion import Motion
-from recon.core.skeleton import keypoint_names
 from recon.diagnosis.examination import CheckedClip
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.keypoints import screen_views

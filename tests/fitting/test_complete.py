@@ -9,10 +9,10 @@ import pytest
 
 from priors.anchor.prior import AnchorFrames
 from recon import cli
+from recon.api.cycle import swing_difference
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
-from recon.diagnosis.doubts import swing_difference
 from recon.fitting import cycles as completion
 from recon.fitting.methods import FitOptions
 from recon.fitting.recording import SWING

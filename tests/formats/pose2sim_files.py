@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 
 FPS = 60
 _NAMES = {

@@ -229,6 +229,16 @@ def test_acclaim_bones_turn_about_their_own_axes(tmp_path: Path) -> None:
     assert np.allclose(again.positions, clip.positions, atol=1e-9)  # m
 
 
+def test_a_skeleton_is_found_by_the_longest_beginning_of_the_motion_s_name(tmp_path: Path) -> None:
+    """The skeletons of HDM05 (HDM_bk.asf for HDM_bk_kick_01.amc) were not found, because only the
+    first word of the name counted."""
+    for name in ("HDM_bk.asf", "HDM_dg.asf", "HDM.asf"):
+        (tmp_path / name).write_text(ASF)
+    (tmp_path / "HDM_bk_kick_01.amc").write_text(AMC)
+    clip = read_recording(tmp_path / "HDM_bk_kick_01.amc", up="y")
+    assert "skeleton HDM_bk.asf" in clip.decisions
+
+
 def test_a_motion_of_another_skeleton_or_without_one_is_refused(tmp_path: Path) -> None:
     (tmp_path / "07_01.amc").write_text(AMC)
     with pytest.raises(FileNotFoundError, match=r"07\.asf"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.detections.reader import read_keypoints
 from recon.detections.records import cleaned
 from recon.detections.tables import normalised

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats.opening import numbers_in
+from recon.formats.texts import numbers_in
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import head_to_foot
 from tests.formats.test_markers import make_markers, write_c3d

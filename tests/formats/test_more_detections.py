@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recon.core.errors import FormatError
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.detections.reader import read_keypoints
 from recon.detections.tables import holds_detections
 from recon.keypoints3d.reader import holds_points_3d

@@ -11,7 +11,7 @@ import torch
 
 import recon
 from observations.keypoints3d import Keypoints3D
-from recon.core.skeleton import keypoint_names
+from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
 from recon.detections.reader import read_keypoints
 from recon.fitting.settings import FitSettings

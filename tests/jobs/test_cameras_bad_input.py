@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.core.layouts import keypoint_names
 from recon.core.motion import Motion
-from recon.core.skeleton import keypoint_names
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import CameraArrays, KeypointsFile

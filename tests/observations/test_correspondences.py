@@ -5,7 +5,8 @@ import torch
 
 from observations.correspondences import PLACES, BodyPoints
 from recon.body.landmarks import landmark
-from recon.core.skeleton import JOINTS, LAYOUTS, joint_index, keypoint_names
+from recon.core.layouts import LAYOUTS, keypoint_names
+from recon.core.skeleton import JOINTS, joint_index
 from tests import laws
 
 layouts = pytest.mark.parametrize("layout", LAYOUTS)

@@ -11,12 +11,12 @@ import recon
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from observations.start.standing import planted_path
-from recon.core.skeleton import LAYOUTS, keypoint_names
+from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import FitSettings
 from recon.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from recon.reading.clip import load_clip
 from tests.filmed import bundled, joint_error, walk
 from tests.formats.pose2sim_files import write_trc as write_pose2sim_trc

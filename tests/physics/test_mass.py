@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from recon.body.parts import PARTS, Parts, part_volumes
+from recon.body.parts import PARTS, Parts
+from recon.body.volumes import part_volumes
 from recon.physics import dynamics, mass
 from recon.physics.dynamics import body_dynamics, second_differences
 from recon.physics.mass import centre_of_mass

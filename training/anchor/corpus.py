@@ -15,7 +15,6 @@ from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
 from recon.core.skeleton import MIRROR, UPPER
 from recon.core.struct import TensorStruct, concatenate
-from recon.formats.motions import load_motion
 from training.run import LOG
 from training.settings import CorpusSettings
 
@@ -75,7 +74,7 @@ class CycleCorpus(TensorStruct):
 
     @classmethod
     def load(cls, settings: CorpusSettings, part: Part, body: BodyModel) -> "CycleCorpus":
-        """All cycles of the clips of one part on flat ground.
+        """All cycles in stretches of one part that teach steps.
 
         Raises:
             ValueError: when there is none.
@@ -84,8 +83,8 @@ class CycleCorpus(TensorStruct):
         room: list[tuple[int, int]] = []
         cycles: list[Cycle] = []
         clips: list[str] = []
-        for name, path in settings.flat_files(part).items():
-            motion = load_motion(path).motion
+        for name, _, stretch in settings.taught(part, "steps"):
+            motion = stretch.motion
             for cycle in find_cycles(motion):
                 step = cycle.duration / (ANCHORS - 1)
                 around = torch.arange(-MARGIN, ANCHORS + MARGIN, dtype=torch.float64)

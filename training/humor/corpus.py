@@ -21,7 +21,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
 from recon.core.struct import TensorStruct
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import MotionFile
 from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
@@ -110,7 +110,7 @@ class Corpus(TensorStruct):
 
     @classmethod
     def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "Corpus":
-        """All clips of one part on flat ground.
+        """All stretches of one part that teach steps.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -122,13 +122,13 @@ class Corpus(TensorStruct):
         """
         found = [
             (name, kind_of(described(path)), _at_rate(piece))
-            for name, path in settings.flat_files(part).items()
-            for piece in _between_jumps(load_motion(path))
+            for name, path, stretch in settings.taught(part, "steps")
+            for piece in _between_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip on flat ground there ({settings.data})"
+                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
             )
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)

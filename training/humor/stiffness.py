@@ -50,7 +50,7 @@ def main(
         seed: of the draws.
         out: file to write.
     """
-    known = CorpusSettings(corpus, out, splits=splits).load_clips("train")
+    known = CorpusSettings(corpus, out, splits=splits).load_clips("train", lesson="steps")
     clips = [clip.motion for clip in known if clip.motion.frames >= SPAN]
     drawn = draw(clips, steps, seed)
     roots = {name: root(matrix) for name, matrix in curvature(Humor.load(), drawn).items()}

@@ -6,14 +6,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humos.frames import BodyFrames, existing_windows
+from priors.humos.frames import BodyFrames, existing_windows, turn_of
 from priors.humos.prior import FPS
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
-from recon.formats.motions import load_motion
 from training.recordings import mirrored_rotations
 from training.run import LOG
 from training.settings import TrainingSettings
@@ -37,10 +36,6 @@ class BodyVariation:
     """Standard deviation by which each shape coefficient of who moves is moved."""
     unseen: float = 0.5
     """Share of other bodies that come out of the shape space, and not from the corpus."""
-
-
-AS_RECORDED = BodyVariation(mirror=0.0, shape=0.0, unseen=0.0)
-"""No variation."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ class BodyCorpus(TensorStruct):
         body: BodyModel,
         speeds: tuple[float, ...] = (1.0,),
     ) -> "BodyCorpus":
-        """All clips of one part on flat ground, put on the ground.
+        """All stretches of one part that teach steps, put on the ground.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -99,8 +94,8 @@ class BodyCorpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found: list[tuple[str, BodyFrames, Tensor, Tensor]] = []
-        for name, path in settings.flat_files(part).items():
-            motion = load_motion(path).motion
+        for name, _, stretch in settings.taught(part, "steps"):
+            motion = stretch.motion
             for speed in speeds:
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
                 if clip.frames < _SHORTEST_S * FPS:
@@ -111,7 +106,7 @@ class BodyCorpus(TensorStruct):
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip on flat ground there ({settings.data})"
+                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
             )
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
@@ -175,8 +170,7 @@ class BodyCorpus(TensorStruct):
 
 def begun_anew(frames: BodyFrames) -> BodyFrames:
     """Frames relative to their own first frame."""
-    c, s = frames.direction[..., :1, :].unbind(-1)
-    back = torch.stack((torch.stack((c, -s), -1), torch.stack((s, c), -1)), -2)
+    back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(
         direction=(frames.direction[..., None, :] @ back)[..., 0, :],

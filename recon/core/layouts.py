@@ -1,0 +1,98 @@
+"""Keypoints of detectors: their names and orders, called layouts."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from recon.core.errors import ReconError
+from recon.core.skeleton import JOINTS
+
+
+def pairs(*names: str) -> tuple[str, ...]:
+    """left_a, right_a, left_b, right_b, ..."""
+    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
+
+
+def _side(side: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names)
+
+
+_COCO = (
+    "nose", *pairs("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"),
+)  # fmt: skip
+_FOOT = ("big_toe", "small_toe", "heel")
+JOINT = "_joint"
+"""Ending of keypoints that are joints of the body model where detectors mean another place."""
+
+
+def _arm(side: str) -> tuple[str, ...]:
+    names = ("clavicle", "shoulder", "elbow", "wrist", "hand", "fingertip", "thumb")
+    return _side(side, *names)
+
+
+def _leg(side: str) -> tuple[str, ...]:
+    return _side(side, "hip", "knee", "ankle", f"foot{JOINT}")
+
+
+_AZURE = (
+    f"pelvis{JOINT}", "spine_navel", "spine_chest", f"neck{JOINT}",
+    *_arm("left"), *_arm("right"), *_leg("left"), *_leg("right"),
+    f"head{JOINT}", "nose", "left_eye", "left_ear", "right_eye", "right_ear",
+)  # fmt: skip
+LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "openpose25": (
+            "nose", "neck", *_side("right", "shoulder", "elbow", "wrist"),
+            *_side("left", "shoulder", "elbow", "wrist"), "mid_hip",
+            *_side("right", "hip", "knee", "ankle"), *_side("left", "hip", "knee", "ankle"),
+            "right_eye", "left_eye", "right_ear", "left_ear",
+            *_side("left", *_FOOT), *_side("right", *_FOOT),
+        ),
+        "openpose25b": (
+            *_COCO, "upper_neck", "head_top", *_side("left", *_FOOT), *_side("right", *_FOOT),
+        ),
+        "coco17": _COCO,
+        "coco133": (*_COCO, *_side("left", *_FOOT), *_side("right", *_FOOT)),
+        "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *pairs(*_FOOT)),
+        "mediapipe33": (
+            "nose", *_side("left", "eye_inner", "eye", "eye_outer"),
+            *_side("right", "eye_inner", "eye", "eye_outer"), *pairs("ear", "mouth"),
+            *pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+            *pairs("hip", "knee", "ankle", "heel", "big_toe"),
+        ),
+        "h36m17": (
+            "mid_hip", *_side("right", "hip", "knee", "ankle"),
+            *_side("left", "hip", "knee", "ankle"), "spine", "thorax", "nose",
+            "head_top", *_side("left", "shoulder", "elbow", "wrist"),
+            *_side("right", "shoulder", "elbow", "wrist"),
+        ),
+        "azure32": _AZURE,
+        "zed34": (*_AZURE, *pairs("heel")),
+        "kinect25": (
+            f"pelvis{JOINT}", f"spine2{JOINT}", f"neck{JOINT}", "head_centre",
+            *_side("left", "shoulder", "elbow", "wrist", "hand"),
+            *_side("right", "shoulder", "elbow", "wrist", "hand"),
+            *_leg("left"), *_leg("right"), "thorax",
+            *_side("left", "fingertip", "thumb"), *_side("right", "fingertip", "thumb"),
+        ),
+        "smpl22": JOINTS,
+    }
+)  # fmt: skip
+"""Names of the keypoints of every layout. `coco133` is its body part, the first 23 of 133.
+
+`azure32` is the Azure Kinect's skeleton in the order of `k4abt_joint_id_t` (azure-kinect body
+tracking SDK, body tracking joints), whose neck, head and feet are joints inside the body;
+`kinect25` is that of Kinect v2 in the order of `JointType`, whose head is its middle. `zed34` is
+`azure32` with heels.
+"""
+
+
+def keypoint_names(layout: str) -> tuple[str, ...]:
+    """The keypoints of a layout, in order.
+
+    Raises:
+        ValueError: when there is no such layout.
+    """
+    try:
+        return LAYOUTS[layout]
+    except KeyError:
+        raise ReconError(f"no layout {layout!r}; there are {', '.join(LAYOUTS)}") from None

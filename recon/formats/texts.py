@@ -1,0 +1,96 @@
+"""Text files, packed or not: their letters and numbers, and the values of TOML."""
+
+import lzma
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY, CALIBRATION, TEXT, Limit
+from recon.formats.opening import existing, packed
+
+
+def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
+    """Contents of a file, unpacked when its name ends in .xz; `read_binary` for larger ones.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty, damaged or too large for memory.
+    """
+    existing(path)
+    if path.suffix.lower() != ".xz":
+        limit.check(path.stat().st_size, path)
+        return path.read_bytes()
+    most = packed(path, min(limit, TEXT, key=lambda one: one.high))
+    try:
+        with lzma.open(path) as file:
+            data = file.read(int(most.high) + 1)
+    except (lzma.LZMAError, EOFError) as error:
+        raise FormatError(f"{path}: expected xz-compressed data, but {error}") from error
+    most.check(len(data), path)
+    return data
+
+
+def read_binary(path: Path) -> bytes:
+    """Contents of a file whose numbers take no more memory than the file."""
+    return read_bytes(path, BINARY)
+
+
+def decode(data: bytes) -> str:
+    """Text of a recording: UTF-8, else Latin-1 (old tools wrote the local code page)."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+_PIECE = 1 << 20
+"""Characters looked at together."""
+_LONGEST = 1000
+"""Characters a number may have."""
+
+
+def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
+    """An array of `count` numbers between white space, from a place in the text to its end.
+
+    Raises:
+        ValueError: when there are more or fewer, or something is no number.
+    """
+    values, filled = np.empty(count), 0
+    while start < len(text):
+        end = start + _PIECE
+        stop = min(end + _LONGEST, len(text))
+        while end < stop and not text[end : end + 1].isspace():
+            end += 1
+        words = text[start:end].split()
+        if filled + len(words) > count:
+            raise FormatError(f"expected {count} numbers, got more")
+        values[filled : filled + len(words)] = [float(word) for word in words]
+        filled, start = filled + len(words), end
+    if filled < count:
+        raise FormatError(f"expected {count} numbers, got {filled}")
+    return values
+
+
+_DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
+"""A dotted key of more than twenty parts, for which tomllib takes the square of its length."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables and values of a file.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty, damaged, too large, or has keys of twenty parts or more.
+    """
+    text = decode(read_bytes(path, CALIBRATION))
+    if _DEEP_KEY.search(text):
+        raise FormatError(f"{path}: expected plain names, got a key of 20 parts or more")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # ValueError is also raised by numbers with more digits than Python converts
+        raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error

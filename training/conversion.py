@@ -1,0 +1,216 @@
+"""All recordings as one corpus, with what every second of it may teach.
+
+    python -m training.conversion DATA CORPUS
+
+DATA is the folder of all real recordings. Clips that are there already are kept, as long as their
+recording and the conversion are the same; a run that was cut goes on where it was. CORPUS gets
+COLLECTION/CLIP.npz with notes beside (CLIP.json), `manifest.csv` (`training.manifest`) and
+`minutes.csv`, which is logged, too.
+"""
+
+import json
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import tyro
+from tyro.conf import Positional
+
+from recon.batch.corpus import CONVERSION_VERSION, convert_clips
+from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
+from recon.body.model import BodyModel
+from recon.formats.motions import load_motion
+from recon.formats.replacing import file_checksum, value_checksum, write_text
+from recon.formats.text_tables import write_rows
+from recon.ingest.conversion import Conversion, convert_skeletons
+from recon.ingest.maps import recognise
+from recon.ingest.marker_conversion import convert_markers
+from recon.ingest.subject import SubjectModel, calibrate
+from recon.mocap.recording import SkeletonRecording
+from training.lessons import Source, judged
+from training.manifest import Row, minutes, write_manifest
+from training.sources import (
+    HUMANOID,
+    HUMANOID_MAP,
+    WINDOWS,
+    OtherClip,
+    copied_clips,
+    marker_clips,
+    read_humanoid,
+    read_markers,
+    read_windows,
+    skeleton_clips,
+)
+
+LOG = logging.getLogger("training")
+_VERSION = 1
+"""Raised when markers or humanoids are converted otherwise."""
+_TOO_FAST = {
+    "88": "its one flight falls at twice the acceleration of gravity",
+    "118": "17 flights fall at 13 to 28 m/s², 19 in the median",
+}
+"""People of CMU whose motions play too fast, and how that shows."""
+_Maker = Callable[[OtherClip, BodyModel], tuple[Conversion, bool]]
+"""Converts a clip; also tells whether the bones are those of the person who moves."""
+
+
+def convert(
+    data: Positional[Path],
+    out: Positional[Path],
+    only: tuple[str, ...] = (),
+    processes: int = 1,
+) -> None:
+    """Convert all recordings and say what every second may teach.
+
+    Args:
+        data: folder of all real recordings.
+        out: folder of the corpus.
+        only: collections to convert, such as ui_prmd; none is all. The manifest has all clips that
+            are there in any case.
+        processes: that work at once.
+
+    Raises:
+        FileNotFoundError: when a folder or a manifest is missing.
+        ValueError: when a manifest is damaged, or a name in `only` is no collection.
+    """
+    body = BodyModel.load()
+    skeletons, markers = skeleton_clips(data), marker_clips(data)
+    copied = {name: copied_clips(data, name) for name in (HUMANOID, WINDOWS)}
+    known = {clips[0].collection for clips in skeletons if clips} | copied.keys()
+    known |= {clip.collection for clip in markers}
+    if wrong := sorted(set(only) - known):
+        raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
+    asked = set(only) or known
+    out.mkdir(parents=True, exist_ok=True)
+    _convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
+    for name in asked & copied.keys():
+        _convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
+    if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
+        convert_clips(chosen, out, processes=processes)
+    judge(out, body)
+
+
+def _convert_others(
+    clips: Sequence[OtherClip],
+    out: Path,
+    body: BodyModel,
+    made: _Maker,
+) -> None:
+    """Convert clips that are no skeletons of a known format, but for those that are there."""
+    for clip in clips:
+        path = out / clip.collection / f"{clip.name}.npz"
+        settings = [clip.id, file_checksum(clip.path), body.checksum, CONVERSION_VERSION, _VERSION]
+        key = value_checksum([str(value) for value in settings])
+        known = notes(path)
+        if known.get("key") == key and path.is_file() and known["checksum"] == file_checksum(path):
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            found, own_bones = made(clip, body)
+        except ValueError as error:
+            LOG.warning("%s: left out: %s", clip.id, error)
+            continue
+        contacts = own_bones and not found.on_belt
+        found.save(path, body, contacts=contacts)
+        row = {
+            "collection": clip.collection,
+            "clip": clip.name,
+            "subject": clip.subject,
+            "action": clip.action,
+            "kept": True,
+            **found.report,
+            "flat": True,
+            "contacts": contacts,
+            "residuals": _residuals(found),
+            "decisions": found.decisions,
+            "key": key,
+            "checksum": file_checksum(path),
+        }
+        write_text(path.with_suffix(".json"), json.dumps(row, indent=1) + "\n")
+        LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
+
+
+def _from_markers(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+    return convert_markers(read_markers(clip), body), True
+
+
+def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
+    """What converts motions of one skeleton, which is calibrated from all of them when needed."""
+
+    @cache
+    def read() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
+        if clips[0].collection == WINDOWS:
+            every = read_windows(clips)
+            skeleton = recognise(next(iter(every.values())))
+        else:
+            every = {clip.name: read_humanoid(clip.path) for clip in clips}
+            skeleton = HUMANOID_MAP
+        return every, calibrate(list(every.values()), skeleton, body)
+
+    def made(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+        every, subject = read()
+        (found,) = convert_skeletons([every[clip.name]], subject, body)
+        return found, False
+
+    return made
+
+
+def _residuals(found: Conversion) -> list[float]:
+    """Mean distance of the markers from their places in every second, metres."""
+    return [
+        float(one.value)
+        for one in found.diagnosis
+        if one.code == "residual" and one.frames and one.value is not None
+    ]
+
+
+def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
+    """Write what every second of a corpus may teach, and the minutes of its parts; the rows.
+
+    Args:
+        out: folder of the corpus.
+        body: whose motions it has.
+        splits: who is held out, for the table of minutes.
+
+    Raises:
+        FileNotFoundError: when the corpus holds no motions.
+    """
+    parts, rows = Splits.load(splits), list[Row]()
+    for name, path in clip_files(out).items():
+        told = notes(path)
+        collection = str(told.get("collection", path.parent.name))
+        source = source_of(name, collection, parts.subject(name), told)
+        rows += judged(load_motion(path), source, body)
+    write_manifest(rows, out)
+    table = minutes(rows, parts)
+    write_rows(out / "minutes.csv", table)
+    for row in table:
+        LOG.info("%s", ", ".join(f"{name} {value}" for name, value in row.items()))
+    return rows
+
+
+def source_of(clip: str, collection: str, person: str, told: Mapping[str, Any]) -> Source:
+    """What is known of a clip's recording.
+
+    Args:
+        clip: its name in the corpus.
+        collection: to which it belongs.
+        person: who moves.
+        told: the notes beside the clip.
+    """
+    return Source(
+        own_bones=bool(told.get("contacts", True)),
+        retargeted=collection == HUMANOID,
+        true_rate=person not in _TOO_FAST,
+        flat=bool(told.get("flat", True)),
+        clip=clip,
+        collection=collection,
+        residuals=tuple(told.get("residuals", ())),
+    )
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO)
+    tyro.cli(convert, prog="python -m training.conversion")
