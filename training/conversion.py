@@ -18,6 +18,7 @@ from typing import Any
 import tyro
 from tyro.conf import Positional
 
+from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
 from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
 from recon.body.model import BodyModel
@@ -35,7 +36,6 @@ from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
     WINDOWS,
-    OtherClip,
     copied_clips,
     marker_clips,
     read_humanoid,
@@ -52,7 +52,7 @@ _TOO_FAST = {
     "118": "17 flights fall at 13 to 28 m/s², 19 in the median",
 }
 """People of CMU whose motions play too fast, and how that shows."""
-_Maker = Callable[[OtherClip, BodyModel], tuple[Conversion, bool]]
+_Maker = Callable[[SourceClip, BodyModel], tuple[Conversion, bool]]
 """Converts a clip; also tells whether the bones are those of the person who moves."""
 
 
@@ -93,7 +93,7 @@ def convert(
 
 
 def _convert_others(
-    clips: Sequence[OtherClip],
+    clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
     made: _Maker,
@@ -132,11 +132,11 @@ def _convert_others(
         LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
 
 
-def _from_markers(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+def _from_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
     return convert_markers(read_markers(clip), body), True
 
 
-def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
+def _from_skeletons(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
     """What converts motions of one skeleton, which is calibrated from all of them when needed."""
 
     @cache
@@ -149,7 +149,7 @@ def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
             skeleton = HUMANOID_MAP
         return every, calibrate(list(every.values()), skeleton, body)
 
-    def made(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+    def made(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
         every, subject = read()
         (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
