@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -59,7 +60,7 @@ def fit_one(job: Job) -> Record:
     began = time.perf_counter()
     check_outputs([Output(job.target)], paths_in((*paths, settings)), overwrite=job.overwrite)
     inputs = input_checksums({"observations": paths, **vars(settings)})
-    held = {} if job.shape is None else {"shape": list(job.shape)}
+    held: dict[str, Any] = {} if job.shape is None else {"shape": list(job.shape)}
     result = fit(list(paths), **settings.arguments() | held)
     report = result.report(inputs, asdict(settings) | held)
     result.save(job.target, overwrite=job.overwrite, report=report)
