@@ -166,9 +166,7 @@ def _hidden(window: Window, frames: int, points: int) -> np.ndarray:
 def on_the_ground(window: Window, folder: Path) -> list[Path]:
     """The true motion at 20 Hz on the ground, as retargeting is measured."""
     motion = grounded(window.truth.resample(20.0), window.body)
-    recon.save_motion(
-        folder / "motion.npz", MotionFile(motion, window.body.name, window.body.checksum)
-    )
+    window.save(motion, folder / "motion.npz")
     return [folder / "motion.npz"]
 
 
@@ -276,11 +274,8 @@ def clean_case(sensor: Sensor) -> Case:
         recording, found = window.recording(sensor), load_motion(out)
         every = torch.ones(recording.truth.frames, 22, dtype=torch.bool)
         measure = "pelvis" if sensor == "camera" else "world"
-        return {
-            "error": motion_error(
-                truly_placed(_placed(found), recording), recording, measure, every
-            )
-        }
+        there = truly_placed(_placed(found), recording)
+        return {"error": motion_error(there, recording, measure, every)}
 
     return Case("slips", f"clean {sensor}", "fit", see, judge, _by_pose)
 

@@ -30,14 +30,13 @@ from benchmarks.protocol import (
     cells,
     columns_of,
     corpus_source,
-    evenly,
+    listed_windows,
     over_windows,
     tell,
 )
 from recon import BodyModel, Camera, Keypoints2D, Motion
 from recon.benchmark.answers import Row
-from recon.benchmark.dataset import Splits
-from recon.benchmark.windows import TrueWindows, load_windows
+from recon.benchmark.windows import TrueWindows
 from recon.core.camera import full_hd_camera
 from recon.metrics.evaluation import evaluate, ground_errors
 from recon.reading.images import keypoints_of
@@ -77,9 +76,7 @@ def main() -> None:
     arguments.add_argument("--nc", type=Path, default=None, help="weights of HuMoR, a row more")
     given = arguments.parse_args()
     body = BodyModel.load()
-    listed = Splits.load(given.splits)
-    windows = load_windows(given.corpus, listed, given.part, body, SEED, FRAMES)
-    windows = windows.take(evenly(windows, given.only))
+    windows = listed_windows(given, body, FRAMES)
     methods: dict[str, dict[str, Any]] = {POSE: {"prior": "pose"}, HUMOR: {}}
     if given.nc is not None:
         methods["collocation, nc"] = {"weights": str(given.nc)}

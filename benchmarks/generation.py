@@ -23,14 +23,14 @@ from benchmarks.protocol import (
     cells,
     columns_of,
     corpus_source,
-    evenly,
+    listed_windows,
     number,
     over_windows,
     tell,
 )
 from recon.benchmark.answers import Row
-from recon.benchmark.dataset import Splits, clip_files
-from recon.benchmark.windows import FPS, FRAMES, TrueWindows, load_windows
+from recon.benchmark.dataset import clip_files
+from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.body.contacts import rest_heights
 from recon.core.motion import Motion
 from recon.metrics import errors
@@ -63,9 +63,7 @@ def main() -> None:
     arguments.add_argument("--samples", type=int, default=50)
     given = arguments.parse_args()
     body = recon.BodyModel.load()
-    listed = Splits.load(given.splits)
-    windows = load_windows(given.corpus, listed, given.part, body, SEED)
-    windows = windows.take(evenly(windows, given.only))
+    windows = listed_windows(given, body)
     files = clip_files(given.corpus)
     recorded = [recon.load_motion(files[clip]).motion for clip in windows.clips]
     rows: list[list[Cell]] = []

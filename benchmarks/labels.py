@@ -29,14 +29,13 @@ from benchmarks.protocol import (
     cells,
     columns_of,
     corpus_source,
-    evenly,
+    listed_windows,
     over_windows,
     tell,
 )
 from priors.labels.looking import CloudLabeller, PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, Regions
-from recon.benchmark.dataset import Splits
-from recon.benchmark.windows import TrueWindows, load_windows
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.raster import vertex_normals
 from recon.simulation.scenery import Clothing, clothed, offsets
@@ -73,9 +72,7 @@ def main() -> None:
     given = arguments.parse_args()
     torch.set_num_threads(1)
     body, people = BodyModel.load(), People.load(given.people)
-    listed = Splits.load(given.splits)
-    windows = load_windows(given.corpus, listed, given.part, body, SEED, FRAMES)
-    windows = windows.take(evenly(windows, given.only))
+    windows = listed_windows(given, body, FRAMES)
     labeller = CloudLabeller.load(given.weights)
     rows: list[list[Cell]] = []
     for who in BODIES:

@@ -213,9 +213,8 @@ def _curl(people: People, person: int, bone: int, angle: float) -> np.ndarray:
     wrist = people.joint_of_bone[bone]
     palm = people.from_zero[person, wrist] @ np.array([0.0, -1.0, 0.0])
     children = np.flatnonzero(people.parents == bone)
-    ahead = heads[children[0]] - heads[bone] if len(children) else None
-    if ahead is None:
-        ahead = heads[bone] - heads[people.parents[bone]]
+    first, last = (bone, children[0]) if len(children) else (people.parents[bone], bone)
+    ahead = heads[last] - heads[first]
     axis = np.cross(ahead, palm)
     return Rotation.from_rotvec(angle * axis / max(np.linalg.norm(axis), 1e-9)).as_matrix()
 

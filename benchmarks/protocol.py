@@ -25,16 +25,18 @@ import torch
 
 import recon
 from recon import Motion
-from recon.benchmark.dataset import SPLITS
-from recon.benchmark.table import Interval, interval, paired
-from recon.benchmark.windows import TrueWindows
-from recon.formats.opening import replacing
-from recon.formats.replacing import files_checksum
+from recon.benchmark.dataset import SPLITS, Splits
+from recon.benchmark.table import Interval, interval
+from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
+from recon.body.model import BodyModel
+from recon.formats.replacing import files_checksum, write_text
 
 ROOT = Path(__file__).parents[1]
 """The source checkout."""
 RESULTS = Path(__file__).parent / "results"
 """The committed tables."""
+NINE_TENTHS = 1.645
+"""Standard deviations within which nine of ten normal errors lie."""
 DASH = "–"
 """Cell of what was not measured."""
 
@@ -74,8 +76,7 @@ class Table:
             f' "{key}": {_lines(value)}' for key, value in {**parts, "rows": self.rows}.items()
         ]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as beside:
-            beside.write_text("{\n" + ",\n".join(said) + "\n}\n", encoding="utf-8")
+        write_text(path, "{\n" + ",\n".join(said) + "\n}\n")
 
     def markdown(self) -> str:
         """The table, its note, and where its numbers are from."""
@@ -142,20 +143,14 @@ def cells(
     ]
 
 
-def mean_of(
-    values: Sequence[float | None],
-    windows: TrueWindows,
-    less: Sequence[float | None] | None = None,
-) -> Interval | None:
-    """The mean over subjects, or that of paired differences; None where no window has a value."""
+def mean_of(values: Sequence[float | None], windows: TrueWindows) -> Interval | None:
+    """The mean over subjects; None where no window has a value."""
     kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
     if all(value is None for value in own):
         return None
-    if less is None:
-        return interval(own, clips, people)
-    return paired(own, [less[k] for k in kept], clips, people)
+    return interval(own, clips, people)
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:
@@ -197,6 +192,15 @@ def over_windows(about: str | None) -> argparse.ArgumentParser:
     made.add_argument("--part", choices=("test", "validation"), default="test")
     made.add_argument("--only", type=int, default=None, help="use so many windows in all")
     return made
+
+
+def listed_windows(
+    given: argparse.Namespace, body: BodyModel, frames: int = FRAMES
+) -> TrueWindows:
+    """The windows that a command line of `over_windows` chooses, as many as `--only` says."""
+    listed = Splits.load(given.splits)
+    windows = load_windows(given.corpus, listed, given.part, body, frames=frames)
+    return windows.take(evenly(windows, given.only))
 
 
 def tell(

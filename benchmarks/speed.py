@@ -169,12 +169,8 @@ def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
         mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
         times = (number(mean.get(key)) for key in ("median", "longest"))
         rows.append([name, number(mean["error"], 100), number(ratio), *times])
-    heads = (
-        ("error cm", 2),
-        ("of offline, pose", 3),
-        ("CPU ms a push, median", 0),
-        ("longest", 0),
-    )
+    heads = (("error cm", 2), ("of offline, pose", 3), ("CPU ms a push, median", 0),
+             ("longest", 0))  # fmt: skip
     return Table([("4 cm of noise", None), *heads], rows)
 
 

@@ -24,8 +24,9 @@ from torch import Tensor
 
 import recon
 from benchmarks.cameras import in_true_world
-from benchmarks.cloud_cases import Seen, write_files
+from benchmarks.clouds import Seen, write_files
 from benchmarks.protocol import (
+    NINE_TENTHS,
     Cell,
     Table,
     corpus_source,
@@ -41,8 +42,6 @@ from recon.benchmark.windows import TrueWindows, load_windows
 from recon.core.skeleton import FEET
 from recon.simulation.points import Corruption
 
-NINE_TENTHS = 1.645
-"""Standard deviations within which nine of ten normal errors lie."""
 DEPTH = "depth, hidden below 0.9 m for a third"
 PROTOCOLS: dict[str, tuple[Sensor, Corruption, bool]] = {
     "joints, 4 cm": ("joints3d", Corruption(noise=0.04), True),

@@ -44,6 +44,13 @@ def test_library_code_keeps_its_manners(path):
     assert path.name not in ("utils.py", "helpers.py", "misc.py", "common.py")
 
 
+def test_a_program_runs_when_all_of_it_is_defined():
+    for path in [*TREE, *(ROOT / "training").rglob("*.py")]:
+        text = path.read_text(encoding="utf-8")
+        if re.search("^if __name__ == ", text, re.M):
+            assert ast.unparse(ast.parse(text).body[-1]).startswith("if __name__ == "), path
+
+
 def test_another_package_of_the_name_is_noticed(monkeypatch):
     import recon
 

@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
-from training.anchor.densities import fitted_basis, fitted_spread
+from training.anchor.train import fitted_basis, fitted_spread
 from training.weights import save_anchor
 
 LATENT = 8

@@ -8,7 +8,6 @@ COLLECTION/CLIP.npz with notes beside (CLIP.json), `manifest.csv` (`training.man
 `minutes.csv`, which is logged, too.
 """
 
-import csv
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -19,24 +18,29 @@ from typing import Any
 import tyro
 from tyro.conf import Positional
 
+from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
 from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
-from recon.formats.replacing import file_checksum, replacing, value_checksum
+from recon.formats.replacing import file_checksum, value_checksum, write_text
+from recon.formats.text_tables import write_rows
 from recon.ingest.conversion import Conversion, convert_skeletons
+from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
+from recon.mocap.recording import SkeletonRecording
 from training.lessons import Source, judged
 from training.manifest import Row, minutes, write_manifest
 from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
-    OtherClip,
-    humanoid_clips,
+    WINDOWS,
+    copied_clips,
     marker_clips,
     read_humanoid,
     read_markers,
+    read_windows,
     skeleton_clips,
 )
 
@@ -48,7 +52,7 @@ _TOO_FAST = {
     "118": "17 flights fall at 13 to 28 m/s², 19 in the median",
 }
 """People of CMU whose motions play too fast, and how that shows."""
-_Maker = Callable[[OtherClip, BodyModel], tuple[Conversion, bool]]
+_Maker = Callable[[SourceClip, BodyModel], tuple[Conversion, bool]]
 """Converts a clip; also tells whether the bones are those of the person who moves."""
 
 
@@ -72,23 +76,24 @@ def convert(
         ValueError: when a manifest is damaged, or a name in `only` is no collection.
     """
     body = BodyModel.load()
-    skeletons, humanoid, markers = skeleton_clips(data), humanoid_clips(data), marker_clips(data)
-    known = {clips[0].collection for clips in skeletons if clips}
-    known |= {clip.collection for clip in (*humanoid, *markers)}
+    skeletons, markers = skeleton_clips(data), marker_clips(data)
+    copied = {name: copied_clips(data, name) for name in (HUMANOID, WINDOWS)}
+    known = {clips[0].collection for clips in skeletons if clips} | copied.keys()
+    known |= {clip.collection for clip in markers}
     if wrong := sorted(set(only) - known):
         raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
     asked = set(only) or known
     out.mkdir(parents=True, exist_ok=True)
     _convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
-    if HUMANOID in asked:
-        _convert_others(humanoid, out, body, _from_humanoid(humanoid, body))
+    for name in asked & copied.keys():
+        _convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
     if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
         convert_clips(chosen, out, processes=processes)
     judge(out, body)
 
 
 def _convert_others(
-    clips: Sequence[OtherClip],
+    clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
     made: _Maker,
@@ -123,24 +128,30 @@ def _convert_others(
             "key": key,
             "checksum": file_checksum(path),
         }
-        with replacing(path.with_suffix(".json")) as beside:
-            beside.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+        write_text(path.with_suffix(".json"), json.dumps(row, indent=1) + "\n")
         LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
 
 
-def _from_markers(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+def _from_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
     return convert_markers(read_markers(clip), body), True
 
 
-def _from_humanoid(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
-    """What converts motions of the humanoid, whose bones are calibrated from all when needed."""
+def _from_skeletons(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
+    """What converts motions of one skeleton, which is calibrated from all of them when needed."""
 
     @cache
-    def subject() -> SubjectModel:
-        return calibrate([read_humanoid(one.path) for one in clips], HUMANOID_MAP, body)
+    def read() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
+        if clips[0].collection == WINDOWS:
+            every = read_windows(clips)
+            skeleton = recognise(next(iter(every.values())))
+        else:
+            every = {clip.name: read_humanoid(clip.path) for clip in clips}
+            skeleton = HUMANOID_MAP
+        return every, calibrate(list(every.values()), skeleton, body)
 
-    def made(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
-        (found,) = convert_skeletons([read_humanoid(clip.path)], subject(), body)
+    def made(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
+        every, subject = read()
+        (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
 
     return made
@@ -170,28 +181,21 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     for name, path in clip_files(out).items():
         told = notes(path)
         collection = str(told.get("collection", path.parent.name))
-        file = load_motion(path)
-        for span in judged(file, source_of(collection, parts.subject(name), told), body):
-            seconds = (span.stop - span.first) / file.motion.fps
-            lessons = (span.poses, span.steps, span.contacts, span.shape)
-            rows.append(
-                Row(name, collection, span.first, span.stop, round(seconds, 3), *lessons, span.why)
-            )
+        source = source_of(name, collection, parts.subject(name), told)
+        rows += judged(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes(rows, parts)
-    with replacing(out / "minutes.csv") as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows(table)
+    write_rows(out / "minutes.csv", table)
     for row in table:
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in row.items()))
     return rows
 
 
-def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
+def source_of(clip: str, collection: str, person: str, told: Mapping[str, Any]) -> Source:
     """What is known of a clip's recording.
 
     Args:
+        clip: its name in the corpus.
         collection: to which it belongs.
         person: who moves.
         told: the notes beside the clip.
@@ -201,6 +205,8 @@ def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
         retargeted=collection == HUMANOID,
         true_rate=person not in _TOO_FAST,
         flat=bool(told.get("flat", True)),
+        clip=clip,
+        collection=collection,
         residuals=tuple(told.get("residuals", ())),
     )
 

@@ -9,8 +9,8 @@ import csv
 import json
 import lzma
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +22,12 @@ from recon.core.skeleton import joint_index
 from recon.core.units import snapped_rate
 from recon.formats.texts import decode, read_bytes
 from recon.ingest.maps import SkeletonMap
+from recon.mocap.bvh import read_bvh
 from recon.mocap.c3d import read_c3d
 from recon.mocap.recording import (
     MarkerRecording,
     SkeletonRecording,
+    drop_lead_in,
     posed_skeleton,
     settle_markers,
     settle_skeleton,
@@ -39,11 +41,11 @@ _COMMON = {"cmu_daz", "cmu_windows", "cmu_deepmimic"}
 """Later collections on a common skeleton; what their root does does not fit its legs."""
 _LIST = Path(__file__).parents[1] / "benchmarks" / "free_recordings.toml"
 """Marker recordings of single people that are learned from."""
-MARKERS, HUMANOID = "ui_prmd", "cmu_deepmimic"
+MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 
 
 def skeleton_clips(data: Path) -> list[list[SourceClip]]:
-    """All recordings of skeletons, by collection, with the notes of their manifests.
+    """All recordings of skeletons as they are, by collection, with the notes of their manifests.
 
     Args:
         data: folder of all real recordings.
@@ -52,12 +54,15 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
         FileNotFoundError: when there is no such folder.
         ValueError: when a manifest is damaged.
     """
-    found = list(collections(data / FIRST))
-    for manifest in sorted((data / MORE).glob("*/manifest.csv")):
-        folder = manifest.parent
-        if folder.name != HUMANOID:
-            found.append([_clip(folder, row) for row in _rows(manifest)])
-    return found
+    folders = sorted(manifest.parent for manifest in (data / MORE).glob("*/manifest.csv"))
+    more = [_listed(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
+    return [*collections(data / FIRST), *more]
+
+
+def _listed(folder: Path) -> list[SourceClip]:
+    """The recordings of a later collection, as its manifest lists them."""
+    with (folder / "manifest.csv").open(newline="", encoding="utf-8-sig") as file:
+        return [_clip(folder, row) for row in csv.DictReader(file)]
 
 
 def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
@@ -68,56 +73,24 @@ def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
     return SourceClip(folder.name, row["path"].split(".")[0], folder / row["path"], None, notes)
 
 
-def _rows(manifest: Path) -> list[dict[str, str]]:
-    with manifest.open(newline="", encoding="utf-8-sig") as file:
-        return list(csv.DictReader(file))
-
-
-@dataclass(frozen=True)
-class OtherClip:
-    """A recording that is no skeleton of a known format."""
-
-    collection: str
-    name: str
-    """Name of the clip in the corpus."""
-    path: Path
-    action: str
-    subject: str
-
-    @property
-    def id(self) -> str:
-        """Its name among all clips."""
-        return f"{self.collection}/{self.name}"
-
-
-def marker_clips(data: Path) -> list[OtherClip]:
+def marker_clips(data: Path) -> list[SourceClip]:
     """All recordings of markers that are learned from, or that judge what was learned."""
     table = tomllib.loads(_LIST.read_text(encoding="utf-8"))
     found = [
-        OtherClip("observations", row["clip"], data / row["path"], row["motion"], row["person"])
+        SourceClip("observations", row["clip"], data / row["path"], None,
+                   {"action": row["motion"], "subject": row["person"]})
         for row in table["recording"]
         if "clip" in row
-    ]
-    folder = data / "observations" / MARKERS
-    for row in _rows(folder / "manifest.csv"):
-        name = row["path"].split(".")[0]
-        found.append(
-            OtherClip(MARKERS, name, folder / row["path"], row["description"], row["subject"])
-        )
-    return found
-
-
-def humanoid_clips(data: Path) -> list[OtherClip]:
-    """All motions of the DeepMimic humanoid."""
-    folder = data / MORE / HUMANOID
-    return [
-        OtherClip(HUMANOID, row["path"].split(".")[0], folder / row["path"], row["description"],
-                  row["subject"])
-        for row in _rows(folder / "manifest.csv")
     ]  # fmt: skip
+    return found + _listed(data / "observations" / MARKERS)
 
 
-def read_markers(clip: OtherClip) -> MarkerRecording:
+def copied_clips(data: Path, collection: str) -> list[SourceClip]:
+    """All motions on a skeleton that is nobody's own and that needs a reader of its own."""
+    return _listed(data / MORE / collection)
+
+
+def read_markers(clip: SourceClip) -> MarkerRecording:
     """A recording of markers.
 
     Raises:
@@ -162,6 +135,73 @@ def read_packed(path: Path) -> MarkerRecording:
         _PACKED_RATE, ("packed markers of UI-PRMD",),
     )  # fmt: skip
     return settle_markers(raw_markers, unit="m", up="z")
+
+
+_UPRIGHT = (
+    (("LeftShoulder",), "LeftArm", (0.951, 0.299, -0.080)),
+    (("RightShoulder",), "RightArm", (-0.951, 0.299, -0.080)),
+    (("Neck", "Neck1", "Head"), "", (0.0, 0.964, 0.264)),
+)
+"""Joints of the skeleton of CMU's BVH files that turn together, the joint that they lead to (or
+none: the head's own y), and its mean direction in the frame of Spine1 over ten people of CMU on
+their own bones, none of whom is tested."""
+_STOOPS = 12.5
+"""Degrees from it beyond which a person's mean is mended; collars of these ten are within 10."""
+
+
+def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
+    """Recordings whose angles were put on a common skeleton (CMU's 31 joints), by their names.
+
+    Angles of one skeleton on another turn every bone by what the rest poses differ in, so that
+    some of these people bow their heads and draw up their shoulders throughout. Where a person's
+    mean direction is far from everybody's, collars and neck are turned by a constant; arms keep
+    their orientations.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_bvh`.
+    """
+    found = {clip.name: drop_lead_in(read_bvh(clip.path)) for clip in clips}
+    for person in {clip.subject for clip in clips}:
+        own = [clip.name for clip in clips if clip.subject == person]
+        for joints, tip, usual in _UPRIGHT:
+            seen = np.concatenate([_direction(found[name], joints, tip) for name in own]).mean(0)
+            turn = Rotation.align_vectors(np.array([usual]), seen[None])[0]
+            if np.degrees(turn.magnitude()) > _STOOPS:
+                for name in own:
+                    found[name] = _turned(found[name], joints, turn.as_matrix())
+    return found
+
+
+def _direction(recording: SkeletonRecording, joints: tuple[str, ...], tip: str) -> np.ndarray:
+    last = recording.joint(joints[-1])
+    if tip:
+        world = recording.positions[:, recording.joint(tip)] - recording.positions[:, last]
+        world = world / np.linalg.norm(world, axis=-1, keepdims=True)
+    else:
+        world = recording.orientations[:, last, :, 1]
+    chest = recording.orientations[:, recording.joint("Spine1")]
+    return (np.swapaxes(chest, 1, 2) @ world[..., None])[..., 0]
+
+
+def _turned(
+    recording: SkeletonRecording, joints: tuple[str, ...], turn: np.ndarray
+) -> SkeletonRecording:
+    """The recording with joints turned together in the frame of Spine1, about the first of them.
+
+    What hangs from the last of them is moved and keeps its orientation.
+    """
+    positions, orientations = recording.positions.copy(), recording.orientations.copy()
+    chest = orientations[:, recording.joint("Spine1")]
+    world = chest @ turn @ np.swapaxes(chest, 1, 2)
+    for number in (recording.joint(name) for name in joints):
+        for child in (c for c, parent in enumerate(recording.parents) if parent == number):
+            bone = positions[:, child] - positions[:, number]
+            shift = (world @ bone[..., None])[..., 0] - bone
+            positions[:, recording.descendants(child)] += shift[:, None]
+        orientations[:, number] = world @ orientations[:, number]
+    said = f"{joints[0]} turned to where people on their own bones have it"
+    decisions = (*recording.decisions, said)
+    return replace(recording, positions=positions, orientations=orientations, decisions=decisions)
 
 
 _TREE: dict[str, tuple[str, tuple[float, float, float]]] = {

@@ -13,6 +13,7 @@ from benchmarks.cameras import in_true_world
 from benchmarks.slips.kinds import Measure, Slip
 from benchmarks.slips.recordings import Recording
 from recon import Motion
+from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, MIRROR, joint_index
 from recon.diagnosis.findings import Finding
 from recon.metrics import errors as metrics
@@ -142,10 +143,7 @@ def mirror_image(joints: Joints) -> Joints:
 def rigidly_aligned(points: Joints, target: Joints) -> Joints:
     """Every frame's points after the rotation and shift that bring them nearest to the target."""
     middle, goal = points.mean(-2, keepdim=True), target.mean(-2, keepdim=True)
-    u, _, vh = torch.linalg.svd((target - goal).mT @ (points - middle))
-    sign = torch.ones_like(u[..., 0])
-    sign[..., -1] = torch.linalg.det(u @ vh)
-    turn = (u * sign[..., None, :]) @ vh
+    turn = so3.nearest((target - goal).mT @ (points - middle))
     return (points - middle) @ turn.mT + goal
 
 

@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Generator
 
-from benchmarks.slips import points, views
+from benchmarks.slips import points
 from benchmarks.slips.points import Seen
 from benchmarks.slips.recordings import Recording, observed
+from recon.core.camera import Camera
 from recon.core.motion import Motion
 from recon.simulation.images import orbiting
 
@@ -148,13 +149,13 @@ def carried_camera(recording: Recording, degrees: float) -> tuple[Seen, ...]:
 def sagging_view(recording: Recording, degrees: float) -> tuple[Seen, ...]:
     """One of several cameras turns by an angle during the clip, declared fixed."""
     camera, frames = recording.cameras[_SPOILED_VIEW], recording.truth.frames
-    true = views.drifting(camera, frames, degrees, recording.seed)
+    true = points.drifting(camera, frames, degrees, recording.seed)
     return _declared(recording, true, _SPOILED_VIEW)
 
 
 def misplaced_view(recording: Recording, degrees: float) -> tuple[Seen, ...]:
     """One camera's calibrated pose is turned by an angle."""
-    return _one(recording, lambda view: views.misplaced(view, degrees, recording.seed))
+    return _one(recording, lambda view: points.misplaced(view, degrees, recording.seed))
 
 
 def other_person_in_view(recording: Recording, distance: float) -> tuple[Seen, ...]:
@@ -170,22 +171,22 @@ def sides_in_view(recording: Recording, seconds: float) -> tuple[Seen, ...]:
 
 def mirrored_view(recording: Recording, _: float) -> tuple[Seen, ...]:
     """One view's images are mirrored."""
-    return _one(recording, views.mirrored)
+    return _one(recording, points.mirrored)
 
 
 def delayed_view(recording: Recording, frames: float) -> tuple[Seen, ...]:
     """One view's clock is late by some frames."""
-    return _one(recording, lambda view: views.delayed(view, round(frames)))
+    return _one(recording, lambda view: points.delayed(view, round(frames)))
 
 
 def mirrored_views(recording: Recording, _: float) -> tuple[Seen, ...]:
     """All views' images are mirrored."""
-    return tuple(views.mirrored(view) for view in recording.clean)
+    return tuple(points.mirrored(view) for view in recording.clean)
 
 
 def large_calibration(recording: Recording, factor: float) -> tuple[Seen, ...]:
     """All cameras are declared so many times as far from the origin."""
-    return tuple(views.spread_out(view, factor) for view in recording.clean)
+    return tuple(points.spread_out(view, factor) for view in recording.clean)
 
 
 def _sides(seen: Seen, frames: slice) -> Seen:
@@ -211,7 +212,7 @@ def _with(seen: Sequence[Seen], number: int, other: Seen) -> tuple[Seen, ...]:
     return tuple(other if k == number else one for k, one in enumerate(seen))
 
 
-def _declared(recording: Recording, true: views.Camera, number: int) -> tuple[Seen, ...]:
+def _declared(recording: Recording, true: Camera, number: int) -> tuple[Seen, ...]:
     """What a camera sees while it moves, with the pose that it is declared to have."""
     cameras = tuple(true if k == number else c for k, c in enumerate(recording.cameras))
     seen = observed(

@@ -1,5 +1,6 @@
-"""Mistakes that concern tracked points, in space or in images alike; each makes one of them."""
+"""Mistakes that concern points in space or in images, and cameras; each makes one of them."""
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -10,6 +11,8 @@ from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from recon.body.landmarks import KEYPOINTS_43
+from recon.core import rotations as so3
+from recon.core.camera import Camera
 from recon.core.skeleton import JOINTS
 from recon.method.sensor import Sensor as Seen
 
@@ -145,3 +148,51 @@ def joined(before: Seen, after: Seen, frame: int) -> Seen:
     values = torch.cat((values_of(before)[:, :frame], values_of(after)[:, frame:]), 1)
     weights = torch.cat((weights_of(before)[:, :frame], weights_of(after)[:, frame:]), 1)
     return edited(before, values, weights)
+
+
+def mirrored(view: Seen) -> Seen:
+    """Left and right of the image are exchanged, as front cameras of phones write it."""
+    assert isinstance(view, Keypoints2D)
+    pixels = view.pixels * view.pixels.new_tensor([-1.0, 1.0])
+    width = float(view.camera.image_size[0])
+    return edited(view, pixels + pixels.new_tensor([width, 0.0]))
+
+
+def delayed(view: Seen, frames: int) -> Seen:
+    """Every moment shows what happened some frames before; the first moments show nothing."""
+    values, weights = values_of(view).roll(frames, 1), weights_of(view).roll(frames, 1)
+    weights[:, :frames] = 0
+    return edited(view, values, weights)
+
+
+def misplaced(view: Seen, degrees: float, seed: int) -> Seen:
+    """The calibration has the camera turned about itself by an angle, about a random axis."""
+    assert isinstance(view, Keypoints2D)
+    turn = turned(torch.tensor([degrees]), seed).to(view.pixels)
+    return view.replace(camera=_after(view.camera, turn))
+
+
+def drifting(camera: Camera, frames: int, degrees: float, seed: int) -> Camera:
+    """A fixed camera whose tripod gives way: it turns evenly by an angle in so many frames."""
+    return _after(camera, turned(torch.linspace(0, degrees, frames), seed))
+
+
+def turned(degrees: Float[Tensor, " poses"], seed: int) -> Float[Tensor, "poses 4 4"]:
+    """Rotations by angles about one random axis."""
+    axis = torch.randn(3, generator=Generator().manual_seed(seed))
+    axis = axis / axis.norm()
+    turns = torch.eye(4).repeat(len(degrees), 1, 1)
+    turns[:, :3, :3] = so3.exp(degrees[:, None] * (math.pi / 180) * axis)
+    return turns
+
+
+def spread_out(view: Seen, factor: float) -> Seen:
+    """The calibration has the camera so many times as far from the origin."""
+    assert isinstance(view, Keypoints2D)
+    pose = view.camera.T_camera_world.clone()
+    pose[..., :3, 3] *= factor
+    return view.replace(camera=view.camera.replace(T_camera_world=pose))
+
+
+def _after(camera: Camera, turn: Tensor) -> Camera:
+    return camera.replace(T_camera_world=turn @ camera.T_camera_world)

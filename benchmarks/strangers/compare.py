@@ -5,17 +5,19 @@ which share no frame. Over all folds the folds are drawn again, too: how the mea
 other people is what leave-one-person-out is for.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks.protocol import DASH, Cell, Table, number, spread
 from benchmarks.strangers.fits import HUMOR, POSE
 from recon.benchmark.table import DRAWS, LEVEL, Interval
 
-Rows = Sequence[Mapping[str, Any]]
+Row = Mapping[str, Any]
 """Fields of `benchmarks.strangers.fits.Row`, as the folder of the folds keeps them."""
+Rows = Sequence[Row]
 Sums = Float[np.ndarray, "units sums"]
 """Sums over the windows of every unit that is drawn."""
 Statistic = Callable[[Float[np.ndarray, "*draws sums"]], Float[np.ndarray, "*draws"]]
@@ -24,35 +26,24 @@ FEWEST = 4
 """Clips below which windows are drawn."""
 
 
-def ratio(rows: Rows, protocol: str, field: str = "error") -> Sums | None:
+def ratio(rows: Rows, protocol: str) -> Sums | None:
     """Sums of an error under HuMoR and under the pose prior; None where no window has it."""
-    pairs = [(b[field], a[field]) for _, a, b in _pairs(rows, protocol)]
-    return _by_unit(rows, protocol, [None if None in pair else pair for pair in pairs])
+    return _by_unit(rows, protocol, lambda pose, humor: (humor["error"], pose["error"]))
 
 
 def slip(rows: Rows, protocol: str) -> Sums | None:
     """Sums of slip under HuMoR and of the truth."""
-    pairs = [(b["slip"], b["slip_truth"]) for _, _, b in _pairs(rows, protocol)]
-    return _by_unit(rows, protocol, [None if None in pair else pair for pair in pairs])
+    return _by_unit(rows, protocol, lambda _, humor: (humor["slip"], humor["slip_truth"]))
 
 
 def contacts(rows: Rows, protocol: str) -> Sums | None:
     """Counts of contacts by the motion under HuMoR, then by that under the pose prior."""
-    return _counts(
-        rows, protocol, [(b["labels"], a["labels"]) for _, a, b in _pairs(rows, protocol)]
-    )
+    return _by_unit(rows, protocol, lambda pose, humor: (humor["labels"], pose["labels"]))
 
 
 def network(rows: Rows, protocol: str) -> Sums | None:
     """Counts of contacts by HuMoR's network, then by the motion that was found with its help."""
-    return _counts(
-        rows, protocol, [(b["network"], b["labels"]) for _, _, b in _pairs(rows, protocol)]
-    )
-
-
-def _counts(rows: Rows, protocol: str, pairs: Sequence[tuple[Any, Any]]) -> Sums | None:
-    counts = [None if None in (own, other) else (*own, *other) for own, other in pairs]
-    return _by_unit(rows, protocol, counts)
+    return _by_unit(rows, protocol, lambda _, humor: (humor["network"], humor["labels"]))
 
 
 def quotient(sums: Float[np.ndarray, "*draws 2"]) -> Float[np.ndarray, "*draws"]:
@@ -88,27 +79,23 @@ def over_people(folds: Sequence[Sums], statistic: Statistic) -> Interval:
     return _estimate(float(np.mean([statistic(sums.sum(0)) for sums in folds])), drawn)
 
 
-def _pairs(
-    rows: Rows, protocol: str
-) -> list[tuple[tuple[str, int], Mapping[str, Any], Mapping[str, Any]]]:
-    """Each window of a protocol with its row by the pose prior and that by HuMoR."""
-    found: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
+def _by_unit(
+    rows: Rows, protocol: str, compared: Callable[[Row, Row], tuple[Any, Any]]
+) -> Sums | None:
+    """Sums over windows of what is compared in the rows by the pose prior and by HuMoR."""
+    found: dict[tuple[str, int], dict[str, Row]] = {}
     for row in rows:
         if row["protocol"] == protocol:
             found.setdefault((row["window"], row["frames"]), {})[row["method"]] = row
-    return [(window, by[POSE], by[HUMOR]) for window, by in found.items()]
-
-
-def _by_unit(rows: Rows, protocol: str, values: Sequence[tuple[float, ...] | None]) -> Sums | None:
-    windows = [window for window, _, _ in _pairs(rows, protocol)]
-    kept = [(name, own) for name, own in zip(windows, values, strict=True) if own is not None]
+    pairs = {window: compared(by[POSE], by[HUMOR]) for window, by in found.items()}
+    kept = [(window, own) for window, own in pairs.items() if None not in own]
     if len(kept) == 0:
         return None
     clips = [name.rsplit("@", 1)[0] for (name, _), _ in kept]
     units = clips if len(set(clips)) >= FEWEST else [str(window) for window, _ in kept]
     sums: dict[str, np.ndarray] = {}
     for unit, (_, own) in zip(units, kept, strict=True):
-        sums[unit] = sums.get(unit, 0.0) + np.array(own, dtype=float)
+        sums[unit] = sums.get(unit, 0.0) + np.array(own, dtype=float).ravel()
     return np.stack(list(sums.values()))
 
 
@@ -123,3 +110,86 @@ def _estimate(mean: float, drawn: Float[np.ndarray, " draws"]) -> Interval:
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.nanpercentile(drawn, (tail, 100 - tail))
     return Interval(mean, float(low), float(high))
+
+
+COLUMNS = (
+    ("noisy joints", 2), ("hidden points", 2), ("gap of 1 s", 2), ("runs, hidden legs", 2),
+    ("contacts less pose prior's", 1), ("network's contacts less the fit's", 1),
+    ("slip / true slip", 2),
+)  # fmt: skip
+PROTOCOLS = ("noisy joints", "hidden points", "gap", "hidden legs")
+_CONTACTS = "noisy joints"
+"""Protocol in which contacts and slip are compared."""
+
+
+def tables(found: Mapping[str, Any], note: str) -> dict[str, Table]:
+    """All tables of the folds that are measured."""
+    rows = {name: fold["rows"] for name, fold in found.items()}
+    folds = [[_name(name, found[name]), *_cells([own])] for name, own in rows.items()]
+    if len(rows) > 1:
+        folds.append([f"**all {len(rows)}**", *_cells(list(rows.values()))])
+    errors = ("windows", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
+              "contacts %: pose prior, HuMoR, its network alone",
+              "drift of ten own steps")  # fmt: skip
+    people = [_errors(name, fold) for name, fold in found.items()]
+    columns = [(head, 1 if head.startswith("drift") else 0) for head in errors]
+    return {
+        "strangers": Table([("fold", None), *COLUMNS], folds, note=note),
+        "strangers-people": Table([("cm: pose prior, HuMoR", None), *columns], people, note=note),
+        "strangers-kinds": Table([("kind of motion", None), *COLUMNS], _by_kind(rows), note=note),
+    }
+
+
+def _by_kind(folds: Mapping[str, Rows]) -> list[list[Cell]]:
+    """Ratios of errors for every kind of motion, over the windows of all folds."""
+    rows = [row for own in folds.values() for row in own]
+    made: list[list[Cell]] = []
+    for kind in sorted({row["kind"] for row in rows}):
+        own = [row for row in rows if row["kind"] == kind]
+        windows = {(row["window"], row["frames"]) for row in own}
+        persons = sorted({row["person"] for row in own})
+        made.append([f"{kind}, {len(windows)} windows of {', '.join(persons)}", *_cells([own])])
+    return made
+
+
+def _name(name: str, fold: Mapping[str, Any]) -> str:
+    people = ", ".join(fold["people"])
+    return name if name == people else f"{name} ({people})"
+
+
+def _cells(folds: Sequence[Rows]) -> Iterator[Cell]:
+    for protocol in PROTOCOLS:
+        yield _compared([ratio(rows, protocol) for rows in folds], quotient)
+    for counted in (contacts, network):
+        sums = [counted(rows, _CONTACTS) for rows in folds]
+        yield _compared(sums, more_balanced, factor=100)
+    yield _compared([slip(rows, _CONTACTS) for rows in folds], quotient)
+
+
+def _compared(sums: Sequence[Sums | None], statistic: Statistic, factor: float = 1.0) -> Cell:
+    """A statistic with its interval; the mean over folds where there are several."""
+    present = [own for own in sums if own is not None]
+    if len(present) == 0:
+        return None
+    if len(sums) == 1:
+        return spread(estimated(present[0], statistic), factor)
+    return spread(over_people(present, statistic), factor)
+
+
+def _errors(name: str, fold: Mapping[str, Any]) -> list[Cell]:
+    """Errors themselves, of both priors."""
+    rows = fold["rows"]
+    windows = {(row["window"], row["frames"]) for row in rows}
+    counts = [counted(rows, _CONTACTS) for counted in (contacts, network)]
+    totals = [own.sum(0) for own in counts if own is not None]
+    shares = [*(total[4:] for total in totals), *(total[:4] for total in totals[1:])]
+    said = ", ".join(f"{100 * float(balanced(share)):.1f}" for share in shares)
+    pairs = [_pair(rows, protocol) for protocol in PROTOCOLS]
+    return [_name(name, fold), len(windows), *pairs, said or DASH, number(fold["drift"], 100)]
+
+
+def _pair(rows: Rows, protocol: str) -> str:
+    own = [row for row in rows if row["protocol"] == protocol and row["error"] is not None]
+    errors = ([row["error"] for row in own if row["method"] == m] for m in (POSE, HUMOR))
+    means = [100 * float(np.mean(one)) for one in errors if one]
+    return ", ".join(f"{mean:.2f}" for mean in means) if len(means) == 2 else DASH

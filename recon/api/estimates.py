@@ -86,7 +86,7 @@ def estimate_given(
     if unit is None:
         feet = body.pose(placed).joints[:, list(FEET)] - placed.translation[:, None]
         path, steps = translation[read.known], feet.double().numpy()[read.known]
-        unit, said = unit_of_path(path, steps, rate, str(motion))
+        unit, said = unit_of_path(path, steps, rate, to_z_up(read.up)[2], str(motion))
         words = (*said, *words)
     placed = placed.replace(translation=METRES[unit] * placed.translation)
     turn = torch.eye(4)

@@ -170,7 +170,7 @@ def _of_body(
     asked = "0" if shape is None else shape
     coefficients = shape_given(asked, model)
     random = torch.Generator().manual_seed(seed)
-    humos = _humos(weights, model) if prior is None else prior
+    humos = Humos.load(weights, model) if prior is None else prior
     motion = humos.sample(coefficients.expand(count, -1), seconds, random).resample(rate)
     joints = model.pose(motion).joints
     labels = contact_labels(joints, rest_heights(model, motion.shape), motion.fps)
@@ -212,10 +212,6 @@ def _humor(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Hum
     place = device_at_hand(device)
     humor = prior if isinstance(prior, Humor) else Humor.load(weights, body_given(body))
     return humor.to(device=place)
-
-
-def _humos(weights: str, body: BodyModel) -> Humos:
-    return Humos.load(weights, body)
 
 
 def _frames(seconds: float) -> int:

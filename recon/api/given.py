@@ -1,7 +1,7 @@
 """Arguments that name a motion, body, shape or prior: records, results, files or arrays."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,11 +104,7 @@ def motion_given(
         )
     known = of_body(file, name, body, remedy)
     motion = known.motion.detach().to(device=body.template.device, dtype=body.template.dtype)
-    return GivenMotion(_with_motion(known, motion), name)
-
-
-def _with_motion(file: MotionFile, motion: Motion) -> MotionFile:
-    return MotionFile(**{**vars(file), "motion": motion})
+    return GivenMotion(replace(known, motion=motion), name)
 
 
 def _one_clip(motion: Motion, name: str) -> Motion:

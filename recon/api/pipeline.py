@@ -47,24 +47,18 @@ def observed(
         ReconError, FileNotFoundError: as `recon.fit`.
     """
     beyond = None if robust == "auto" else finite(robust, "robust")
-    if paths := paths_given(given):
-        # observations that are in memory need no reader
-        from recon.reading.clip import load_clip
-
+    paths, geometries = paths_given(given), geometries_given(given)
+    if paths or geometries:
         plane = None if isinstance(ground, str) else ground
         how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane)
-        given = load_clip(paths, how, body)
+        # observations that are in memory need no reader
+        if paths:
+            from recon.reading.clip import load_clip as read
+        else:
+            from recon.reading.geometries import load_geometries as read
+        given = read(paths or geometries, how, body)
         if given.ground_given:
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
-    elif geometries := geometries_given(given):
-        from recon.reading.geometries import load_geometries
-
-        plane = None if isinstance(ground, str) else ground
-        given = load_geometries(
-            geometries, replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane), body
-        )
-        if given.ground_given:
-            ground = "auto"
     elif names := how_read.given():
         raise ReconError(
             f"{', '.join(names)}: how to read files, but the observations are read already"

@@ -51,13 +51,8 @@ def described_motion(motion: Motion, tall: float) -> str:
     )
 
 
-def described_residuals(residuals: Sequence[ResidualSummary]) -> list[str]:
-    """One line per observation: its noise and its median residual."""
-    return [_sensor(one) for one in residuals]
-
-
-def _sensor(one: ResidualSummary) -> str:
-    """An observation in one line."""
+def described_residual(one: ResidualSummary) -> str:
+    """An observation's noise and median residual in one line."""
     seen = "nothing seen" if one.median is None else f"median residual {_size(one.median, one)}"
     return f"{one.name}: noise {_size(one.noise, one)}, {seen}"
 

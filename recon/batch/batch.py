@@ -4,17 +4,18 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+import torch
+
+from recon.api.fit import fit
+from recon.batch.clips import shared_shape
 from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
 from recon.fitting.methods import trait_of
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, check_outputs, paths_in
 from recon.formats.replacing import file_checksum, value_checksum
-
-if TYPE_CHECKING:
-    from recon.api.result import Result
+from recon.reading.inputs import clip_checksum, input_checksums, settings_checksum
 
 Shape = tuple[float, ...]
 """Shape coefficients."""
@@ -47,8 +48,6 @@ def fit_one(job: Job) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    from recon.reading.inputs import clip_checksum, input_checksums
-
     # checksums before reading, so that the next run notices files that change from now on
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
@@ -61,7 +60,7 @@ def fit_one(job: Job) -> Record:
     check_outputs([Output(job.target)], paths_in((*paths, settings)), overwrite=job.overwrite)
     inputs = input_checksums({"observations": paths, **vars(settings)})
     held = {} if job.shape is None else {"shape": list(job.shape)}
-    result = _fitted(job.clip, settings.arguments() | held)
+    result = fit(list(paths), **settings.arguments() | held)
     report = result.report(inputs, asdict(settings) | held)
     result.save(job.target, overwrite=job.overwrite, report=report)
     return record | {
@@ -85,20 +84,12 @@ def estimate_shape(job: Job) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    from recon.reading.inputs import clip_checksum
-
     key = clip_checksum(job.clip.observations, job.settings_checksum)
     if job.known.get("key") == key:
         return job.known
     first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
-    shape = _fitted(job.clip, first.arguments()).motion.shape
+    shape = fit(list(job.clip.observations), **first.arguments()).motion.shape
     return {"id": job.clip.name, "key": key, "shape": shape.tolist()}
-
-
-def _fitted(clip: BatchClip, arguments: dict[str, Any]) -> "Result":
-    from recon.api.fit import fit
-
-    return fit(list(clip.observations), **arguments)
 
 
 def shapes_of_subjects(
@@ -134,10 +125,6 @@ def shapes_of_subjects(
             "subject: cycles are completed with shapes of their own; leave `subject` out of the "
             "manifest, or fit with another prior"
         )
-    import torch
-
-    from recon.batch.clips import shared_shape
-
     found: dict[str, list[torch.Tensor]] = {}
     names = {clip.name: str(clip.subject) for clip in known}
     with open_log(log.with_name(f"shapes-{log.name}")) as lines:
@@ -192,8 +179,6 @@ def fit_all(
         ValueError: when a result would be written over an observation or a file of the settings,
             another run is writing to the log, or there is to be no process.
     """
-    from recon.reading.inputs import settings_checksum
-
     if processes < 1:
         raise ValueError(f"expected at least one process, got {processes}")
     _check_targets(clips, out, settings)

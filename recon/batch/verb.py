@@ -72,7 +72,7 @@ def batch(
     """
     del quiet  # heeded by `writes`
     from recon.cli import console
-    from recon.cli.own import check_plugs
+    from recon.cli.looks import check_plugs
 
     check_plugs(settings.prior, settings.reader)
     from recon.batch.batch import fit_all

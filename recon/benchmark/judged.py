@@ -9,9 +9,8 @@ import torch
 from recon.benchmark.answers import Answer, Row, answer_in, answer_of, feet_balanced, judged
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
-from recon.benchmark.sources import BenchPart, bench_source
 from recon.benchmark.table import BenchTable
-from recon.benchmark.windows import TrueWindows
+from recon.benchmark.windows import BenchPart, TrueWindows, bench_source
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.formats.observations import save_observation

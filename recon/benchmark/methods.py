@@ -95,12 +95,12 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
                 "__call__(self, seen) that gives joints or a motion"
             )
         return made
-    if name not in _BUILT_IN:
+    if name not in BUILT_IN:
         raise ReconError(
-            f"there is no method {name!r}; there are {', '.join(_BUILT_IN)}, and "
+            f"there is no method {name!r}; there are {', '.join(BUILT_IN)}, and "
             "package.module:Class of your own"
         )
-    return _BUILT_IN[name](body)
+    return BUILT_IN[name](body)
 
 
 def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
@@ -147,13 +147,12 @@ def _pose(body: BodyModel) -> BenchMethod:
     return _fitted(body, PosePrior.load(body=body))
 
 
-_BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {
+BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {
     "linear": lambda _: _linear,
     "butterworth": lambda _: _smoothed(lambda x, fps: butterworth(x, fps, CUTOFF)),
     "least-squares": lambda _: _smoothed(lambda x, _: whittaker(x, STIFFNESS)),
     "pose": _pose,
     **{way: _humor(way) for way in Humor.methods},
 }
-BUILT_IN = tuple(_BUILT_IN)
 """Names of the built-in methods: the data on straight lines, two smoothers, stages 1-2 under the
 pose prior, and the ways to fit under HuMoR."""

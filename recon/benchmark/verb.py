@@ -45,7 +45,7 @@ def bench(
     """
     del quiet  # heeded by `writes`
     from recon.cli import console
-    from recon.cli.own import find_here
+    from recon.cli.looks import find_here
 
     if write is not None and (method or predictions or json is not None):
         raise ValueError("--write only writes what is seen; judge predictions by another run")

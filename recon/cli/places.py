@@ -66,12 +66,8 @@ class Place:
     """What is written, by the argument and all the others; default: a file and its report."""
 
 
-def _nothing_else(_: Arguments) -> Iterable[Path]:
-    return ()
-
-
 def writes(
-    *places: Place, reads: Callable[[Arguments], Iterable[Path]] = _nothing_else
+    *places: Place, reads: Callable[[Arguments], Iterable[Path]] = lambda _: ()
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Declare the outputs of a verb, so that inputs and outputs are checked before it runs.
 

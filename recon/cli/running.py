@@ -28,7 +28,8 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     module, _, name = place.partition(":")
     function = getattr(import_module(module), name)
     known = signature(function).parameters
-    how = {key: _VALUES.get(key, _same)(given[key]) for key in given if key in known}
+    how = {key: value for key, value in given.items() if key in known}
+    how |= {key: read(how[key]) for key, read in _VALUES.items() if key in how}
     if not written or written[0] in known:
         _tell_own(function(**how), given)
         return
@@ -128,10 +129,6 @@ def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
 def _is_read(parameter: Parameter, value: Any) -> bool:
     """Whether an argument is an input of the verb rather than a setting."""
     return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
-
-
-def _same(value: Any) -> Any:
-    return value
 
 
 def _frames(text: str | None) -> tuple[int, int] | None:

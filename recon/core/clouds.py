@@ -27,6 +27,10 @@ _SWAY = 0.01
 _NEAR = 0.15
 """Metres from z = 0 within which the lowest points stand on the floor."""
 
+_STEADIER, _SWAYS = 2.0, 0.1
+"""Multiple of the movement of the steadiest end of the clouds, and metres, up to which the lowest
+points of somebody who crouches stay on the floor."""
+
 
 def held_numbers(values: Any) -> np.ndarray:
     """Numbers that Open3D holds: vectors of its older interface, tensors of the newer."""
@@ -102,11 +106,12 @@ def up_of_clouds(
         return "z", ()
     asked = f"give it with --up, one of {', '.join(get_args(Up))}"
     if extent[axis] < _UPRIGHT * np.delete(extent, axis).max():
-        if stands:
+        swing = np.ptp(ends, axis=0)
+        if stands and swing[0, 2] < max(_STEADIER * swing.min(), _SWAYS):
             return "z", ()
         raise UnitsError(
-            f"{name}: nobody in the clouds stands along an axis, and the lowest points are not at "
-            f"z = 0, so that nothing tells which axis points up; {asked}"
+            f"{name}: nobody in the clouds stands along an axis, and the lowest points do not "
+            f"stay at z = 0, so that nothing tells which axis points up; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR

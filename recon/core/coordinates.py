@@ -25,6 +25,9 @@ _FAR = 30.0
 """Metres from the origin from which on it must be the feet that say that they are metres."""
 _STEP_S = 0.15
 """Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_USUAL = ("m", "cm", "mm")
+_NEAR_FLOOR = 0.2
+"""Metres from zero height within which the joints of feet are on the floor."""
 _SLOWER = 0.5
 """Share of the speed of feet under one scale that a better one leaves."""
 
@@ -109,14 +112,18 @@ def unit_of_path(
     path: Float[np.ndarray, "time 3"],
     feet: Float[np.ndarray, "time points 3"],
     fps: float,
+    up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
     """Unit in which a body's path leaves a foot standing, and the reason where it is not metres.
+
+    Of somebody who hardly goes anywhere it is that in which the feet are at height zero.
 
     Args:
         path: of the body, in the unknown unit.
         feet: points of both feet relative to it, metres; some are at rest most of the time.
         fps: frames per second.
+        up: unit vector.
         name: of the file, for messages.
 
     Raises:
@@ -138,6 +145,12 @@ def unit_of_path(
     if unit == "cm" or (unit == "mm" and cm > _FASTEST_SLIDE):
         slides = f"{m:.0f} m/s, so at {cm if unit == 'cm' else mm:.1f}"
         return unit, (f"unit of the translation {unit}: as metres, feet would slide at {slides}",)
+    level = [
+        one for one in _USUAL
+        if abs(np.median(((METRES[one] * path[:, None] + feet) @ up).min(1))) < _NEAR_FLOOR
+    ]  # fmt: skip
+    if len(level) == 1:
+        return level[0], (f"unit of the translation {level[0]}: the feet are on the floor by it",)
     raise UnitsError(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
         f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "

@@ -18,7 +18,7 @@ from recon.formats.outputs import Kind, Output
 from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
-from recon.mocap.trc import write_trc
+from recon.mocap.marker_tables import write_trc
 from recon.view.files import draw_html, shown
 
 

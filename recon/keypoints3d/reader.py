@@ -17,9 +17,8 @@ from recon.formats.text_tables import first_rows, numbers, read_rows
 from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
 from recon.keypoints3d.layouts import labelled
-from recon.keypoints3d.people_files import read_people
+from recon.keypoints3d.people_files import read_ntu_skeleton, read_people
 from recon.keypoints3d.records import Points3D
-from recon.keypoints3d.skeleton_files import read_ntu_skeleton
 from recon.keypoints3d.tables import (
     holds_points,
     is_table_3d,

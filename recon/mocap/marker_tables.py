@@ -1,4 +1,7 @@
-"""Tables of labelled markers: OptiTrack Motive's .csv and Qualisys Track Manager's .tsv."""
+"""Tables of labelled markers: Motive's .csv, Qualisys Track Manager's .tsv, and TRC.
+
+TRC is written by OpenSim, OpenCap, Pose2Sim and Cortex, and here.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,9 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.coordinates import along
 from recon.core.errors import FormatError
-from recon.core.limits import JOINTS, SAMPLES, TEXT
-from recon.core.units import Up, parse_unit
+from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
+from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
+from recon.core.visible import visible
+from recon.formats.replacing import write_text
 from recon.formats.text_tables import numbers, read_rows
 from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
@@ -121,3 +127,148 @@ def _settled(
         start_time=start if np.isfinite(start) else 0.0,
     )
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
+
+
+_HEADER = 5
+"""Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""
+_POSE2SIM = {f"{side}{joint}" for side in "LR" for joint in ("Hip", "Knee", "Ankle")}
+"""Labels that all files of Pose2Sim have, whichever detector it used."""
+
+
+def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
+    """Read a .trc file; a blank cell, NaN or three exact zeros are a marker not seen.
+
+    Pose2Sim, which leaves out the blank line after the header, writes (y, z, x) of its cameras'
+    world; this is undone first, so that its points stand where its calibration has them.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, or its unit or up axis cannot be told.
+    """
+    name = path.name
+    lines = decode(read_bytes(path)).splitlines()
+    if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
+        raise FormatError(f"{name}: expected a TRC file, five header lines from PathFileType on")
+    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    labels = _labels(lines[3])
+    if not any(labels) or lines[3].split()[0].lower() != "frame#":
+        raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
+    times, values, beyond = _parse_table(lines[_HEADER:], len(labels), name)
+    stated = header.get("NumFrames", "")[:9]
+    if stated.isdigit() and int(stated) > len(values):
+        raise FormatError(
+            f"{name}: expected {stated} frames, got {len(values)}; the file is cut short"
+        )
+    named = [k for k, label in enumerate(labels) if label]
+    labels, values = [labels[k] for k in named], values[:, named]
+    notes = [f"{beyond} columns of points without a label left out"] if beyond else []
+    if (np.diff(times) <= 0).any():
+        notes.append("the column Time does not rise: frames are taken in the order of the file")
+    custom: Up = "y"
+    if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
+        notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")
+        values, custom = values[..., [2, 0, 1]], "z"
+        if up is not None:
+            up = along((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
+    fps, note = _rate(header.get("DataRate", ""), times, name)
+    raw = MarkerRecording(
+        name=name,
+        marker_names=tuple(labels),
+        positions=values,
+        visible=np.ones(values.shape[:2], bool),
+        fps=fps,
+        decisions=(note, *notes),
+        start_time=float(times[0]),
+    )
+    declared = parse_unit(header.get("Units", ""))
+    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
+
+
+def _labels(line: str) -> list[str]:
+    """Labels of the points; "" for columns of a point that has none.
+
+    Each label stands above the first of its three columns; files with other gaps have no points
+    without a label.
+    """
+    cells = [cell.strip() for cell in line.rstrip().split("\t")[2:]]
+    if len(cells) > 1 and all(k % 3 == 0 for k, cell in enumerate(cells) if cell):
+        return cells[::3]
+    return [cell for cell in cells if cell]
+
+
+def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray, int]:
+    """Times, coordinates, and how many columns beyond those of the markers hold numbers."""
+    width = 2 + 3 * markers
+    JOINTS.check(markers, name, "line 4")
+    SAMPLES.check(max(len(lines), 1) * markers, name)
+    table = np.full((len(lines), width), np.nan)
+    rows = beyond = 0
+    for line in lines:
+        if not line.strip():
+            continue
+        cells = line.split("\t") if "\t" in line else line.split()
+        try:
+            row = [float(cell) if cell.strip() else np.nan for cell in cells]
+        except ValueError as error:
+            raise FormatError(f"{name}: expected numbers, got {line[:60]!r}") from error
+        more = [k for k in range(width, len(row)) if not np.isnan(row[k])]
+        beyond = max(beyond, more[-1] + 1 - width if more else 0)
+        table[rows, : len(row)] = row[:width]
+        rows += 1
+    if beyond % 3:
+        raise FormatError(
+            f"{name}: a row has {width + beyond} cells; {markers} markers fill {width}, and each "
+            "point without a label three more"
+        )
+    table = table[:rows]
+    if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
+        raise FormatError(f"{name}: expected rows of frame number, time and finite coordinates")
+    TIME.check(table[:, 1], name, "column Time, row ")
+    return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
+
+
+def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
+    """Frames per second of the header, unless the time column clearly says otherwise."""
+    try:
+        header = float(stated)
+    except ValueError:
+        header = 0.0
+    span = float(times[-1] - times[0])
+    measured = (len(times) - 1) / span if span > (len(times) - 1) / FRAME_RATE.high else 0.0
+    if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
+        return snapped_rate(header), f"{header:g} frames per second: stated by the file"
+    if not FRAME_RATE.holds(measured):
+        raise FormatError(f"{name}: neither DataRate nor the time column gives a frame rate")
+    return snapped_rate(measured), (
+        f"{measured:.4g} frames per second: by the time column, though DataRate is {stated[:20]!r}"
+    )
+
+
+def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: Axis = "y") -> None:
+    """Write markers, blank cells where they are not visible; time is that of the recording.
+
+    Args:
+        path: file to write.
+        recording: metres, z up.
+        unit: of the numbers, one of `METRES` that the format knows.
+        up: axis that points up in the file, as y does in OpenSim: the turn of `to_z_up`, undone.
+    """
+    values = recording.positions @ to_z_up(up) / METRES[unit]
+    names, count, rate = recording.marker_names, recording.frames, f"{recording.fps:g}"
+    values_line = [rate, rate, str(count), str(len(names)), unit, rate, "1", str(count)]
+    shown = visible(path.name).replace("\n", " ")
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{shown}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame"
+        "\tOrigNumFrames",
+        "\t".join(values_line),
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1)),
+        "",
+    ]
+    for frame, (row, seen) in enumerate(zip(values, recording.visible, strict=True)):
+        cells = [str(frame + 1), f"{recording.start_time + frame / recording.fps:.6f}"]
+        for point, shown in zip(row.tolist(), seen.tolist(), strict=True):
+            cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
+        lines.append("\t".join(cells))
+    write_text(path, "\n".join(lines) + "\n")

@@ -20,10 +20,9 @@ from recon.formats.texts import decode, read_bytes
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, parse_hierarchy, read_bvh
 from recon.mocap.c3d import read_c3d
-from recon.mocap.marker_tables import read_motive, read_qualisys
+from recon.mocap.marker_tables import read_motive, read_qualisys, read_trc
 from recon.mocap.mat import read_mat
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
-from recon.mocap.trc import read_trc
 from recon.mocap.trees import joints_by_tree
 
 RECORDINGS = (

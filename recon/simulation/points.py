@@ -204,15 +204,16 @@ def spread(
     faces: Int[np.ndarray, "faces 3"],
     count: int,
     random: np.random.Generator,
-) -> Float[np.ndarray, "points 3"]:
-    """Points drawn uniformly by area from a mesh.
+    values: Float[np.ndarray, "vertices values"] | None = None,
+) -> Float[np.ndarray, "points values"]:
+    """Points drawn uniformly by area from a mesh, or what values of its vertices are there.
 
     A triangle is drawn by its area, then a point a + s ((1 - t) (b - a) + t (c - a)) of it with
     s² and t uniform (Osada et al. 2002).
     """
     a, b, c = vertices[faces].swapaxes(0, 1)
-    b, c = b - a, c - a
-    reach = np.linalg.norm(np.cross(b, c), axis=1).cumsum()
+    reach = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
     face = np.searchsorted(reach, reach[-1] * random.random(count), side="right")
     s, t = np.sqrt(random.random((count, 1))), random.random((count, 1))
-    return a[face] + s * ((1 - t) * b[face] + t * c[face])
+    a, b, c = (vertices if values is None else values)[faces[face]].swapaxes(0, 1)
+    return a + s * ((1 - t) * (b - a) + t * (c - a))

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
@@ -13,9 +15,11 @@ from recon.formats.motions import MotionFile
 from recon.formats.outputs import Output
 from recon.formats.reports import checksums, versions
 from recon.formats.writing import writing
-from recon.view import beside as side_by_side
+from recon.view.frames import write_mp4, write_png
 from recon.view.observed import observed
 from recon.view.scene import CORAL, GREY, Figure, Show
+from recon.view.timeline import write_rrd
+from recon.view.viewpoint import across
 
 
 def view(
@@ -61,7 +65,7 @@ def view(
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
-    every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4), (rrd, _draw_rrd))
+    every = ((html, draw_html), (png, write_png), (mp4, write_mp4), (rrd, write_rrd))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     if not asked:
         raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
@@ -101,12 +105,12 @@ def shown(
         figures.append(Figure(model, file.motion, motion.stem, contacts=touching, joint_std=std))
     else:
         other = load_motion_of(side, model)
-        file, second = side_by_side.common(file, other)
+        file, second = at_common_times(file, other)
         figures.append(
             _measured(Figure(model, file.motion, motion.stem, joint_std=file.joint_std))
         )
         aside = Figure(model, second, _another(side, motion), CORAL)
-        figures.append(side_by_side.beside(figures[0], _measured(aside)))
+        figures.append(put_beside(figures[0], _measured(aside)))
     if compare is not None:
         other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
         name = _another(compare, motion)
@@ -129,28 +133,10 @@ def _measured(figure: Figure) -> Figure:
 
 
 def draw_html(path: Path, show: Show) -> None:
-    """Draw the page."""
+    """Draw the page; only here is its player loaded, which takes a while."""
     from recon.view.html import write_html
 
     write_html(path, show)
-
-
-def _draw_png(path: Path, show: Show) -> None:
-    from recon.view.frames import write_png
-
-    write_png(path, show)
-
-
-def _draw_mp4(path: Path, show: Show) -> None:
-    from recon.view.frames import write_mp4
-
-    write_mp4(path, show)
-
-
-def _draw_rrd(path: Path, show: Show) -> None:
-    from recon.view.timeline import write_rrd
-
-    write_rrd(path, show)
 
 
 def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
@@ -159,3 +145,41 @@ def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
         return file.motion.at(motion.times, motion.fps)
     except ValueError as error:
         raise ValueError(f"{path}: cannot be compared: {error}") from error
+
+
+_GAP_M = 0.2
+"""Metres left between two bodies where they come nearest."""
+
+
+def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Motion]:
+    """A motion and another from their own first frames on, as long as both last.
+
+    The other takes the rate and the clock of the first.
+    """
+    motion, second = file.motion, other.motion.replace(start_time=file.motion.start_time)
+    lasts = min((m.frames - 1) / m.fps for m in (motion, second))
+    count = int(lasts * motion.fps + 1e-6) + 1
+    motion = motion.window(0, count)
+    per_frame = (
+        "joints", "contacts", "contact_probability", "joint_std", "observed", "truth_visible",
+        "in_camera",
+    )  # fmt: skip
+    known = {key: value for key in per_frame if (value := getattr(file, key)) is not None}
+    cut = {key: value[:count] for key, value in known.items()}
+    return replace(file, motion=motion, **cut), second.at(motion.times, motion.fps)
+
+
+def put_beside(figure: Figure, other: Figure) -> Figure:
+    """Another figure, moved to the right of the first as pictures show it, clear of it.
+
+    Their first pelvises are level with each other; nothing else about the other changes.
+    """
+    right = torch.from_numpy(across(figure)).float()
+    first, second = figure.posed.joints[..., :2], other.posed.joints[..., :2]
+    level = first[0, 0] - second[0, 0]
+    second = second + level
+    needed = (first @ right[:2]).amax(-1) - (second @ right[:2]).amin(-1)
+    shift = torch.nn.functional.pad(level, (0, 1)) + (float(needed.max()) + _GAP_M) * right
+    motion = other.motion
+    moved = motion.replace(translation=motion.translation + shift.to(motion.translation))
+    return replace(other, motion=moved)

@@ -20,6 +20,7 @@ from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.visible import visible
 from recon.formats.opening import replacing
+from recon.view.painter import Plane
 from recon.view.scene import (
     CAMERA,
     CERTAINTY,
@@ -35,7 +36,6 @@ from recon.view.scene import (
     View,
     thinned,
 )
-from recon.view.stage import Plane
 from recon.view.viewpoint import follow, viewpoints
 
 logger = logging.getLogger(__name__)

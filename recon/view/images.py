@@ -12,7 +12,7 @@ from torch import Tensor
 from recon.core.camera import Camera
 from recon.core.raster import rasterise, vertex_normals
 from recon.view.lettering import FARTHEST_PX, FRACTION_BITS, Picture, draw_dots, fixed_point
-from recon.view.painter import CLOUD_LIMIT, base_light, blend
+from recon.view.painter import CLOUD_LIMIT, SUPERSAMPLING, base_light, blend
 from recon.view.scene import (
     CLOUD,
     MISSING,
@@ -26,7 +26,6 @@ from recon.view.scene import (
     View,
     thinned,
 )
-from recon.view.stage import SUPERSAMPLING
 
 BEYOND = 0.5
 """Share of the image's size around it within which surfaces are drawn: far outside, the equations

@@ -185,11 +185,6 @@ class View:
         return self.confidence.detach().cpu().clamp(0, 1).float()
 
     @property
-    def missing(self) -> Bool[Tensor, "time points"]:
-        """Points that were not detected."""
-        return self.certainty == 0
-
-    @property
     def median_error(self) -> float | None:
         """Median distance of detected to reprojected points, pixels; rings do not count."""
         if self.pixels is None or self.reprojected is None:
@@ -290,7 +285,7 @@ class Show:
         fitted = [view for view in self.cameras if view.reprojected is not None]
         if fitted:
             entries.append(("same point of the body", REPROJECTED))
-        if any(view.missing.any() for view in fitted):
+        if any((view.certainty == 0).any() for view in fitted):
             entries.append(("not detected, on the body", MISSING))
         return tuple(entries)
 

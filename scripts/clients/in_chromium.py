@@ -3,7 +3,8 @@
     python in_chromium.py PAGE OUT STEPS [--size 1280 800] [--phone] [--chromium PATH]
 
 STEPS is a JSON list of steps, one key each: {"run": JAVASCRIPT} whose value is kept, {"until":
-JAVASCRIPT} waits until it is true, {"click": SELECTOR}, {"key": KEY}, {"picture": NAME} writes
+JAVASCRIPT} waits until it is true, {"click": SELECTOR}, {"seek": [SELECTOR, JAVASCRIPT]} clicks
+every two seconds until it is true, {"key": KEY}, {"picture": NAME} writes
 OUT/NAME.png, {"sleep": SECONDS}. The last line that is written has the version of the browser,
 the values, what the page logged as an error, and every address that it asked for, as JSON.
 """
@@ -116,6 +117,13 @@ class Session:
                 if time.monotonic() > deadline:
                     sys.exit(f"never true: {what}\n{self.errors}")
                 time.sleep(0.1)
+        elif kind == "seek":
+            deadline = time.monotonic() + PATIENCE
+            while not self.run(what[1]):
+                if time.monotonic() > deadline:
+                    sys.exit(f"never true: {what[1]}")
+                self.step({"click": what[0]}, out)
+                time.sleep(2)
         elif kind == "click":
             box = self.run(
                 f"(b => [b.left + b.width / 2, b.top + b.height / 2])"

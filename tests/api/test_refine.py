@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import recon
-from benchmarks.regressor import RegressorErrors, estimated
+from benchmarks.refine import RegressorErrors, estimated
 from recon import cli
 from recon.core import rotations as so3
 from recon.core.skeleton import FEET, JOINTS, MIRROR

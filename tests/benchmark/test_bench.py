@@ -18,8 +18,7 @@ from recon.benchmark.protocols import (
     protocol_named,
     seen_windows,
 )
-from recon.benchmark.sources import bench_source, free_windows
-from recon.benchmark.windows import FRAMES
+from recon.benchmark.windows import FRAMES, bench_source, free_windows
 from recon.core.errors import ReconError
 from recon.formats.motions import save_motion
 from recon.formats.observations import load_observation

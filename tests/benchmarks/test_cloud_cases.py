@@ -1,6 +1,6 @@
 """Observation files of the benchmark of clouds."""
 
-from benchmarks.cloud_cases import Seen, SeenWalk, view_of, write_files
+from benchmarks.clouds import Seen, SeenWalk, view_of, write_files
 from recon.formats.observations import PointsFile, PositionsFile, load_observation
 from tests.filmed import bundled, walk
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.protocol import demo_clip
-from benchmarks.slips import mistakes, points, views
+from benchmarks.slips import mistakes, points
 from benchmarks.slips.__main__ import of_good, of_slips
 from benchmarks.slips.good import GoodWindow, alarms, listed
 from benchmarks.slips.judging import (
@@ -141,7 +141,7 @@ def test_the_other_person_stands_where_the_size_says() -> None:
 
 def test_a_delayed_view_shows_what_was_before() -> None:
     view = RECORDED["cameras"].clean[0]
-    late = views.delayed(view, 4)
+    late = points.delayed(view, 4)
     assert torch.equal(points.values_of(late)[:, 4:], points.values_of(view)[:, :-4])
     assert (points.weights_of(late)[:, :4] == 0).all()
 
@@ -149,14 +149,14 @@ def test_a_delayed_view_shows_what_was_before() -> None:
 def test_a_mirrored_view_is_mirrored_back() -> None:
     view = RECORDED["cameras"].clean[0]
     torch.testing.assert_close(
-        points.values_of(views.mirrored(views.mirrored(view))), points.values_of(view)
+        points.values_of(points.mirrored(points.mirrored(view))), points.values_of(view)
     )
 
 
 def test_a_turned_camera_stays_in_its_place() -> None:
     view = RECORDED["cameras"].clean[1]
     assert isinstance(view, Keypoints2D)
-    off = views.misplaced(view, 4.0, 0)
+    off = points.misplaced(view, 4.0, 0)
     assert isinstance(off, Keypoints2D)
     eyes = [v.camera.T_world_camera[0, 0] for v in (view, off)]
     torch.testing.assert_close(eyes[0][:3, 3], eyes[1][:3, 3], atol=1e-4, rtol=0)
@@ -193,7 +193,7 @@ def test_joints_that_are_declared_inferred_are_not_judged_unless_most_are() -> N
 
 def test_a_mirror_image_is_no_rotation_but_a_rotation_is_aligned() -> None:
     joints = BODY.pose(RECORDED["joints3d"].truth).joints
-    turn = views.turned(torch.tensor([70.0]), 1)[0, :3, :3]
+    turn = points.turned(torch.tensor([70.0]), 1)[0, :3, :3]
     torch.testing.assert_close(rigidly_aligned(joints @ turn.T + 1, joints), joints,
                                atol=1e-4, rtol=0)  # fmt: skip
     torch.testing.assert_close(mirror_image(mirror_image(joints)), joints)

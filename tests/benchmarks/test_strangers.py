@@ -9,6 +9,7 @@ import torch
 
 from benchmarks.strangers import compare
 from benchmarks.strangers.choice import kind_of, spread, starts
+from benchmarks.strangers.compare import tables
 from benchmarks.strangers.fits import feet_right
 from benchmarks.strangers.folds import (
     GROUP,
@@ -18,7 +19,6 @@ from benchmarks.strangers.folds import (
     without_doubles,
     write_splits,
 )
-from benchmarks.strangers.tables import tables
 from benchmarks.strangers.training import Schedule, humor_settings
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
@@ -118,7 +118,7 @@ def test_kinds_are_told_by_words() -> None:
 def row(window: str, method: str, error: float | None, **more: object) -> dict[str, object]:
     return {
         "person": "35", "kind": "walk", "window": window, "frames": 60, "method": method,
-        "protocol": "noisy joints", "error": error, "legs": error, "slip": 0.02,
+        "protocol": "noisy joints", "error": error, "slip": 0.02,
         "slip_truth": 0.04, "network": None, "labels": (8, 10, 30, 40), **more,
     }  # fmt: skip
 

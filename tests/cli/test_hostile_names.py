@@ -13,7 +13,7 @@ import pytest
 from recon import cli
 from recon.formats.motions import load_motion, save_motion
 from recon.mocap.bvh import read_bvh
-from recon.mocap.trc import read_trc
+from recon.mocap.marker_tables import read_trc
 
 NAMES = (
     '"><img src=x onerror=document.title=1>', "<script>document.title=1<\u2215script>",

@@ -13,7 +13,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.export.tables import markers_of, places_of
 from recon.formats.motions import MotionFile, save_motion
-from recon.mocap.trc import read_trc
+from recon.mocap.marker_tables import read_trc
 
 
 def words(text: str) -> list[str]:
@@ -175,7 +175,7 @@ def test_axes_of_the_file_are_right_handed(body, tmp_path, clip):
 
 def test_markers_survive_the_way_there_and_back(body, tmp_path):
     """Time began at zero in every file, whatever the recording's clock said."""
-    from recon.mocap.trc import write_trc
+    from recon.mocap.marker_tables import write_trc
 
     truth = markers_of(make_motion(body, 100, 12.25), body, "pig", "clip")
     for unit in ("m", "mm"):

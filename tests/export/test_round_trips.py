@@ -13,7 +13,7 @@ from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.tables import markers_of
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.mocap.bvh import read_bvh
-from recon.mocap.trc import read_trc, write_trc
+from recon.mocap.marker_tables import read_trc, write_trc
 from tests.export.test_opensim_files import make_motion
 
 FRAMES = 100

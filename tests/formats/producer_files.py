@@ -14,8 +14,8 @@ from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
 from recon.keypoints3d.labels import meant_keypoints
 from recon.keypoints3d.layouts import MHR70, ZED38
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from tests.filmed import bundled, walk
 from tests.formats import body_files
 from tests.formats.body_files import dumped, saved

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from recon.keypoints3d.labels import are_keypoints
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from tests.formats.test_markers import make_markers, write_c3d
 
 SEGMENTS = (

@@ -22,8 +22,8 @@ from recon.formats.observations import (
     save_observation,
 )
 from recon.formats.scan_times import timed
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
-from recon.mocap.trc import write_trc
 from tests.formats.test_large_files import chain
 from tests.formats.test_markers import make_markers
 from tests.formats.test_npz import amass

@@ -10,8 +10,8 @@ from recon.core.errors import ReconError
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import load_observation, save_observation
 from recon.formats.scans import read_ply, write_ply
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
-from recon.mocap.trc import write_trc
 from tests.formats.test_bvh import AMC, ASF, BVH
 from tests.formats.test_markers import make_markers, write_c3d
 from tests.formats.test_npz import POSITIONS, make_file

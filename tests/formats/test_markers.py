@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from recon.mocap.c3d import _floats as vax_floats  # pyright: ignore[reportPrivateUsage]
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 
 NAMES = ("LFHD", "C7", "RKNE", "LHEE")
 

@@ -9,7 +9,7 @@ import recon
 from recon.core.skeleton import JOINTS
 from recon.detections.reader import read_keypoints
 from recon.keypoints3d.tables import read_table
-from recon.mocap.trc import read_trc
+from recon.mocap.marker_tables import read_trc
 
 PARTS = ("nose", "left_hip", "right_hip", "left_knee", "right_knee")
 

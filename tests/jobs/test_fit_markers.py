@@ -11,9 +11,9 @@ from recon.cli.looks import refuse_unknown_markers
 from recon.core.skeleton import joint_index
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from recon.reading.inputs import input_checksums, settings_checksum
 from tests.documents.blocks import ROOT
 from tests.verbs import fit_files

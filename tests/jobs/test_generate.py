@@ -123,7 +123,7 @@ class StandIn:
 
 
 def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("recon.api.generate._humos", lambda *_: StandIn())
+    monkeypatch.setattr("recon.api.generate.Humos.load", lambda *_: StandIn())
     ask = ("sample", "--prior", "humos", "--count", 2, "--seconds", 1, "--shape", "height=1.7")
     assert recon_(*ask, "--out", tmp_path / "made", "--json") == cli.OK
     report = json.loads(capsys.readouterr().out)

@@ -106,11 +106,15 @@ def test_the_unit_of_an_estimates_path_is_told_by_feet_that_stand(unit: str) -> 
     motion = a_walk(BODY)
     feet = (BODY.pose(motion).joints[:, list(FEET)] - motion.translation[:, None]).double().numpy()
     path = motion.translation.double().numpy() / METRES[unit]
-    assert unit_of_path(path, feet, motion.fps, "walk.npz")[0] == unit
+    up = np.array([0.0, 0.0, 1.0])
+    assert unit_of_path(path, feet, motion.fps, up, "walk.npz")[0] == unit
     away = path + np.array([50.0, 0.0, 0.0])
-    assert unit_of_path(away, feet, motion.fps, "walk.npz")[0] == unit
+    assert unit_of_path(away, feet, motion.fps, up, "walk.npz")[0] == unit
+    still = path[:1] + 0 * path + np.array([100.0, 0.0, 0.0])  # was asked for
+    stood = feet[:1] + 0 * feet
+    assert unit_of_path(still, stood, motion.fps, up, "stand.npz")[0] == unit
     with pytest.raises(UnitsError, match="--unit cm or mm"):
-        unit_of_path(path[:1] + 0 * path + 100.0, feet, motion.fps, "stand.npz")
+        unit_of_path(still + 500.0, stood, motion.fps, up, "stand.npz")
 
 
 @pytest.mark.parametrize("up", get_args(Up))
@@ -133,6 +137,19 @@ def test_scans_of_a_walker_are_turned_and_scaled(up: Up) -> None:
     with pytest.raises(UnitsError, match="unit height"):
         up_of_clouds(small, "scans", told=False)
     assert up_of_clouds(small, "scans", told=True)[0] == up
+
+
+def test_scans_of_who_crouches_have_z_up_where_the_floor_is() -> None:
+    """Acrobats whose scans had another axis were laid on the side, as z was 0 now and then."""
+    random = np.random.default_rng(0)
+    clouds = [
+        random.uniform((shift - 0.5, -0.5, 0.0), (shift + 0.5, 0.5, 0.9), (200, 3))
+        for shift in np.linspace(0.0, 1.0, 20)
+    ]
+    assert up_of_clouds(clouds, "scans", told=False) == ("z", ())
+    aside = [cloud[:, [1, 2, 0]] for cloud in clouds]
+    with pytest.raises(UnitsError, match="--up"):
+        up_of_clouds(aside, "scans", told=False)
 
 
 def test_no_laboratory_is_mirrored_but_one(data) -> None:

@@ -15,8 +15,8 @@ from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import FitSettings
 from recon.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from recon.reading.clip import load_clip
 from tests.filmed import bundled, joint_error, walk
 from tests.formats.pose2sim_files import write_trc as write_pose2sim_trc

@@ -11,8 +11,8 @@ from recon.core.layouts import keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.settings import DEFAULTS
 from recon.formats.projects import project_at
+from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
-from recon.mocap.trc import write_trc
 from recon.reading.clip import load_clip
 from recon.reading.inputs import observation_input
 from tests.filmed import bundled, cameras, view, walk

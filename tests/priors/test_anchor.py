@@ -11,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import pad
 from recon.method.priors import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
-from training.anchor.densities import fitted_basis
+from training.anchor.train import fitted_basis
 from training.weights import save_anchor, save_checkpoint
 
 pytestmark = pytest.mark.numerics

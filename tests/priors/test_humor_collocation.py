@@ -17,7 +17,7 @@ from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
-from training.humor.densities import error_whitening
+from training.humor.train import error_whitening
 
 pytestmark = pytest.mark.numerics
 

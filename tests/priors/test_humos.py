@@ -19,7 +19,7 @@ from recon.method.reconstruction import solve
 from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
-from training.humos.densities import fitted_codes
+from training.humos.train import fitted_codes
 from training.weights import save_humos
 
 BODY = BodyModel.load()

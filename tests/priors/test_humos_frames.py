@@ -20,7 +20,7 @@ from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
 from training.humos.corpus import begun_anew, mirrored
-from training.humos.densities import fitted_basis
+from training.humos.train import fitted_basis
 
 BODY = BodyModel.load()
 

@@ -8,7 +8,7 @@ import torch
 
 from priors.humor.mixture import Mixture
 from tests.priors.test_humor_nets import golden
-from training.humor.densities import fitted_mixture
+from training.humor.train import fitted_mixture
 
 
 def golden_covariances() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -8,7 +8,7 @@ from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from tests.walking import a_walk
-from training.anchor.densities import fitted_basis, fitted_spread
+from training.anchor.train import fitted_basis, fitted_spread
 
 LATENT = 4
 

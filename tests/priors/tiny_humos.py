@@ -7,7 +7,7 @@ from priors.humos.networks import HumosWeights, WindowNetworks
 from priors.humos.prior import Humos
 from recon.body.model import BodyModel
 from tests.walking import a_walk
-from training.humos.densities import fitted_basis, fitted_codes
+from training.humos.train import fitted_basis, fitted_codes
 
 LATENT, FRAMES = 6, 40
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scripts.frozen.compare import differences
+from scripts.frozen.__main__ import differences
 
 KEPT = {
     "joints": np.zeros((3, 22, 3)),

@@ -15,12 +15,13 @@ from recon.body.motion_files import leg_length
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
-from training.humos.corpus import AS_RECORDED, BodyCorpus, BodyVariation
+from training.humos.corpus import BodyCorpus, BodyVariation
 from training.humos.losses import physics_losses, reconstruction
 from training.humos.train import HumosRun, HumosTraining, export_weights, train
 from training.settings import Licence
 
 BODY = BodyModel.load()
+AS_RECORDED = BodyVariation(mirror=0.0, shape=0.0, unseen=0.0)
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,22 @@
 
 import json
 import lzma
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from recon.batch.collection import SourceClip
 from recon.body.model import BodyModel
 from recon.ingest.maps import alignments_from_rest
-from training.sources import HUMANOID_MAP, read_humanoid, read_packed
+from training.sizes import unlike
+from training.sources import (
+    HUMANOID_MAP,
+    read_humanoid,
+    read_packed,
+    read_windows,
+)
 
 
 def packed(path: Path, places: np.ndarray) -> Path:
@@ -80,3 +88,76 @@ def test_other_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"Frames": [[1, 2, 3]]}')
     with pytest.raises(ValueError, match="44 numbers"):
         read_humanoid(tmp_path / "a.json")
+
+
+def windows(folder: Path, collar: float) -> list[SourceClip]:
+    """A window of somebody whose collars point up by so many degrees, on a skeleton of CMU."""
+    table = tomllib.loads(BONES)
+    lines, order = ["HIERARCHY"], []
+
+    def write(name: str, depth: int) -> None:
+        order.append(name)
+        offset = " ".join(str(10 * x) for x in table[name]["offset"])
+        lines.append(f"{'ROOT' if depth == 0 else 'JOINT'} {name} {{ OFFSET {offset}")
+        lines.append(f"CHANNELS {'6 Xposition Yposition Zposition' if depth == 0 else '3'} "
+                     "Zrotation Xrotation Yrotation")  # fmt: skip
+        below = [child for child, row in table.items() if row.get("parent") == name]
+        for child in below:
+            write(child, depth + 1)
+        lines.append("}" if below else "End Site { OFFSET 0 1 0 } }")
+
+    write("Hips", 0)
+    turns = {"LeftShoulder": collar, "RightShoulder": -collar}
+    frame = [0.0, 100.0, 0.0] + [x for name in order for x in (turns.get(name, 0.0), 0.0, 0.0)]
+    numbers = " ".join(map(str, frame))
+    lines += ["MOTION", "Frames: 3", "Frame Time: 0.0083333", *[numbers] * 3]
+    path = folder / "39_01_w1.bvh"
+    path.write_text("\n".join(lines) + "\n")
+    return [SourceClip("cmu_windows", "39_01_w1", path)]
+
+
+BONES = """
+Hips = {offset = [0, 0, 0]}
+LeftUpLeg = {parent = "Hips", offset = [1, -1, 0]}
+LeftLeg = {parent = "LeftUpLeg", offset = [0, -4, 0]}
+LeftFoot = {parent = "LeftLeg", offset = [0, -4, 0]}
+RightUpLeg = {parent = "Hips", offset = [-1, -1, 0]}
+RightLeg = {parent = "RightUpLeg", offset = [0, -4, 0]}
+RightFoot = {parent = "RightLeg", offset = [0, -4, 0]}
+Spine1 = {parent = "Hips", offset = [0, 2, 0]}
+Neck = {parent = "Spine1", offset = [0, 2, 0]}
+Neck1 = {parent = "Neck", offset = [0, 1, 0]}
+Head = {parent = "Neck1", offset = [0, 1, 0.274]}
+LeftShoulder = {parent = "Spine1", offset = [0, 2, 0]}
+LeftArm = {parent = "LeftShoulder", offset = [1.902, 0.598, -0.16]}
+LeftForeArm = {parent = "LeftArm", offset = [3, 0, 0]}
+RightShoulder = {parent = "Spine1", offset = [0, 2, 0]}
+RightArm = {parent = "RightShoulder", offset = [-1.902, 0.598, -0.16]}
+RightForeArm = {parent = "RightArm", offset = [-3, 0, 0]}
+"""
+
+
+@pytest.mark.parametrize(("collar", "left"), [(0.0, 0.0), (8.0, 8.0), (20.0, 0.0)])
+def test_shoulders_drawn_up_by_a_foreign_skeleton_come_down(
+    tmp_path: Path, collar: float, left: float
+) -> None:
+    """Collars of CMU 39 and 118 pointed up by 14 degrees more than those of others."""
+    found = read_windows(windows(tmp_path, collar))["39_01_w1"]
+    shoulder, arm, hand = (found.joint(f"Left{n}") for n in ("Shoulder", "Arm", "ForeArm"))
+    bone = found.positions[1, arm] - found.positions[1, shoulder]
+    usual = np.degrees(np.arctan2(0.299, 0.951))
+    # metres, z up; the body faces -y, so that its left is x
+    up = np.degrees(np.arctan2(bone[2], np.hypot(bone[0], 0.0)))
+    assert up == pytest.approx(usual + left, abs=1.0)
+    upper_arm = found.positions[1, hand] - found.positions[1, arm]
+    length = np.linalg.norm(upper_arm)
+    raised = np.degrees(np.arcsin(upper_arm[2] / length))
+    assert raised == pytest.approx(collar, abs=0.1), "arms keep their orientations"
+
+
+def test_people_are_ordered_by_how_unlike_their_bones_are() -> None:
+    person = np.array([0.4, 0.4, 0.3])
+    others = {"far": 1.1 * person, "near": person * [1.01, 1.0, 1.0], "same": person.copy()}
+    found = unlike(person, others)
+    assert [name for _, name in found] == ["same", "near", "far"]
+    np.testing.assert_allclose([value for value, _ in found], [0.0, 100 * 0.01 / 3**0.5, 10.0])

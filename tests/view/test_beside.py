@@ -9,8 +9,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, save_motion
 from recon.view import Figure
-from recon.view.beside import beside, common
-from recon.view.files import view
+from recon.view.files import at_common_times, put_beside, view
 from recon.view.viewpoint import follow
 from tests.walking import a_walk
 
@@ -27,7 +26,7 @@ def test_the_other_is_to_the_right_and_nowhere_near() -> None:
     other = Figure(
         BODY, tall(a_walk(BODY).replace(translation=a_walk(BODY).translation + far)), "b"
     )
-    moved = beside(first, other)
+    moved = put_beside(first, other)
     torch.testing.assert_close(moved.motion.translation[..., 2], other.motion.translation[..., 2])
     shift = moved.motion.translation - other.motion.translation
     torch.testing.assert_close(shift, shift[:1].expand_as(shift))
@@ -43,7 +42,7 @@ def test_the_other_is_to_the_right_and_nowhere_near() -> None:
 def test_both_play_from_their_first_frames_while_both_last() -> None:
     file = MotionFile(a_walk(BODY, seconds=1.0, fps=50.0), contacts=torch.rand(51, 22))
     other = MotionFile(a_walk(BODY, seconds=0.6, fps=30.0).replace(start_time=7.0))
-    cut, second = common(file, other)
+    cut, second = at_common_times(file, other)
     assert cut.contacts is not None
     assert (cut.motion.frames, second.frames, len(cut.contacts)) == (31, 31, 31)
     assert (second.fps, second.start_time) == (50, 0)

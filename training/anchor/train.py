@@ -4,16 +4,18 @@ The fit has a closed form, so there is nothing to resume: a run takes half a min
 its place, the VAE of Marsot et al. (2022), completed cycles less well (docs/tried.md).
 """
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
-from priors.anchor.networks import AnchorNetworks, AnchorWeights
+from priors.anchor.frames import CODES, POSE_NUMBERS, CycleBasis
+from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread
 from recon.body.model import BodyModel
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.anchor.densities import fitted_basis, fitted_spread
 from training.settings import CorpusSettings, told_settings
 from training.weights import save_anchor
 
@@ -72,3 +74,44 @@ def linear(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
     typical = min(_TYPICAL, len(learned.shape))
     spread = fitted_spread(mean, log_variance.exp(), typical, settings.seed)
     return AnchorWeights(networks, spread)
+
+
+_LEAST_SPAN = 0.01
+"""Metres or seconds that normalised numbers extend over, at least."""
+
+
+def fitted_basis(rows: Float[Tensor, "cycles 100 124"], basis: int) -> CycleBasis:
+    """A basis fitted to training cycles.
+
+    Raises:
+        ValueError: when there are fewer cycles than directions asked for.
+    """
+    if len(rows) <= basis:
+        raise ValueError(f"{basis} directions need more cycles than {len(rows)}")
+    low, high = rows[..., POSE_NUMBERS:].amin((0, 1)), rows[..., POSE_NUMBERS:].amax((0, 1))
+    low = torch.cat((low[:3], low.new_zeros(1)))
+    high = high.maximum(low + _LEAST_SPAN)
+    plain = CycleBasis(low, high, rows.new_zeros(CODES), torch.eye(CODES)[:0], rows.new_zeros(0))
+    codes = plain.codes(plain.normalised(rows))
+    mean = codes.mean(0)
+    _, lengths, directions = torch.linalg.svd(codes - mean, full_matrices=False)
+    deviation = lengths[:basis] / math.sqrt(len(rows) - 1)
+    return CycleBasis(low, high, mean, directions[:basis].contiguous(), deviation)
+
+
+def fitted_spread(
+    means: Float[Tensor, "cycles latent"], variances: Float[Tensor, "cycles latent"],
+    typical: int, seed: int = 0,
+) -> CodeSpread:  # fmt: skip
+    """Moments of the mixture of all posteriors, and the cycles nearest to cluster centres."""
+    from sklearn.cluster import KMeans
+
+    codes = means.double()
+    mean = codes.mean(0)
+    away = codes - mean
+    covariance = away.mT @ away / max(len(codes) - 1, 1) + variances.double().mean(0).diag()
+    rows = codes.numpy()
+    found = KMeans(typical, random_state=seed).fit(rows)
+    centres = torch.from_numpy(found.cluster_centers_)
+    nearest = torch.cdist(centres, codes).argmin(-1)
+    return CodeSpread(mean.float(), torch.linalg.cholesky(covariance).float(), means[nearest])

@@ -15,14 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
-from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
+from priors.humor.state import State, canonical, distinct_features, initial_features, rest_pelvis
+from priors.humor.steps import explain
 from priors.humor.weights import networks_from, read_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
-from training.humor.densities import error_whitening, fitted_mixture
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
@@ -190,6 +192,54 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     save_humor(path, networks, initial, whitening, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
+
+
+_SHRINKAGE = 0.05
+"""Share by which variances of errors are raised, so that directions of almost no variance do not
+count without end."""
+
+
+def fitted_mixture(
+    samples: Float[Tensor, "samples numbers"],
+    features: Int[Tensor, " features"],
+    components: int = 12,
+    regularisation: float = 1e-4,
+    seed: int = 0,
+) -> Mixture:
+    """A mixture fitted by expectation maximisation from k-means (HuMoR, section 4).
+
+    Args:
+        samples: rows of all numbers.
+        features: those to model.
+        components: Gaussians.
+        regularisation: added to every variance; 1e-4 is a centimetre, or 1 cm/s, squared.
+        seed: of the k-means start.
+    """
+    from sklearn.mixture import GaussianMixture
+
+    mixture = GaussianMixture(
+        components, reg_covar=regularisation, max_iter=200, random_state=seed
+    )
+    mixture.fit(samples[:, features].double().cpu().numpy())
+    return Mixture.create(
+        torch.from_numpy(mixture.weights_),
+        torch.from_numpy(mixture.means_),
+        torch.from_numpy(mixture.covariances_),
+        features,
+    )
+
+
+def error_whitening(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> Float[Tensor, "207 207"]:
+    """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
+    with torch.no_grad():
+        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
+    covariance = errors.mT @ errors / len(errors)
+    covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
+    factor = torch.linalg.cholesky(covariance)
+    identity = torch.eye(len(factor), dtype=factor.dtype)
+    return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()
 
 
 def _main(settings: HumorTraining, export: Path | None = None) -> None:

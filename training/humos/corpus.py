@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humos.frames import BodyFrames, existing_windows
+from priors.humos.frames import BodyFrames, existing_windows, turn_of
 from priors.humos.prior import FPS
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
@@ -36,10 +36,6 @@ class BodyVariation:
     """Standard deviation by which each shape coefficient of who moves is moved."""
     unseen: float = 0.5
     """Share of other bodies that come out of the shape space, and not from the corpus."""
-
-
-AS_RECORDED = BodyVariation(mirror=0.0, shape=0.0, unseen=0.0)
-"""No variation."""
 
 
 @dataclass(frozen=True)
@@ -174,8 +170,7 @@ class BodyCorpus(TensorStruct):
 
 def begun_anew(frames: BodyFrames) -> BodyFrames:
     """Frames relative to their own first frame."""
-    c, s = frames.direction[..., :1, :].unbind(-1)
-    back = torch.stack((torch.stack((c, -s), -1), torch.stack((s, c), -1)), -2)
+    back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(
         direction=(frames.direction[..., None, :] @ back)[..., 0, :],

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Generator, Tensor
 
 from priors.labels.regions import MIRRORED_REGIONS, REGIONS
+from recon.core import rotations as so3
 from recon.core.struct import TensorStruct, concatenate
 from recon.formats.opening import load_arrays, save_arrays
 
@@ -143,7 +144,7 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
     clouds = mirrored_where(chance(0.5), clouds)
     tilted = chance(variation.tilted)
     angle = math.tau * torch.rand(windows, generator=random)
-    turns = torch.where(tilted[:, None, None], _any_turn(windows, random), _about_z(angle))
+    turns = torch.where(tilted[:, None, None], _any_turn(windows, random), so3.about_z(angle))
     blind = chance(variation.blind)
     present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
     present &= ~_lost(clouds, chance(variation.lost_limb), random)
@@ -229,12 +230,6 @@ def _lost(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     gone[:, -1] = False
     lost = gone.gather(1, clouds.regions.flatten(1) % (len(REGIONS) + 1))
     return lost.unflatten(1, clouds.regions.shape[1:]) & which[:, None, None]
-
-
-def _about_z(angle: Float[Tensor, " windows"]) -> Float[Tensor, "windows 3 3"]:
-    c, s, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
-    rows = torch.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], -1)
-    return rows.unflatten(-1, (3, 3))
 
 
 def _any_turn(count: int, random: Generator) -> Float[Tensor, "count 3 3"]:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from recon.core.camera import Camera, looking
 from recon.core.raster import rasterise
 from recon.simulation.depth import DepthSensor, Surface, measured
+from recon.simulation.points import spread
 from recon.simulation.scenery import FurnitureMesh, box, chair, table, together
 
 SIZE = (256, 212)
@@ -151,14 +152,9 @@ def all_around(
     random: np.random.Generator,
 ) -> Glimpse:
     """Points that scanners from all sides see, with noise and a few that belong to nothing."""
-    a, b, c = vertices[faces].swapaxes(0, 1)
-    reach = np.linalg.norm(np.cross(b - a, c - a), axis=1).cumsum()
-    face = np.searchsorted(reach, reach[-1] * random.random(count), side="right")
-    s, t = np.sqrt(random.random((count, 1))), random.random((count, 1))
-    weights = np.stack([1 - s, s * (1 - t), s * t], 1)
+    drawn = spread(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
-    points = (weights * vertices[faces[face]]).sum(1) + random.normal(0.0, noise, (count, 3))
-    shown = (weights * places[faces[face]]).sum(1)
+    points, shown = drawn[:, :3] + random.normal(0.0, noise, (count, 3)), drawn[:, 3:]
     on_body = (random.random(count) >= random.choice([0.0, 0.0, 0.03])).astype(np.int64)
     wild = random.uniform(vertices.min(0) - 0.1, vertices.max(0) + 0.1, (count, 3))
     points = np.where(on_body[:, None] > 0, points, wild)

@@ -1,4 +1,4 @@
-"""Training of the network that labels points, on clouds that are drawn from a corpus first."""
+"""Training of the network that labels points, on clouds drawn from a corpus first; its losses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,11 +7,13 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
-from priors.labels.networks import LabelNetwork
+from priors.labels.looking import believed, standard
+from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
+from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
-from training.labels.clouds import CloudCorpus, CloudVariation, half_hidden, varied
-from training.labels.losses import errors, losses, said_of, seen_of
+from training.labels.clouds import CloudCorpus, CloudVariation, LabelledClouds, half_hidden, varied
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, in_folder, trained_state
 from training.settings import TrainingSettings, told_settings
@@ -122,3 +124,105 @@ def export_weights(settings: LabelTraining, path: Path) -> Path:
     about = told_settings(settings) | {"step": found["step"]}
     save_checkpoint(path, "labels", half_precision(network), about)
     return path
+
+
+_PLACES, _ON_BODY, _SIDES, _ACROSS = 0.3, 0.5, 0.3, 0.5
+"""Weights of the losses of places, on or off the body, sides, and the direction from right to
+left, beside that of regions."""
+
+
+def seen_of(clouds: LabelledClouds) -> SeenClouds:
+    """Windows as the network takes them, all moments in one row."""
+    moments = clouds.points.shape[1]
+    return standard(
+        clouds.points.flatten(0, 1),
+        clouds.present.flatten(0, 1),
+        clouds.eyes.repeat_interleave(moments, 0),
+        clouds.has_eye.repeat_interleave(moments),
+        clouds.level.repeat_interleave(moments),
+    )
+
+
+def said_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
+    """The network's outputs for windows of so many frames each."""
+    windows = len(seen.points) // moments
+    asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
+    inside = (asked >= 0) & (asked < moments)
+    index = asked.clamp(0, moments - 1)
+    neighbours = (moments * torch.arange(windows)[:, None, None] + index).flatten(0, 1)
+    known = inside.repeat(windows, 1) & seen.present.any(-1)[neighbours]
+    known[:, STEPS // 2] = True
+    return network(seen, neighbours, known)
+
+
+def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str, Tensor]:
+    """Cross entropies, and the negative log-density of places; `total` is their weighted sum.
+
+    Errors of the coordinates of a place are Laplace-distributed with standard deviation s:
+    -log p = |e| √2 / s + log(√2 s). The points of a moment may have left and right exchanged, all
+    of them or none, whichever costs less; which one it was, is learned apart. Otherwise a network
+    that cannot tell yet calls some points of an arm left and others right. It is learned from the
+    direction from right to left, whose truth does not depend on what the network says of points:
+    the square of its error, of the moment and as the mean over centres.
+    """
+    region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
+    place, on_body = clouds.places.flatten(0, 1), region >= 0
+    mirrored = torch.tensor([*MIRRORED_REGIONS, -1])[region]
+    costs = [
+        _costs(raw, regions, places, on_body)
+        for regions, places in ((region, place), (mirrored, mirrored_places(place)))
+    ]
+    sums = [(found + _PLACES * away).sum(-1).detach() for found, away in costs]
+    as_said = sums[0] <= sums[1]
+    shown = on_body.any(-1)
+    sides = binary_cross_entropy_with_logits(raw.sides[shown], as_said[shown].float())
+    count = on_body.sum().clamp(min=1)
+    found, away = (
+        torch.where(as_said[:, None], one, other).sum() / count
+        for one, other in zip(*costs, strict=True)
+    )
+    stray = binary_cross_entropy_with_logits(raw.on_body[present], on_body[present].float())
+    truth = from_right_to_left(seen.points, place, on_body.to(place))[shown]
+    missed = (raw.across[shown] - truth[:, None]).square().sum(-1)
+    across = missed[:, 0].mean() + missed[:, 1:].mean()
+    total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides + _ACROSS * across
+    return {
+        "total": total, "regions": found, "on_body": stray, "places": away, "sides": sides,
+        "across": across,
+    }  # fmt: skip
+
+
+def _costs(
+    raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The loss of every point by region and by place; zero off the body."""
+    found = cross_entropy(
+        raw.regions.mT, regions, ignore_index=-1, reduction="none", label_smoothing=0.01
+    )
+    error = (raw.places - places).abs().mean(-1)
+    away = error * 2**0.5 * (-raw.log_std).exp() + raw.log_std
+    return found.where(on_body, 0.0), away.where(on_body, 0.0)
+
+
+def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
+    """Shares of points of wrong regions and of strays not told, errors of places (cm).
+
+    `sided` is the share of points that are wrong as well with left and right of the whole moment
+    exchanged where that is better.
+    """
+    labels = believed(raw, clouds.present.flatten(0, 1))
+    region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
+    on_body = region >= 0
+    said = labels.regions.argmax(-1)
+    right = (said == region) & on_body
+    exchanged = (torch.tensor(MIRRORED_REGIONS)[said] == region) & on_body
+    either = torch.maximum(right.sum(-1), exchanged.sum(-1)).sum() / on_body.sum()
+    away = (labels.places - clouds.places.flatten(0, 1)).norm(dim=-1)[on_body]
+    told = (raw.on_body > 0)[present] == on_body[present]
+    return {
+        "wrong": 1 - float(right.sum() / on_body.sum()),
+        "sided": 1 - float(either),
+        "place_cm": 100 * float(away.mean()),
+        "place_median_cm": 100 * float(away.median()),
+        "stray_wrong": 1 - float(told.float().mean()),
+    }
