@@ -171,13 +171,6 @@ def _parts(
     return torch.einsum("...jab,vjb->...vja", orientations, place)
 
 
-def _below() -> Float[Tensor, "22 22"]:
-    """Matrix whose row a has 1 for joint a and its descendants."""
-    below = torch.zeros(len(JOINTS), len(JOINTS))
-    for joint in range(len(JOINTS)):
-        below[joint, list(descendants(joint))] = 1.0
-    return below
-
-
-BELOW = _below()
+_EVERY = range(len(JOINTS))
+BELOW = torch.tensor([[float(k in below) for k in _EVERY] for below in map(descendants, _EVERY)])
 """Row a: 1 for joint a and all joints that hang from it."""

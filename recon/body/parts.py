@@ -80,3 +80,15 @@ def vertex_areas(
     return vertices.new_zeros(len(vertices)).index_add(
         0, faces.flatten(), area.repeat_interleave(3)
     )
+
+
+def farthest(
+    points: Float[Tensor, "points 3"], seeds: Int[Tensor, " seeds"], count: int
+) -> Int[Tensor, " count"]:
+    """The seeds and, one by one, the point farthest from all chosen so far."""
+    distance = torch.cdist(points, points[seeds]).amin(-1)
+    chosen = seeds.tolist()
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = distance.minimum((points - points[chosen[-1]]).norm(dim=-1))
+    return torch.tensor(chosen, device=points.device)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel
-from recon.body.parts import PARTS, Parts, vertex_areas
+from recon.body.parts import PARTS, Parts, farthest, vertex_areas
 from recon.core.skeleton import FEET, JOINTS
 from recon.core.struct import TensorStruct
 
@@ -71,7 +71,7 @@ def _sampled(body: BodyModel) -> SampledSurface:
             continue
         count = POINTS_PER_FOOT_BONE if joint in FEET else POINTS_PER_BONE
         seeds = (rest[bone] @ _sphere(count).to(rest).T).argmax(0).unique()
-        points = _farthest(rest[bone], seeds, min(count, len(bone)))
+        points = farthest(rest[bone], seeds, min(count, len(bone)))
         nearest = torch.cdist(rest[bone], rest[bone][points]).argmin(-1)
         areas.append(rest.new_zeros(len(points)).index_add(0, nearest, all_areas[bone]))
         chosen.append(bone[points])
@@ -81,16 +81,6 @@ def _sampled(body: BodyModel) -> SampledSurface:
     feet = torch.isin(owner[vertices], owner.new_tensor(FEET))
     low = rest[vertices, 1] < rest[:, 1].amin() + _SOLE
     return SampledSurface(vertices, torch.cat(areas)[order], part[vertices], feet & low)
-
-
-def _farthest(points: Tensor, seeds: Tensor, count: int) -> Tensor:
-    """The seeds and, one by one, the point farthest from all chosen so far."""
-    distance = torch.cdist(points, points[seeds]).amin(-1)
-    chosen = seeds.tolist()
-    while len(chosen) < count:
-        chosen.append(int(distance.argmax()))
-        distance = distance.minimum((points - points[chosen[-1]]).norm(dim=-1))
-    return torch.tensor(chosen, device=points.device)
 
 
 def _sphere(count: int) -> Tensor:
@@ -117,17 +107,5 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
 @lru_cache(maxsize=4)
 def _in_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
     """Vertices in the order of farthest point sampling; cached per mesh."""
-    return _farthest_from_first(np.frombuffer(template).reshape(-1, 3), count)
-
-
-def _farthest_from_first(
-    points: Float[np.ndarray, "points 3"], count: int
-) -> Int[np.ndarray, " count"]:
-    """Farthest point sampling from the first point on, in the order of sampling."""
-    chosen = np.zeros(count, np.int64)
-    distance = np.full(len(points), np.inf)
-    for k in range(1, count):
-        away = points - points[chosen[k - 1]]
-        np.minimum(distance, np.einsum("ij,ij->i", away, away), out=distance)
-        chosen[k] = distance.argmax()
-    return chosen
+    points = torch.from_numpy(np.frombuffer(template).reshape(-1, 3).copy())
+    return farthest(points, torch.tensor([0]), count).numpy()

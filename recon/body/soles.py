@@ -8,6 +8,7 @@ from torch import Tensor
 
 from recon.body.contacts import MAXIMUM_SPEED, speeds
 from recon.body.model import BodyModel
+from recon.body.parts import farthest
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, joint_index
 
@@ -39,7 +40,8 @@ class Soles:
             foot = ((bone == ankle) | (bone == toe)).nonzero()[:, 0]
             low = foot[body.template[foot, 1] < body.template[foot, 1].min() + _SOLE_DEPTH]
             place = body.template[low]
-            spread.append(low[_spread(place, min(_SOLE_POINTS, len(low)))])
+            rearmost = place[:, 2].argmin()[None]
+            spread.append(low[farthest(place, rearmost, min(_SOLE_POINTS, len(low)))])
             rigid = low[bone[low] == ankle]
             along = body.template[rigid, 2].argsort()
             heels.append(rigid[along[:_PATCH]])
@@ -50,16 +52,6 @@ class Soles:
             heels=torch.stack(heels),
             balls=torch.stack(balls),
         )
-
-
-def _spread(points: Float[Tensor, "points 3"], count: int) -> list[int]:
-    """Farthest point sampling, from the rearmost on."""
-    chosen = [int(points[:, 2].argmin())]
-    distance = (points - points[chosen[0]]).norm(dim=-1)
-    while len(chosen) < count:
-        chosen.append(int(distance.argmax()))
-        distance = distance.minimum((points - points[chosen[-1]]).norm(dim=-1))
-    return chosen
 
 
 @dataclass(frozen=True)

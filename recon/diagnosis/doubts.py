@@ -1,4 +1,4 @@
-"""What is doubtful about a fit: other motions, and what was merely guessed or never seen."""
+"""Other motions that explain the data of a fit, and which of its joints were seen."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,6 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
-from recon.diagnosis.findings import Finding, chosen, listed, spans, stretches
 from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
@@ -122,75 +121,6 @@ def _turn(one: Motion, other: Motion) -> float:
     return abs(math.atan2(float(mean[1, 0] - mean[0, 1]), float(mean[0, 0] + mean[1, 1])))
 
 
-GUESSED = 0.1
-"""Standard deviation of a coordinate, metres, from which on a joint is merely guessed: as far as
-its neighbours along a limb are apart."""
-_PART = 0.25
-"""Share of the joints of a frame that are a large part of the body."""
-_SHORTEST = 0.2
-"""Seconds that are worth a word."""
-NEARLY = 0.15
-"""Share of the energy by which another motion may be worse and still be nearly as likely. On
-five validation windows of depth alone, where all headings were chosen well, the next was worse by
-29 % at least."""
-_ANOTHER = 0.15
-"""Metres, mean of joints, from which on another posture is another motion: quick fits that compare
-first guesses leave smaller differences to the fit that follows."""
-
-
-def guessed_findings(
-    joint_std: Float[np.ndarray, "time 22"], observed: Bool[np.ndarray, "time 22"], fps: float
-) -> list[Finding]:
-    """Warnings of stretches in which a large unobserved part of the body is very uncertain.
-
-    Joints that were seen are left out: that one camera leaves their distance open is no guess.
-
-    Args:
-        joint_std: standard deviation of a coordinate of every joint, metres.
-        observed: false where a joint was inferred rather than seen.
-        fps: frames per second.
-    """
-    loose = (joint_std > GUESSED) & ~observed
-    flags = loose.mean(1) >= _PART
-    if flags.sum() < _SHORTEST * fps:
-        return []
-    often = loose[flags].mean(0) > 0.5
-    names = chosen(JOINTS, often)
-    typical = float(np.median(joint_std[flags][loose[flags]]))
-    frames = stretches(flags)
-    return [
-        Finding(
-            "guessed",
-            f"{listed(names) if names else 'much of the body'} may be anywhere within some "
-            f"{200 * typical:.0f} cm in {int(flags.sum())} of {len(flags)} frames "
-            f"({spans(frames)}): nothing seen holds them (`joint_std` in the motion file)",
-            names,
-            frames,
-            typical,
-        )
-    ]
-
-
-def undecided_findings(alternatives: Sequence[Alternative]) -> list[Finding]:
-    """A warning of the likeliest alternative, where it explains the data nearly as well."""
-    close = [
-        one
-        for one in alternatives
-        if one.excess < NEARLY and (one.kind != "posture" or one.distance > _ANOTHER)
-    ]
-    if not close:
-        return []
-    more = f" and {len(close) - 1} more" if len(close) > 1 else ""
-    return [
-        Finding(
-            "undecided",
-            f"another motion explains the data nearly as well: {close[0]}{more}; look at both, "
-            "or add a sensor that tells them apart (`alternatives` in the report)",
-            value=close[0].excess,
-        )
-    ]
-
-
 def observed_joints(
     observations: Sequence[Sensor], estimate: Estimate
 ) -> Bool[np.ndarray, "time 22"]:
@@ -209,32 +139,3 @@ def observed_joints(
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]
     return seen
-
-
-def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
-    """Findings about joints that were never seen, and frames without any data."""
-    found: list[Finding] = []
-    never = chosen(JOINTS, ~np.any(observed, axis=0))
-    if never:
-        found.append(
-            Finding(
-                "unseen",
-                f"{listed(never)} {'was' if len(never) == 1 else 'were'} never seen; the prior "
-                "inferred them (`observed` in the motion file)",
-                never,
-                value=len(never) / len(JOINTS),
-            )
-        )
-    empty = ~np.any(observed, axis=1)
-    if empty.any():
-        found.append(
-            Finding(
-                "gap",
-                f"nothing was seen in {int(empty.sum())} of {len(empty)} frames "
-                f"({spans(stretches(empty))}); the motion there is inferred",
-                (),
-                stretches(empty),
-                float(empty.mean()),
-            )
-        )
-    return found

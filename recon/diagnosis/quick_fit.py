@@ -97,7 +97,8 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
-    first, noise = versions[0], _noise(versions[0])
+    first = versions[0]
+    noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
@@ -147,15 +148,11 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    method, start = partial(quick_stages, _noise(fit.points)), fit.estimate.motion
+    noise = estimate_noise(fit.points.positions, fit.points.visible)
+    method, start = partial(quick_stages, noise), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
     (again,) = _fitted([fit.points], method, body, reached.detach())
     return again if again.cost < fit.cost else fit
-
-
-def _noise(points: TrackedPoints) -> float:
-    """Standard deviation of a coordinate, metres."""
-    return float(estimate_noise(points.positions, points.visible))
 
 
 def quick_stages(

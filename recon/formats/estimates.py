@@ -80,7 +80,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     """
     tree = _tree(path)
     people = list(_people(tree, ()))
-    in_world = [one for one in people if not _in_camera(one[0])]
+    in_world = [
+        one for one in people if not any(word in str(key) for key in one[0] for word in _IN_CAMERA)
+    ]
     people = in_world or people
     if not people:
         raise FormatError(
@@ -194,10 +196,6 @@ def _apart(arrays: Tree) -> Iterator[Tree]:
             for key, value in {key: _numbers(value) for key, value in arrays.items()}.items()
             if value.ndim >= 2 and len(value) == len(place)
         }
-
-
-def _in_camera(where: tuple[Any, ...]) -> bool:
-    return any(word in str(key) for key in where for word in _IN_CAMERA)
 
 
 def _chosen(

@@ -103,7 +103,7 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
 
 def _moving(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
     """Dynamics of second moments of mass, a share of the `total`."""
-    bones = posed.bones.flatten(-3, -2).mT
+    bones = posed.bones.flatten(-3, -2).mT.contiguous()
     bends, places = second_differences(bones, fps), inner(bones, fps)
     # Σ m u as a column: a vertex' weights sum to one, so the fourth entries of u do
     first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]

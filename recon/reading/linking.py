@@ -169,7 +169,10 @@ class _Linking:
     def step(self, frame: int) -> None:
         """Link the detections of the next frame."""
         every = self.rows[self.seen.frame[self.rows] == frame].tolist()
-        alive = [_alive(one, frame) for one in self.followed]
+        alive = [
+            replace(one, people=tuple(p for p in one.people if frame - p.frame <= LOST_AFTER))
+            for one in self.followed
+        ]
         here = whole(self.seen, every, [p.rows[-1] for p in alive[0].people])
         here = self._distinct(here, alive[0].people, frame)
         after: list[_Assignment] = []
@@ -353,10 +356,6 @@ def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
         return best
     doubt = _parted(best.frames, other.frames), changed
     return replace(best, doubts=(*best.doubts, doubt))
-
-
-def _alive(one: _Assignment, frame: int) -> _Assignment:
-    return replace(one, people=tuple(p for p in one.people if frame - p.frame <= LOST_AFTER))
 
 
 def _parted(one: _Frame | None, two: _Frame | None) -> int:

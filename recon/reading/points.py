@@ -267,7 +267,9 @@ def settle_body_layout(
         ValueError: when the layout is wrong, or none fits, or two do; names what fits.
     """
     count = positions.shape[1]
-    misfits = {one: _misfit(positions, one, body) for one in LAYOUTS if _counts(one, count)}
+    misfits = {
+        one: _misfit(positions, one, body) for one, names in LAYOUTS.items() if len(names) == count
+    }
     fitting = [one for one, misfit in misfits.items() if misfit <= GOOD]
     if layout is not None:
         if len(keypoint_names(layout)) != count:
@@ -303,10 +305,6 @@ def settle_body_layout(
 
 def _hint(fitting: list[str]) -> str:
     return f"; {' or '.join(fitting)} fits, give it with --layout" if fitting else ""
-
-
-def _counts(layout: str, count: int) -> bool:
-    return len(LAYOUTS[layout]) == count
 
 
 def _misfit(positions: np.ndarray, layout: str, body: BodyModel) -> float:

@@ -1,6 +1,9 @@
 """What a fit says of its own doubts: guessed limbs, other motions, and a size nobody can tell."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +12,10 @@ from observations.keypoints2d import Keypoints2D
 from recon.core.skeleton import JOINTS, LEGS
 from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 from recon.diagnosis.certainty import certainty
-from recon.diagnosis.doubts import Alternative, guessed_findings, undecided_findings
+from recon.diagnosis.checks import guessed, other_motions
+from recon.diagnosis.doubts import Alternative
+from recon.diagnosis.examination import Examined
+from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
@@ -59,32 +65,50 @@ def std_of(legs: float, rest: float = 0.02) -> np.ndarray:
     return std
 
 
+def clip_of(**known: Any) -> Examined:
+    """An examined clip of which only this is known."""
+    clip = object.__new__(Examined)
+    vars(clip).update(known)
+    return clip
+
+
+def guesses(std: np.ndarray, observed: np.ndarray) -> Sequence[Finding]:
+    """What is said of joints with these standard deviations, at 30 frames per second."""
+    known, motion = SimpleNamespace(joints=torch.from_numpy(std)), SimpleNamespace(fps=30.0)
+    return guessed(clip_of(deviations=known, observed=observed, motion=motion))[1].diagnosis
+
+
 def test_limbs_that_nothing_holds_are_said_to_be_guessed():
     observed = np.ones((60, 22), dtype=bool)
     observed[10:40, list(LEGS)] = False
-    (found,) = guessed_findings(std_of(0.2), observed, 30.0)
+    (found,) = guesses(std_of(0.2), observed)
     assert found.code == "guessed"
     assert found.frames == ((10, 39),)
     assert found.joints == tuple(JOINTS[k] for k in sorted(LEGS))
     assert found.value == 0.2
     assert "40 cm" in found.message
-    assert guessed_findings(std_of(0.05), observed, 30.0) == []
-    assert guessed_findings(std_of(0.2), np.ones((60, 22), dtype=bool), 30.0) == []
+    assert guesses(std_of(0.05), observed) == ()
+    assert guesses(std_of(0.2), np.ones((60, 22), dtype=bool)) == ()
     brief = observed | (np.arange(60) > 12)[:, None]
-    assert guessed_findings(std_of(0.2), brief, 30.0) == []
+    assert guesses(std_of(0.2), brief) == ()
 
 
 def other(energy: float) -> Alternative:
     return Alternative("heading", 180.0, 0.4, energy, 1.0)
 
 
+def undecided(alternatives: Sequence[Alternative]) -> Sequence[Finding]:
+    """What is said of these other motions."""
+    return other_motions(clip_of(alternatives=alternatives))[1].warnings
+
+
 def test_another_motion_is_said_where_it_is_nearly_as_likely():
-    (found,) = undecided_findings([other(1.02), other(1.1), other(2.0)])
+    (found,) = undecided([other(1.02), other(1.1), other(2.0)])
     assert found.code == "undecided"
     assert "facing 180 degrees elsewhere" in found.message
     assert "and 1 more" in found.message
-    assert undecided_findings([other(1.3)]) == []
+    assert undecided([other(1.3)]) == ()
     rough = Alternative("posture", 3.0, 0.08, 1.05, 1.0)
-    assert undecided_findings([rough]) == []
-    assert len(undecided_findings([replace(rough, distance=0.3)])) == 1
-    assert undecided_findings([]) == []
+    assert undecided([rough]) == ()
+    assert len(undecided([replace(rough, distance=0.3)])) == 1
+    assert undecided([]) == ()
