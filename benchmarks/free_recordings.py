@@ -27,7 +27,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.formats.motions import load_motion
-from recon.formats.replacing import file_checksum, replacing
+from recon.formats.replacing import file_checksum, write_text
 from recon.ingest.single import convert
 from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 
@@ -216,8 +216,7 @@ def falls(motion: Motion, body: BodyModel) -> float | None:
 
 def _write(motion: Path, notes: Mapping[str, Any]) -> None:
     """The notes beside a motion."""
-    with replacing(motion.with_suffix(".json")) as beside:
-        beside.write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+    write_text(motion.with_suffix(".json"), json.dumps(notes, indent=1) + "\n")
 
 
 if __name__ == "__main__":

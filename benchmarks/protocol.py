@@ -26,11 +26,10 @@ import torch
 import recon
 from recon import Motion
 from recon.benchmark.dataset import SPLITS, Splits
-from recon.benchmark.table import Interval, interval, paired
+from recon.benchmark.table import Interval, interval
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
-from recon.formats.opening import replacing
-from recon.formats.replacing import files_checksum
+from recon.formats.replacing import files_checksum, write_text
 
 ROOT = Path(__file__).parents[1]
 """The source checkout."""
@@ -77,8 +76,7 @@ class Table:
             f' "{key}": {_lines(value)}' for key, value in {**parts, "rows": self.rows}.items()
         ]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as beside:
-            beside.write_text("{\n" + ",\n".join(said) + "\n}\n", encoding="utf-8")
+        write_text(path, "{\n" + ",\n".join(said) + "\n}\n")
 
     def markdown(self) -> str:
         """The table, its note, and where its numbers are from."""
@@ -145,20 +143,14 @@ def cells(
     ]
 
 
-def mean_of(
-    values: Sequence[float | None],
-    windows: TrueWindows,
-    less: Sequence[float | None] | None = None,
-) -> Interval | None:
-    """The mean over subjects, or that of paired differences; None where no window has a value."""
+def mean_of(values: Sequence[float | None], windows: TrueWindows) -> Interval | None:
+    """The mean over subjects; None where no window has a value."""
     kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
     own = [values[k] for k in kept]
     if all(value is None for value in own):
         return None
-    if less is None:
-        return interval(own, clips, people)
-    return paired(own, [less[k] for k in kept], clips, people)
+    return interval(own, clips, people)
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:

@@ -8,7 +8,6 @@ COLLECTION/CLIP.npz with notes beside (CLIP.json), `manifest.csv` (`training.man
 `minutes.csv`, which is logged, too.
 """
 
-import csv
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -19,11 +18,13 @@ from typing import Any
 import tyro
 from tyro.conf import Positional
 
+from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
 from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
-from recon.formats.replacing import file_checksum, replacing, value_checksum
+from recon.formats.replacing import file_checksum, value_checksum, write_text
+from recon.formats.text_tables import write_rows
 from recon.ingest.conversion import Conversion, convert_skeletons
 from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
@@ -35,7 +36,6 @@ from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
     WINDOWS,
-    OtherClip,
     copied_clips,
     marker_clips,
     read_humanoid,
@@ -52,7 +52,7 @@ _TOO_FAST = {
     "118": "17 flights fall at 13 to 28 m/s², 19 in the median",
 }
 """People of CMU whose motions play too fast, and how that shows."""
-_Maker = Callable[[OtherClip, BodyModel], tuple[Conversion, bool]]
+_Maker = Callable[[SourceClip, BodyModel], tuple[Conversion, bool]]
 """Converts a clip; also tells whether the bones are those of the person who moves."""
 
 
@@ -93,7 +93,7 @@ def convert(
 
 
 def convert_others(
-    clips: Sequence[OtherClip],
+    clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
     made: _Maker,
@@ -131,16 +131,15 @@ def convert_others(
             "key": key,
             "checksum": file_checksum(path),
         }
-        with replacing(path.with_suffix(".json")) as beside:
-            beside.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+        write_text(path.with_suffix(".json"), json.dumps(row, indent=1) + "\n")
         LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
 
 
-def _from_markers(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+def _from_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
     return convert_markers(read_markers(clip), body), True
 
 
-def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
+def _from_skeletons(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
     """What converts motions of one skeleton, which is calibrated from all of them when needed."""
 
     @cache
@@ -153,7 +152,7 @@ def _from_skeletons(clips: Sequence[OtherClip], body: BodyModel) -> _Maker:
             skeleton = HUMANOID_MAP
         return every, calibrate(list(every.values()), skeleton, body)
 
-    def made(clip: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+    def made(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
         every, subject = read()
         (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
@@ -185,28 +184,21 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     for name, path in clip_files(out).items():
         told = notes(path)
         collection = str(told.get("collection", path.parent.name))
-        file = load_motion(path)
-        for span in judged(file, source_of(collection, parts.subject(name), told), body):
-            seconds = (span.stop - span.first) / file.motion.fps
-            lessons = (span.poses, span.steps, span.contacts, span.shape)
-            rows.append(
-                Row(name, collection, span.first, span.stop, round(seconds, 3), *lessons, span.why)
-            )
+        source = source_of(name, collection, parts.subject(name), told)
+        rows += judged(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes(rows, parts)
-    with replacing(out / "minutes.csv") as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows(table)
+    write_rows(out / "minutes.csv", table)
     for row in table:
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in row.items()))
     return rows
 
 
-def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
+def source_of(clip: str, collection: str, person: str, told: Mapping[str, Any]) -> Source:
     """What is known of a clip's recording.
 
     Args:
+        clip: its name in the corpus.
         collection: to which it belongs.
         person: who moves.
         told: the notes beside the clip.
@@ -216,6 +208,8 @@ def source_of(collection: str, person: str, told: Mapping[str, Any]) -> Source:
         retargeted=collection == HUMANOID,
         true_rate=person not in _TOO_FAST,
         flat=bool(told.get("flat", True)),
+        clip=clip,
+        collection=collection,
         residuals=tuple(told.get("residuals", ())),
     )
 

@@ -18,6 +18,7 @@ from recon.diagnosis.findings import stretches
 from recon.diagnosis.frame_rate import rates_by_falls
 from recon.diagnosis.movement import Movement
 from recon.formats.motions import MotionFile
+from training.manifest import Row
 
 _RATE = 60.0
 """Frames per second at which motions are judged."""
@@ -65,30 +66,14 @@ class Source:
     true_rate: bool = True
     """Whether it plays as fast as it happened."""
     flat: bool = True
+    clip: str = ""
+    collection: str = ""
+    """Names of the recording and of its collection in the manifest."""
     residuals: tuple[float, ...] = ()
     """Mean distance of markers from their places in every second, metres; skeletons have none."""
 
 
-@dataclass(frozen=True)
-class Span:
-    """A stretch of one clip that teaches the same throughout."""
-
-    first: int
-    """First frame."""
-    stop: int
-    """Last frame + 1."""
-    poses: bool
-    steps: bool
-    """How one pose follows another on flat ground, at what speed."""
-    contacts: bool
-    """Which joints carry weight."""
-    shape: bool
-    """The body's proportions."""
-    why: str
-    """What speaks against the lessons that it does not teach; empty where it teaches all."""
-
-
-def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Span]:
+def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
     """The stretches of a clip by what they may teach, in whole seconds; a last half one is joined.
 
     Args:
@@ -104,10 +89,11 @@ def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Span]:
         _span(first, stop, why, source)
         for (first, stop), why in zip(pairwise(edges), against, strict=True)
     ]
-    joined: list[Span] = []
+    joined: list[Row] = []
     for _, group in groupby(spans, key=lambda span: replace(span, first=0, stop=0)):
         same = list(group)
-        joined.append(replace(same[0], stop=same[-1].stop))
+        seconds = round((same[-1].stop - same[0].first) / motion.fps, 3)
+        joined.append(replace(same[0], stop=same[-1].stop, seconds=seconds))
     return joined
 
 
@@ -119,13 +105,13 @@ _SPOILS = {
 """The first lesson that each finding takes away: steps need poses, contacts need steps."""
 
 
-def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Span:
+def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
     lost = {_SPOILS[word] for word in why}
     poses = "poses" not in lost
     steps = poses and "steps" not in lost
-    return Span(
-        first, stop, poses, steps, steps and "contacts" not in lost, poses and source.own_bones,
-        " ".join(why),
+    return Row(
+        source.clip, source.collection, first, stop, 0.0, poses, steps,
+        steps and "contacts" not in lost, poses and source.own_bones, " ".join(why),
     )  # fmt: skip
 
 

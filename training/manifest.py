@@ -6,13 +6,13 @@ all poses, steps on flat ground, contacts where its files have them.
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.benchmark.dataset import Splits
 from recon.formats.motions import MotionFile, load_motion
-from recon.formats.replacing import replacing
+from recon.formats.text_tables import write_rows
 
 MANIFEST = "manifest.csv"
 Lesson = Literal["poses", "steps", "contacts", "shape"]
@@ -44,13 +44,9 @@ class Row:
 def write_manifest(rows: Iterable[Row], corpus: Path) -> Path:
     """Write the manifest of a corpus in one step; its path."""
     path = corpus / MANIFEST
-    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {k: int(v) if isinstance(v, bool) else v for k, v in asdict(row).items()}
-            )
+    write_rows(path, [
+        {k: int(v) if isinstance(v, bool) else v for k, v in asdict(row).items()} for row in rows
+    ])  # fmt: skip
     return path
 
 

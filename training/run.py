@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 import torch
 from torch import Tensor, nn
 
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing, write_text
 from training.settings import LOG as LOG
 from training.settings import TrainingSettings, identity, plain, same_run
 
@@ -59,8 +59,7 @@ def write_losses(
     columns = list(rows[0])
     lines = [",".join(columns)]
     lines += [",".join(f"{row[column]:.6g}" for column in columns) for row in rows]
-    with replacing(folder / "losses.csv") as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(folder / "losses.csv", "\n".join(lines) + "\n")
     _draw(rows, panels, folder / "losses.png")
 
 

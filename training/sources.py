@@ -10,7 +10,7 @@ import json
 import lzma
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,12 +54,15 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
         FileNotFoundError: when there is no such folder.
         ValueError: when a manifest is damaged.
     """
-    found = list(collections(data / FIRST))
-    for manifest in sorted((data / MORE).glob("*/manifest.csv")):
-        folder = manifest.parent
-        if folder.name not in (HUMANOID, WINDOWS):
-            found.append([_clip(folder, row) for row in _rows(manifest)])
-    return found
+    folders = sorted(manifest.parent for manifest in (data / MORE).glob("*/manifest.csv"))
+    more = [_listed(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
+    return [*collections(data / FIRST), *more]
+
+
+def _listed(folder: Path) -> list[SourceClip]:
+    """The recordings of a later collection, as its manifest lists them."""
+    with (folder / "manifest.csv").open(newline="", encoding="utf-8-sig") as file:
+        return [_clip(folder, row) for row in csv.DictReader(file)]
 
 
 def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
@@ -70,56 +73,24 @@ def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
     return SourceClip(folder.name, row["path"].split(".")[0], folder / row["path"], None, notes)
 
 
-def _rows(manifest: Path) -> list[dict[str, str]]:
-    with manifest.open(newline="", encoding="utf-8-sig") as file:
-        return list(csv.DictReader(file))
-
-
-@dataclass(frozen=True)
-class OtherClip:
-    """A recording that is no skeleton of a known format."""
-
-    collection: str
-    name: str
-    """Name of the clip in the corpus."""
-    path: Path
-    action: str
-    subject: str
-
-    @property
-    def id(self) -> str:
-        """Its name among all clips."""
-        return f"{self.collection}/{self.name}"
-
-
-def marker_clips(data: Path) -> list[OtherClip]:
+def marker_clips(data: Path) -> list[SourceClip]:
     """All recordings of markers that are learned from, or that judge what was learned."""
     table = tomllib.loads(_LIST.read_text(encoding="utf-8"))
     found = [
-        OtherClip("observations", row["clip"], data / row["path"], row["motion"], row["person"])
+        SourceClip("observations", row["clip"], data / row["path"], None,
+                   {"action": row["motion"], "subject": row["person"]})
         for row in table["recording"]
         if "clip" in row
-    ]
-    folder = data / "observations" / MARKERS
-    for row in _rows(folder / "manifest.csv"):
-        name = row["path"].split(".")[0]
-        found.append(
-            OtherClip(MARKERS, name, folder / row["path"], row["description"], row["subject"])
-        )
-    return found
-
-
-def copied_clips(data: Path, collection: str) -> list[OtherClip]:
-    """All motions on a skeleton that is nobody's own and that needs a reader of its own."""
-    folder = data / MORE / collection
-    return [
-        OtherClip(collection, row["path"].split(".")[0], folder / row["path"], row["description"],
-                  row["subject"])
-        for row in _rows(folder / "manifest.csv")
     ]  # fmt: skip
+    return found + _listed(data / "observations" / MARKERS)
 
 
-def read_markers(clip: OtherClip) -> MarkerRecording:
+def copied_clips(data: Path, collection: str) -> list[SourceClip]:
+    """All motions on a skeleton that is nobody's own and that needs a reader of its own."""
+    return _listed(data / MORE / collection)
+
+
+def read_markers(clip: SourceClip) -> MarkerRecording:
     """A recording of markers.
 
     Raises:
@@ -178,7 +149,7 @@ _STOOPS = 12.5
 """Degrees from it beyond which a person's mean is mended; collars of these ten are within 10."""
 
 
-def read_windows(clips: Sequence[OtherClip]) -> dict[str, SkeletonRecording]:
+def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
     """Recordings whose angles were put on a common skeleton (CMU's 31 joints), by their names.
 
     Angles of one skeleton on another turn every bone by what the rest poses differ in, so that

@@ -29,7 +29,7 @@ from benchmarks.strangers.folds import Fold, corpus_folds
 from benchmarks.strangers.training import Schedule, trained
 from recon import BodyModel
 from recon.benchmark.dataset import SPLITS, Splits, clip_files
-from recon.formats.opening import replacing
+from recon.formats.replacing import write_text
 
 
 def main() -> None:
@@ -77,8 +77,7 @@ def measured(
              "rows": rows}  # fmt: skip
     # as JSON gives it back, so that what is shown now is what is shown later
     text = json.dumps({"identity": identity, "found": found}, indent=1)
-    with replacing(kept) as beside:
-        beside.write_text(text, encoding="utf-8")
+    write_text(kept, text)
     return json.loads(text)["found"]
 
 

@@ -26,9 +26,9 @@ FEWEST = 4
 """Clips below which windows are drawn."""
 
 
-def ratio(rows: Rows, protocol: str, field: str = "error") -> Sums | None:
+def ratio(rows: Rows, protocol: str) -> Sums | None:
     """Sums of an error under HuMoR and under the pose prior; None where no window has it."""
-    return _by_unit(rows, protocol, lambda pose, humor: (humor[field], pose[field]))
+    return _by_unit(rows, protocol, lambda pose, humor: (humor["error"], pose["error"]))
 
 
 def slip(rows: Rows, protocol: str) -> Sums | None:

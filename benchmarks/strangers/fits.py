@@ -60,7 +60,6 @@ class Row:
     error: float | None
     """The error that the protocol is about, metres: of all joints, hidden points, joints within
     the gap, or hidden legs; None where nothing was hidden."""
-    legs: float | None
     slip: float | None
     """Mean speed of the feet while the true ones are in contact, metres per second; below, that of
     the truth."""
@@ -170,7 +169,6 @@ def _rows(
             protocol=protocol,
             method=name,
             error=values[shown.metric],
-            legs=values["joints_legs"],
             slip=values["slip_speed"] if flat else None,
             slip_truth=values["slip_speed_truth"] if flat else None,
             network=feet_right(said, touching) if said is not None and flat else None,

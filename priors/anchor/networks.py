@@ -26,9 +26,7 @@ class AnchorNetworks(nn.Module):
     Untrained and without hidden units they are the principal components themselves.
     """
 
-    def __init__(
-        self, basis: CycleBasis, latent: int, shape: int, width: int, dropout: float = 0.0
-    ) -> None:
+    def __init__(self, basis: CycleBasis, latent: int, shape: int, width: int) -> None:
         """Untrained.
 
         Args:
@@ -36,7 +34,6 @@ class AnchorNetworks(nn.Module):
             latent: size of z.
             shape: coefficients of the body that the decoder sees.
             width: units of the hidden layers; 0 has no hidden layers, what is learned is linear.
-            dropout: share of the hidden units left out while training.
         """
         super().__init__()
         self.basis, self.latent, self.shape, self.width = basis, latent, shape, width
@@ -44,8 +41,8 @@ class AnchorNetworks(nn.Module):
         ratio = basis.whitening[:latent]
         self.to_code = nn.Parameter(torch.eye(size)[:latent] * ratio[:, None])
         self.from_code = nn.Parameter(torch.eye(size)[:, :latent] / ratio)
-        self.encoder = _residual(size, width, 2 * latent, dropout)
-        self.decoder = _residual(latent + shape, width, size, dropout)
+        self.encoder = _residual(size, width, 2 * latent)
+        self.decoder = _residual(latent + shape, width, size)
         with torch.no_grad():
             last = self.encoder[-1]
             assert isinstance(last, nn.Linear)
@@ -76,25 +73,24 @@ class AnchorNetworks(nn.Module):
 class _Block(nn.Module):
     """x + B silu(A norm(x))."""
 
-    def __init__(self, width: int, dropout: float) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
         self.inner = nn.Linear(width, width)
-        self.drop = nn.Dropout(dropout)
         self.outer = nn.Linear(width, width)
 
     def forward(self, x: Float[Tensor, "*batch width"]) -> Float[Tensor, "*batch width"]:
-        return x + self.outer(self.drop(functional.silu(self.inner(self.norm(x)))))
+        return x + self.outer(functional.silu(self.inner(self.norm(x))))
 
 
-def _residual(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
+def _residual(inputs: int, width: int, outputs: int) -> nn.Sequential:
     """Layers whose output is zero before training."""
     last = nn.Linear(width or inputs, outputs)
     nn.init.zeros_(last.weight)
     nn.init.zeros_(last.bias)
     if width == 0:
         return nn.Sequential(last)
-    blocks = [_Block(width, dropout), _Block(width, dropout)]
+    blocks = [_Block(width), _Block(width)]
     return nn.Sequential(nn.Linear(inputs, width), *blocks, last)
 
 

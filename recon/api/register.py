@@ -6,17 +6,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
-from recon.api.fit import fit
 from recon.api.observations import ObservationsLike
 from recon.api.results import Tables, told
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
-from recon.fitting.observed import Clip
 from recon.fitting.settings import DEFAULTS
 from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
@@ -27,7 +23,7 @@ from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors, together
-from recon.reading.icp import OrientedCloud, aligned
+from recon.reading.icp import OrientedCloud, aligned, rough_poses
 
 _READ = 20_000
 """Points of a frame that are read; the ground takes most of them."""
@@ -37,8 +33,6 @@ _GROUND = 0.05
 """Metres above the ground below which points are left out: a plane slides along itself."""
 _SAME_TIME = 0.1
 """Frames by which what several cameras see at once may differ."""
-_ALIKE = 0.15
-"""Metres that joints told by single cameras may differ, in the middle, once put together."""
 _SHARED = 0.05
 """Share of a camera's points that another one sees as well, at least."""
 
@@ -100,9 +94,9 @@ def register(
 
     Each is a folder of depth images (.png), a folder of clouds (.ply, .pcd, ...) or observations
     of points (.npz), in the axes of its camera: x right, y down, z forward. Poses that files state
-    may be off by 10 cm and 5 degrees; where some have none, the body is fitted to every camera
-    alone, and the joints tell how they stand to each other. Then clouds are aligned by what two
-    cameras see at once, the person and the room; the ground, where it is seen, becomes z = 0.
+    may be off by 10 cm and 5 degrees; where some have none, all must see the ground, and the path
+    of the person tells how they stand to each other. Then clouds are aligned by what two cameras
+    see at once, the person and the room; the ground, where it is seen, becomes z = 0.
 
     Args:
         observations: one per camera, of one clock.
@@ -132,11 +126,20 @@ def register(
     level &= level[base]
     stands = np.stack([np.asarray(one.T_recording_camera) for one in clips])
     posed = all(file.camera and file.camera.T_camera_world is not None for file in files)
-    poses = [np.linalg.inv(_pose(file)) for file in files] if posed else _by_bodies(clips, base)
-    start = np.stack(poses) @ np.linalg.inv(stands)
-    start = np.linalg.inv(start[base]) @ start
-    start = np.stack([_upright(T) if flat else T for T, flat in zip(start, level, strict=True)])
     views = _views(own, stands, level, base)
+    if posed:
+        start = np.stack([np.linalg.inv(_pose(file)) for file in files]) @ np.linalg.inv(stands)
+        start = np.linalg.inv(start[base]) @ start
+        start = np.stack(
+            [_upright(T) if flat else T for T, flat in zip(start, level, strict=True)]
+        )
+    elif level.all():
+        start = rough_poses(views, base, names)
+    else:
+        raise ObservationError(
+            f"{names[int(level.argmin())]}: no ground is seen in it, so that nothing tells how it "
+            "stands to the others; give files with rough poses (T_camera_world)"
+        )
     found, shared = aligned(views, start, base, level)
     for name, share in zip(names, shared, strict=True):
         if share < _SHARED:
@@ -152,7 +155,7 @@ def register(
         f"the ground that {names[base]} sees is z = 0" if level[base]
         else f"no ground is seen: {names[base]} is taken as held level; fit with --ground unknown"
     )  # fmt: skip
-    begun = "stated poses" if posed else "a body fitted to every camera alone"
+    begun = "stated poses" if posed else "the path of the person"
     return DepthRig(
         placed, dict(zip(names, shared.tolist(), strict=True)), (f"begun by {begun}", ground)
     )
@@ -201,33 +204,6 @@ def _pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
     if known is not None and len(known) != 1:
         raise ObservationError("expected cameras that stand still, got one that moves")
     return np.eye(4) if known is None else known[0]
-
-
-def _by_bodies(clips: Sequence[Clip], base: int) -> list[Float[np.ndarray, "4 4"]]:
-    """T_base_camera of every camera by the joints of the body that is fitted to it alone."""
-    joints = []
-    for clip in clips:
-        found = fit(clip, "pose", checks=(), repair=False)
-        assert found.T_world_camera is not None
-        T = np.linalg.inv(found.T_world_camera.double().numpy())
-        joints.append(found.joints.double().numpy() @ T[:3, :3].T + T[:3, 3])
-    frames, poses = min(map(len, joints)), []
-    true = joints[base][:frames].reshape(-1, 3)
-    for clip, one in zip(clips, joints, strict=True):
-        own = one[:frames].reshape(-1, 3)
-        across = (true - true.mean(0)).T @ (own - own.mean(0))
-        pose = np.eye(4)
-        pose[:3, :3] = so3.nearest(torch.from_numpy(across)).numpy()
-        pose[:3, 3] = true.mean(0) - pose[:3, :3] @ own.mean(0)
-        apart = np.median(np.linalg.norm(own @ pose[:3, :3].T + pose[:3, 3] - true, axis=-1))
-        if apart > _ALIKE:
-            raise ObservationError(
-                f"{clip.names[0]}: the body that it sees alone moves otherwise than that of "
-                f"{clips[base].names[0]} ({100 * apart:.0f} cm), expected the same person at the "
-                "same time; give files with rough poses (T_camera_world)"
-            )
-        poses.append(pose)
-    return poses
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -1,6 +1,6 @@
 """The result of a fit: the motion, its uncertainty, findings and report."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from time import monotonic
 from typing import Any
@@ -357,14 +357,9 @@ class Stopper:
     through the rest within moments.
     """
 
-    def __init__(
-        self,
-        callback: Watch | None,
-        max_seconds: float | None,
-        clock: Callable[[], float] = monotonic,
-    ) -> None:
-        self._callback, self._clock, self._seconds = callback, clock, max_seconds
-        self._deadline = None if max_seconds is None else clock() + max_seconds
+    def __init__(self, callback: Watch | None, max_seconds: float | None) -> None:
+        self._callback, self._seconds = callback, max_seconds
+        self._deadline = None if max_seconds is None else monotonic() + max_seconds
         self.reason: str | None = None
         """The reason why the fit was stopped; None while it was not."""
 
@@ -378,6 +373,6 @@ class Stopper:
         """Why the fit should stop now; None where it should go on."""
         if self._callback is not None and self._callback(stage, progress) is True:
             return "the callback"
-        if self._deadline is not None and self._clock() > self._deadline:
+        if self._deadline is not None and monotonic() > self._deadline:
             return f"max_seconds = {self._seconds:g}"
         return None

@@ -1,7 +1,6 @@
 """The jobs of a corpus conversion: survey recordings, calibrate a skeleton, convert clips."""
 
 import contextlib
-import csv
 import json
 import os
 import shutil
@@ -15,7 +14,13 @@ from recon.batch.collection import Content, SourceClip, contents, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
 from recon.core.visible import visible
-from recon.formats.replacing import clear_leftovers, file_checksum, part_of, replacing
+from recon.formats.replacing import (
+    clear_leftovers,
+    file_checksum,
+    part_of,
+    write_text,
+)
+from recon.formats.text_tables import write_rows
 from recon.ingest.conversion import Conversion, convert_skeletons, glitches
 from recon.ingest.maps import recognise
 from recon.ingest.subject import SubjectModel, calibrate
@@ -39,14 +44,11 @@ def rejection(clip: SourceClip, reason: str) -> Row:
 def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
     """OUT/report.csv and OUT/report.json, in one step each."""
     ordered = sorted(rows, key=lambda row: (str(row["collection"]), str(row["clip"])))
-    columns = list(dict.fromkeys(key for row in ordered for key in row))
-    with replacing(out / "report.csv") as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        for row in ordered:
-            writer.writerow({k: visible(v) if isinstance(v, str) else v for k, v in row.items()})
-    with replacing(out / "report.json") as beside:
-        beside.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+    shown = [
+        {k: visible(v) if isinstance(v, str) else v for k, v in row.items()} for row in ordered
+    ]
+    write_rows(out / "report.csv", shown)
+    write_text(out / "report.json", json.dumps(ordered, indent=1) + "\n")
 
 
 SHORTEST_PIECE = 1.0
@@ -178,8 +180,7 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
         found = file_checksum(motion)
         noted = {**row, "checksum": found}
         noted["replaces"] = file_checksum(path) if path.exists() else None
-        with replacing(beside) as report:
-            report.write_text(json.dumps(noted, indent=1) + "\n", encoding="utf-8")
+        write_text(beside, json.dumps(noted, indent=1) + "\n")
         os.replace(motion, path)
     finally:
         shutil.rmtree(stage, ignore_errors=True)

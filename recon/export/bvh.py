@@ -11,7 +11,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
 from recon.export.skeleton import rest_offsets
-from recon.formats.opening import replacing
+from recon.formats.replacing import write_text
 from recon.mocap.recording import SkeletonRecording
 
 Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
@@ -116,5 +116,4 @@ def write_bvh(
     row = " ".join([f"%.{decimals}f"] * values.shape[1])
     lines.extend(("MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / recording.fps:.8f}"))
     lines.extend(row % tuple(frame) for frame in values.tolist())
-    with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")

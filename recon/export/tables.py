@@ -19,7 +19,7 @@ from recon.body.opensim import MODEL_NAMES, OpenSimModel, opensim_coordinates
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.formats.opening import replacing
+from recon.formats.replacing import write_text
 from recon.mocap.recording import MarkerRecording
 
 
@@ -83,8 +83,7 @@ def _write(
     times = motion.times.double().cpu().numpy()
     rows = np.stack((times, *columns.values()), -1)
     lines = [separator.join(f"{value:.6f}" for value in row) for row in rows.tolist()]
-    with replacing(path) as beside:
-        beside.write_text("\n".join((*header, *lines)) + "\n", encoding="utf-8")
+    write_text(path, "\n".join((*header, *lines)) + "\n")
 
 
 MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "bsm"]

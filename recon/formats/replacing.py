@@ -33,6 +33,16 @@ def replacing(path: Path) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8, in one step: a reader finds the former file or the whole new one.
+
+    Raises:
+        FileNotFoundError: when the folder does not exist.
+    """
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
 _HOST = re.sub(r"[^A-Za-z0-9]", "", platform.node())[:32]
 """Name of this machine: folders are shared between machines, each with its own process numbers."""
 

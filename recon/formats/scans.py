@@ -13,8 +13,9 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing, replacing
+from recon.formats.opening import existing
 from recon.formats.pcd import read_pcd
+from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import timed
 from recon.formats.texts import decode, numbers_in, read_bytes
 
@@ -238,8 +239,7 @@ def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
     lines = [f"{path.name},{time:.9f}" for path, time in zip(paths, times, strict=True)]
     for path, frame in zip(paths, frames, strict=True):
         write_ply(path, scans.points[scans.frame == frame])
-    with replacing(folder / "times.csv") as beside:
-        beside.write_text("\n".join(["file,seconds", *lines, ""]), encoding="utf-8")
+    write_text(folder / "times.csv", "\n".join(["file,seconds", *lines, ""]))
     return paths
 
 

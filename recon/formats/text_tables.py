@@ -1,8 +1,8 @@
-"""Tables of text whose cells lie between commas: rows, a look at the first ones, and numbers."""
+"""Tables of text whose cells lie between commas: rows, written and read, and their numbers."""
 
 import csv
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import Limit
+from recon.formats.replacing import replacing
 from recon.formats.texts import decode, read_bytes
 
 _CELLS = Limit(
@@ -31,6 +32,19 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
     return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write a table in one step: a column for every key, in the order in which keys come.
+
+    Raises:
+        FileNotFoundError: when the folder does not exist.
+    """
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def each_once(columns: Sequence[str], name: str) -> None:

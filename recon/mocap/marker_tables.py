@@ -14,7 +14,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
-from recon.formats.opening import replacing
+from recon.formats.replacing import write_text
 from recon.formats.text_tables import numbers, read_rows
 from recon.formats.texts import decode, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
@@ -271,5 +271,4 @@ def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: A
         for point, shown in zip(row.tolist(), seen.tolist(), strict=True):
             cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
         lines.append("\t".join(cells))
-    with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,4 +1,4 @@
-"""Poses of several depth cameras by their clouds of one clip: ICP over all frames and pairs.
+"""Poses of several depth cameras by their clouds of one clip: paths, then ICP over all pairs.
 
 A point's neighbour is sought in the same frame of the clip, as the person moves. The residual of a
 pair is its distance along the mean of both normals (Rusinkiewicz 2019), which is zero on a curved
@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from recon.core.errors import ObservationError
+
 _APART = 100.0
 """Metres that frames are apart in the search for neighbours, as its fourth dimension."""
 _NEIGHBOURS = 40
@@ -22,6 +24,11 @@ _FLAT = 0.3
 _ROUNDS = ((0.4, 0.1, 0.5, 8), (0.2, 0.06, 0.5, 8), (0.1, 0.03, 0.7, 4), (0.05, 0.015, 0.8, 2))
 """From coarse to fine: distance of neighbours and scale of the kernel, metres, the cosine between
 their normals, at least, and the step at which points are looked at."""
+_TURNS, _LOOKED, _ROUGHLY, _ALIKE = 72, 4000, (0.2, 0.5), 0.2
+"""Turns that are tried, points that are looked at, distance of neighbours in metres and cosine
+between their normals, and metres that paths may be apart, where nothing tells a pose."""
+_CELL, _STAYS = 0.1, 0.5
+"""Metres of a cell, and share of the frames from which on what is seen there stays."""
 _STEPS, _STILL = 50, 3e-5
 """Steps of a round, at most, and metres and radians of one that ends it."""
 
@@ -56,6 +63,61 @@ class OrientedCloud:
     def __getitem__(self, rows: slice) -> "OrientedCloud":
         """Some of the points."""
         return OrientedCloud(self.points[rows], self.frame[rows], self.normals[rows])
+
+
+def rough_poses(
+    views: Sequence[OrientedCloud], base: int, names: Sequence[str]
+) -> Float[np.ndarray, "cameras 4 4"]:
+    """T_base_view of views that stand level on one ground, by the path of what moves.
+
+    Views are turned about z in steps, with the middle of the path held. The best turn leaves the
+    paths least apart and most points with a neighbour in the view that the others are brought to.
+
+    Args:
+        views: what each camera saw, with z up and the ground at z = 0.
+        base: number of the view that the others are brought to.
+        names: of the cameras, for messages.
+
+    Raises:
+        ObservationError: when what moves in a view has another path than in that one.
+    """
+    from scipy.spatial import KDTree
+
+    own, paths = views[base], [_path(one) for one in views]
+    tree = KDTree(_in_frames(own.points, own.frame))
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    for number in set(range(len(views))) - {base}:
+        common = sorted(paths[number].keys() & paths[base].keys())
+        goal, way = (
+            np.array([paths[k][frame] for frame in common]).reshape(-1, 3) for k in (base, number)
+        )
+        some = views[number][:: max(len(views[number].points) // _LOOKED, 1)]
+        best, apart = 0.0, np.inf
+        for turn in np.linspace(0, 2 * np.pi, _TURNS, endpoint=False) if common else ():
+            T = _moved(np.eye(4), np.array([0, 0, turn, 0, 0, 0]))
+            T[:3, 3] = (goal - way @ T[:3, :3].T).mean(0)
+            off = float(np.linalg.norm(way @ T[:3, :3].T + T[:3, 3] - goal, axis=1).mean())
+            pairs, _ = _pairs(some, own, T, np.eye(4), tree, *_ROUGHLY)
+            if len(pairs) / (off + _CELL) > best:
+                best, apart, poses[number] = len(pairs) / (off + _CELL), off, T
+        if apart > _ALIKE:
+            raise ObservationError(
+                f"{names[number]}: what moves in it has another path than in {names[base]}, "
+                "expected the same person at the same time; give files with rough poses "
+                "(T_camera_world)"
+            )
+    return poses
+
+
+def _path(view: OrientedCloud) -> dict[int, Float[np.ndarray, "3"]]:
+    """The middle of what moves, by frame, on the ground: cells are left out that stay occupied."""
+    cells = np.floor(view.points / _CELL).astype(np.int64)
+    each, frame = np.unique(np.c_[cells, view.frame], axis=0), np.unique(view.frame)
+    places, counts = np.unique(each[:, :3], axis=0, return_counts=True)
+    stay = {tuple(one) for one in places[counts > _STAYS * len(frame)].tolist()}
+    moves = np.array([tuple(one) not in stay for one in cells.tolist()])
+    shown = ((one, view.points[moves & (view.frame == one)]) for one in frame.tolist())
+    return {k: np.median(some, axis=0) * (1, 1, 0) for k, some in shown if len(some)}
 
 
 def aligned(

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import torch
 
+from recon.batch.collection import SourceClip
 from recon.body.model import BodyModel
 from recon.diagnosis.findings import Finding
 from recon.ingest.conversion import Conversion
 from tests.standing_body import path, standing, times
 from training.conversion import convert_others, judge, source_of
 from training.manifest import read_manifest
-from training.sources import OtherClip
 
 BODY = BodyModel.load()
 
@@ -36,17 +36,17 @@ def found(residual: float = 0.004) -> Conversion:
     )
 
 
-def always(one: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+def always(one: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
     return found(), True
 
 
 def test_clips_are_made_once_and_anew_when_their_recording_changes(tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     recording.write_text("first")
-    clip = OtherClip("ui_prmd", "m01_s01_e01_ok", recording, "deep squat", "UIPRMD s01")
+    clip = SourceClip("ui_prmd", "m01_s01_e01_ok", recording)
     made: list[str] = []
 
-    def maker(one: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+    def maker(one: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
         made.append(one.name)
         return found(), True
 
@@ -62,9 +62,9 @@ def test_clips_are_made_once_and_anew_when_their_recording_changes(tmp_path: Pat
 
 
 def test_a_recording_that_cannot_be_converted_leaves_the_others(tmp_path: Path) -> None:
-    clips = [OtherClip("ui_prmd", name, Path(__file__), "", "") for name in ("bad", "good")]
+    clips = [SourceClip("ui_prmd", name, Path(__file__)) for name in ("bad", "good")]
 
-    def maker(one: OtherClip, body: BodyModel) -> tuple[Conversion, bool]:
+    def maker(one: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
         if one.name == "bad":
             raise ValueError("no markers")
         return found(), True
@@ -74,7 +74,7 @@ def test_a_recording_that_cannot_be_converted_leaves_the_others(tmp_path: Path) 
 
 
 def test_what_the_markers_are_unsure_of_is_in_the_manifest_and_the_minutes(tmp_path: Path) -> None:
-    clip = OtherClip("ui_prmd", "m01_s08_e01_ok", Path(__file__), "deep squat", "UIPRMD s08")
+    clip = SourceClip("ui_prmd", "m01_s08_e01_ok", Path(__file__), None, {"action": "deep squat"})
     convert_others([clip], tmp_path, BODY, always)
     judge(tmp_path, BODY)
     rows = read_manifest(tmp_path)
@@ -91,12 +91,12 @@ def test_what_the_markers_are_unsure_of_is_in_the_manifest_and_the_minutes(tmp_p
 
 
 def test_people_who_play_too_fast_and_copied_motions_are_known() -> None:
-    assert not source_of("cmu_windows", "118", {"contacts": False}).true_rate
-    assert not source_of("cmu_windows", "118", {"contacts": False}).own_bones
-    humanoid = source_of("cmu_deepmimic", "90", {"contacts": False})
+    assert not source_of("118_03", "cmu_windows", "118", {"contacts": False}).true_rate
+    assert not source_of("118_03", "cmu_windows", "118", {"contacts": False}).own_bones
+    humanoid = source_of("90_05", "cmu_deepmimic", "90", {"contacts": False})
     assert humanoid.retargeted
     assert humanoid.true_rate
-    plain = source_of("cmu_amc", "09", {"flat": True, "contacts": True})
+    plain = source_of("09_01", "cmu_amc", "09", {"flat": True, "contacts": True})
     assert plain.own_bones
     assert plain.true_rate
     assert plain.flat

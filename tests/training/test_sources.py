@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.batch.collection import SourceClip
 from recon.body.model import BodyModel
 from recon.ingest.maps import alignments_from_rest
 from training.sizes import unlike
 from training.sources import (
     HUMANOID_MAP,
-    OtherClip,
     read_humanoid,
     read_packed,
     read_windows,
@@ -90,7 +90,7 @@ def test_other_json_is_refused(tmp_path: Path) -> None:
         read_humanoid(tmp_path / "a.json")
 
 
-def windows(folder: Path, collar: float) -> list[OtherClip]:
+def windows(folder: Path, collar: float) -> list[SourceClip]:
     """A window of somebody whose collars point up by so many degrees, on a skeleton of CMU."""
     table = tomllib.loads(BONES)
     lines, order = ["HIERARCHY"], []
@@ -113,7 +113,7 @@ def windows(folder: Path, collar: float) -> list[OtherClip]:
     lines += ["MOTION", "Frames: 3", "Frame Time: 0.0083333", *[numbers] * 3]
     path = folder / "39_01_w1.bvh"
     path.write_text("\n".join(lines) + "\n")
-    return [OtherClip("cmu_windows", "39_01_w1", path, "walk", "CMU 39")]
+    return [SourceClip("cmu_windows", "39_01_w1", path)]
 
 
 BONES = """
