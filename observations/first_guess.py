@@ -21,6 +21,8 @@ class FirstGuess:
     Placing the rest body better, stage 1, helps the first and spoils the second: it would trade
     stretched limbs against distance.
     """
+    posed: bool = False
+    """Whether it is a fit already, so that placing it anew by the data alone would spoil it."""
 
 
 def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:

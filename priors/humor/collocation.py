@@ -184,7 +184,8 @@ class Collocation(Prior[PoseVariables]):
         Tolerances were chosen on the validation windows. Where all joints are seen, ten times
         smaller ones take longer and leave the errors as they are. Where legs are never seen,
         smaller ones make the errors of the legs larger: the networks alone decide there, and their
-        optimum is not the truth. Limbs that are hidden for a while need smaller ones.
+        optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
+        images are fitted.
         """
         del noise, body, method  # the weights were given to the constructor
         w = self.weights
@@ -199,18 +200,19 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
+        early, late = (2e-2, 1e-4) if in_images(data) else (2e-3, 3e-5)
+        slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
-        last = LBFGS(max_iterations=400, tolerance_decrease=3e-5, scale=_FITTED, history=40)
+        last = LBFGS(max_iterations=400, tolerance_decrease=late, scale=_FITTED, history=40)
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=preconditioned,
         )  # fmt: skip
         if seen_whole(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
-            early = replace(last, tolerance_decrease=3e-4)
-            return root, replace(poses, minimiser=rough), replace(feet, minimiser=early)
+            ended = replace(last, tolerance_decrease=3e-4)
+            return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         # where every joint is seen, no limbs are drawn from the networks
         from priors.humor.likely import LikelyStates, tempo
         from priors.humor.limbs import UnseenLimbs, unseen_limbs
@@ -233,6 +235,11 @@ class Collocation(Prior[PoseVariables]):
         )
         limbs = replace(limbs, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1)
         return root, poses, steps, limbs, feet
+
+
+def in_images(data: tuple[Term, ...]) -> bool:
+    """Whether all that was seen are points in images."""
+    return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:

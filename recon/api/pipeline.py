@@ -112,12 +112,15 @@ def fitted(
     if options.completes:
         fit = _completed(clip.observations, options, body, watch)
     else:
+        found = clip.start if start is None else None
+        start = found or start
         if clip.belt is not None and start is not None:
             from recon.diagnosis.movement import in_room  # there are few treadmills
 
             start = in_room(start, -clip.belt)
         # first guess: a motion from the data without a prior, or the caller's
         seen, guess = guessed(clip.observations, options, body, start)
+        guess = replace(guess, posed=found is not None)
         # the problem: each sensor's residuals with its noise; scene, ground, lens to be found
         problem = posed(seen, guess, options, body, watch)
         # minimise the stages of the prior, one after the other

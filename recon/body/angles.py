@@ -5,20 +5,17 @@ Wu et al. 2002 (doi 10.1016/S0021-9290(01)00222-6) for the legs and the spine, W
 for the order of the pelvis, with which tilt and obliquity do not depend on the heading.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
-from recon.body.segments import (
-    cardan,
-    carried,
-    elevation,
-    isb_axes,
-)
+from recon.body.segments import BONES, cardan, carried, elevation, isb_axes
+from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS, joint_index
 from recon.core.units import to_z_up
 
 _MIRROR = np.diag([1.0, 1.0, -1.0])
@@ -36,6 +33,16 @@ class _Angles:
     names: tuple[str, str, str]
     """What each angle means where it is positive, in the order of the sequence."""
     signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def degrees(
+        self, proximal: np.ndarray, distal: np.ndarray, end: str
+    ) -> Float[np.ndarray, "time 3"]:
+        """The angles between axes of two segments, (time, 3, 3); `end` is `l` for a left limb."""
+        relative = np.swapaxes(proximal, -1, -2) @ distal
+        if end == "l":
+            relative = _MIRROR @ relative @ _MIRROR
+        angles = elevation(relative) if self.order == "YXY" else cardan(relative, self.order)
+        return np.rad2deg(angles) * self.signs
 
 
 _MIDDLE = (
@@ -74,9 +81,22 @@ _SIDED = (
 )  # fmt: skip
 
 
-ISB_ANGLES: tuple[str, ...] = (
-    *(name for one in _MIDDLE for name in one.names),
-    *(f"{name}_{end}" for end in ("r", "l") for one in _SIDED for name in one.names),
+_PAIRS = (
+    *((one, one.proximal, one.distal, "") for one in _MIDDLE),
+    *(
+        (
+            one,
+            name if (name := one.proximal) in BONES else f"{name}_{end}",
+            f"{one.distal}_{end}",
+            end,
+        )
+        for end in ("r", "l")
+        for one in _SIDED
+    ),
+)
+"""Angles, their two segments, and the side of the body."""
+ISB_ANGLES: tuple[str, ...] = tuple(
+    f"{name}_{end}" if end else name for one, _, _, end in _PAIRS for name in one.names
 )
 """Names of all angles, in the order of `isb_angles`."""
 
@@ -96,24 +116,56 @@ def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "
     Raises:
         ValueError: when the body is another one.
     """
+    axes = _axes(motion, body)
+    found = [
+        one.degrees(axes[proximal], axes[distal], end) for one, proximal, distal, end in _PAIRS
+    ]
+    return dict(zip(ISB_ANGLES, np.concatenate(found, -1).T, strict=True))
+
+
+def isb_slopes(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angles 66"]:
+    """Derivatives of all angles by rotation steps w of the joints, R_j Exp(w_j), degrees / radian.
+
+    A joint between two segments turns the distal one, whose axes are A, by Aᵀ O_j w_j about its
+    own axes, with O_j the orientation of the joint's bone; how the angles change when a segment
+    turns about its own axes is a difference.
+
+    Args:
+        motion: one clip without a batch axis.
+        body: whose motion it is; the bundled one, whose landmarks are known.
+
+    Raises:
+        ValueError: when the body is another one.
+    """
+    axes, turns = _axes(motion, body), so3.exp(_STEP * torch.eye(3).double()).numpy()
+    bones = body.pose(motion).orientations.detach().double().cpu().numpy()
+    found = np.zeros((motion.frames, len(_PAIRS), 3, 22, 3))
+    for row, (one, near, far, end) in enumerate(_PAIRS):
+        before, after = axes[near], axes[far]
+        here = one.degrees(before, after, end)
+        away = np.stack([one.degrees(before, after @ turn, end) for turn in turns], -1)
+        away -= here[..., None]
+        by_own_axes = (away - 360 * np.round(away / 360)) / _STEP
+        for joint in _between(near, far):
+            own = np.swapaxes(after, -1, -2) @ bones[:, joint]
+            found[:, row, :, joint] = by_own_axes @ own
+    return found.reshape(motion.frames, len(ISB_ANGLES), -1)
+
+
+_STEP = 1e-4
+"""Radians by which a segment is turned where derivatives are differences."""
+
+
+def _axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 3 3"]]:
+    """Axes of the segments in every frame, and those of the ground."""
     axes = carried(isb_axes(body, motion.shape), body, motion)
-    axes["ground"] = np.broadcast_to(to_z_up("y"), axes["pelvis"].shape)
-    found: dict[str, np.ndarray] = {}
-    for one in _MIDDLE:
-        found |= _three(one, axes, one.proximal, one.distal, "")
-    for end in ("r", "l"):
-        for one in _SIDED:
-            proximal = one.proximal if one.proximal in axes else f"{one.proximal}_{end}"
-            found |= _three(one, axes, proximal, f"{one.distal}_{end}", f"_{end}")
-    return found
+    return axes | {"ground": np.broadcast_to(to_z_up("y"), axes["pelvis"].shape)}
 
 
-def _three(
-    one: _Angles, axes: Mapping[str, np.ndarray], proximal: str, distal: str, ending: str
-) -> dict[str, np.ndarray]:
-    relative = np.swapaxes(axes[proximal], -1, -2) @ axes[distal]
-    if ending == "_l":
-        relative = _MIRROR @ relative @ _MIRROR
-    angles = elevation(relative) if one.order == "YXY" else cardan(relative, one.order)
-    degrees = np.rad2deg(angles) * one.signs
-    return {f"{name}{ending}": degrees[:, k] for k, name in enumerate(one.names)}
+def _between(proximal: str, distal: str) -> list[int]:
+    """The joints that turn one segment relative to another: those of the bones from it on."""
+    last = -1 if proximal == "ground" else joint_index(BONES[proximal])
+    joints = [joint_index(BONES[distal])]
+    while PARENTS[joints[-1]] != last:
+        joints.append(PARENTS[joints[-1]])
+    return joints

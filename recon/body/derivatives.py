@@ -56,6 +56,12 @@ class CarriedPoints:
         eye = torch.eye(count, dtype=shape.dtype, device=shape.device)
         return cls.create(body, shape, eye, shape.new_zeros(count, 0), none)
 
+    @property
+    def own_joints(self) -> Int[Tensor, " points"] | None:
+        """The joint that each point is; None where a point is anything else."""
+        alone = bool((self.share.amax(1) == 1).all()) and not bool(self.place.any())
+        return self.share.argmax(1) if alone else None
+
     def some(self, rows: Sequence[int]) -> "CarriedPoints":
         """Some of the points, by their numbers."""
         order = list(rows)

@@ -68,6 +68,12 @@ class BodyModel(TensorStruct):
         """Number of shape coefficients the body has."""
         return self.shape_directions.shape[-1]
 
+    def same_as(self, other: "BodyModel") -> bool:
+        """Whether it is the other body, in the same precision and on the same device."""
+        own, its = self.template, other.template
+        alike = self.checksum == other.checksum and self.shape_size == other.shape_size
+        return alike and own.dtype == its.dtype and own.device == its.device
+
     def rest_joints(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 22 3"]:
         """Joints of the unposed body, metres; missing trailing coefficients are zero."""
         directions = self.joint_directions[..., : self._size(shape)].flatten(0, 1)

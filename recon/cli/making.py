@@ -33,7 +33,7 @@ TYPES: dict[str, Any] = {
     "tuple[int, int] | None": str | None,
     "Axis": Literal["x", "y", "z"],
     "Up": Literal["x", "y", "z", "x-down", "y-down", "z-down"],
-    "Unit": Literal["m", "cm", "mm", "inch", "cmu"],
+    "Unit": str,
     "Hand": Literal["left", "right"],
     "FurnitureName": FurnitureName,
     "LeftOver": LeftOver,

@@ -14,14 +14,24 @@ Up = Literal["x", "y", "z", "x-down", "y-down", "z-down"]
 Hand = Literal["left", "right"]
 """Handedness of coordinates; those of Unity, of Kinect's colour image and of mirrors are left."""
 
-Unit = Literal["m", "cm", "mm", "inch", "cmu"]
-METRES: dict[str, float] = {
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "inch": 0.0254,
-    "cmu": 0.0254 / 0.45,
-}
+Unit = str
+"""One of `METRES`, or metres per unit as a number: "0.3048"."""
+
+
+class _Metres(dict[str, float]):
+    """Metres per unit by its name; a positive number stands for itself."""
+
+    def __missing__(self, unit: str) -> float:
+        try:
+            metres = float(unit)
+        except ValueError:
+            metres = 0.0
+        if not 0 < metres < float("inf"):
+            raise KeyError(unit)
+        return metres
+
+
+METRES = _Metres(m=1.0, cm=0.01, mm=0.001, inch=0.0254, cmu=0.0254 / 0.45)
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
 
 _SPELLINGS = {
@@ -45,8 +55,12 @@ def check_override(unit: str | None) -> None:
     Raises:
         ValueError: with the units that are.
     """
-    if unit is not None and unit not in METRES:
-        raise UnitsError(f"--unit is one of {', '.join(METRES)}, got {unit!r}")
+    try:
+        METRES["m" if unit is None else unit]
+    except KeyError:
+        raise UnitsError(
+            f"--unit is one of {', '.join(METRES)}, or metres per unit as a number, got {unit!r}"
+        ) from None
 
 
 def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:

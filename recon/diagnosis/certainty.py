@@ -3,12 +3,11 @@
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.angles import isb_angles
+from recon.body.angles import isb_slopes
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -29,27 +28,14 @@ MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""
 
 
-def angles_of(body: BodyModel) -> Measure | None:
-    """ISB angles of several clips, degrees, near those of the first; None for another body."""
+def angle_slopes(body: BodyModel) -> Measure | None:
+    """Derivatives of ISB angles by rotation steps, degrees per radian; None for another body."""
 
-    def measured(clips: Motion) -> Float[Tensor, "rows time angles"]:
-        rows, frames = clips.translation.shape[:2]
-        flat = Motion.create(
-            clips.translation.flatten(0, 1), clips.rotations.flatten(0, 1), clips.shape[0],
-            clips.fps,
-        )  # fmt: skip
-        found = np.stack(list(isb_angles(flat, body).values()), -1)
-        values = torch.from_numpy(found).reshape(rows, frames, -1).to(clips.translation)
-        away = values - values[:1]
-        return values[:1] + away - 360 * (away / 360).round()
+    def slopes(motion: Motion) -> Float[Tensor, "time angles 66"]:
+        return torch.from_numpy(isb_slopes(motion, body)).to(motion.translation)
 
-    turns, zeros = torch.eye(3).repeat(1, 22, 1, 1), body.template.new_zeros
-    rest = Motion.create(zeros(1, 3), turns.to(zeros(1)), zeros(body.shape_size), 30.0)
-    try:
-        isb_angles(rest, body)
-    except ValueError:  # landmarks of other bodies are not known
-        return None
-    return measured
+    # landmarks of other bodies are not known
+    return slopes if body.checksum == BodyModel.load().checksum else None
 
 
 _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
@@ -88,7 +74,7 @@ def certainty(found: ClipFit) -> Deviations | None:
     with torch.no_grad():
         try:
             body = estimate.body.model.to(device="cpu", dtype=torch.float64)
-            known = deviations(estimate, seen, noises, density, _ground(found), angles_of(body))
+            known = deviations(estimate, seen, noises, density, _ground(found), angle_slopes(body))
         except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
     if not views_of(found.observations):

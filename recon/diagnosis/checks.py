@@ -45,15 +45,16 @@ def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @before_fit("named")
 def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, repeated values, exchanged and misplaced points, outliers, jumps, scale, ground."""
-    kept, found, belt = list(clip.observations), NOTHING, None
+    kept, found, belt, start = list(clip.observations), NOTHING, None, None
     for row, one in enumerate(clip.observations):
         if one.named is None:
             continue
         grounded = clip.options.grounded
-        kept[row], more, own = screen_points(one.named, clip.body, grounded=grounded)
+        kept[row], more, own, motion = screen_points(one.named, clip.body, grounded=grounded)
         found += more.of(clip.names[row])
         belt = own if belt is None else belt
-    return replace(clip, observations=tuple(kept), belt=belt), found
+        start = motion if start is None else start
+    return replace(clip, observations=tuple(kept), belt=belt, start=start), found
 
 
 @before_fit("named")

@@ -86,6 +86,9 @@ class CheckedClip:
     belt: Float[Tensor, " 2"] | None = None
     """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
     it. None where feet stand in the room."""
+    start: Motion | None = None
+    """A motion (1, time) in the recording that a check of the data found, from which the fit
+    begins; None where none did."""
 
     @property
     def repairs(self) -> tuple[Finding, ...]:

@@ -1,6 +1,5 @@
 """Points away from their place on the body: with another point's name, displaced, or outliers."""
 
-from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +10,6 @@ from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, str
 from recon.diagnosis.named_points import (
     NamedPoints,
     Predicted,
-    distances,
     joint_pairs,
     out_of_reach,
     rest_length,
@@ -44,26 +42,35 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     if not points.are_joints:
         return None
     bones, ratio = joint_pairs(points), size(points) or 1.0
-
-    @cache  # bones are compared again for every two joints that one of them touches
-    def misfit(got: tuple[int, int], want: tuple[int, int]) -> float:
-        """Median difference of a distance from the length of a bone, metres."""
-        away = np.abs(distances(points, *got) - ratio * rest_length(points, *want))
-        return float(np.median(away)) if len(away) else 0.0
-
+    shown = np.where(points.visible[..., None], points.positions, np.nan)
+    misfit: dict[tuple[int, int], Float[np.ndarray, " points"]] = {}
+    """By a bone's end that stays and the one that is replaced: the median difference, metres, of
+    the distance of every point from the end that stays from the length of the bone."""
+    for k, j in bones:
+        length = ratio * rest_length(points, k, j)
+        for stays, replaced in ((k, j), (j, k)):
+            away = np.linalg.norm(shown - shown[:, stays, None], axis=-1)
+            misfit[stays, replaced] = _median(np.abs(away - length))
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
-        touched = [one for one in bones if a in one or b in one]
-        if (a, b) in bones or (b, a) in bones:
+        touched = [ends for ends in misfit if ends[1] in (a, b)]
+        if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
-        swap = {a: b, b: a}
-        own = sum(misfit(bone, bone) for bone in touched)
+        own = sum(float(misfit[ends][ends[1]]) for ends in touched)
         if own <= max(best, _SAVED):  # no exchange can save more
             continue
-        new = sum(misfit((swap.get(k, k), swap.get(j, j)), (k, j)) for k, j in touched)
+        new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
         if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)
     return pair
+
+
+def _median(rows: Float[np.ndarray, "moments points"]) -> Float[np.ndarray, " points"]:
+    """Median over the moments of which something is known; 0 where nothing is."""
+    ordered, count = np.sort(rows, axis=0), np.isfinite(rows).sum(0)  # NaN is sorted last
+    middle = np.stack(((count - 1) // 2, count // 2)).clip(min=0)
+    found = np.take_along_axis(ordered, middle, 0).mean(0)
+    return np.where(count > 0, found, 0.0)
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from observations.points import TrackedPoints
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
 from recon.diagnosis.exact import (
@@ -46,29 +47,25 @@ _KERNEL_STDS, _MIN_KERNEL_M = 4.0, 0.05
 """Scale of the robust kernel where there are outliers: in standard deviations of a coordinate,
 and metres at least, as a smaller scale would take the model's own error for outliers."""
 
-Velocity = Float[Tensor, " 2"]
+Screened = tuple[TrackedPoints, Findings, Float[Tensor, " 2"] | None, Motion | None]
+"""Points as they should be fitted; what was found; the velocity of the treadmill under the feet,
+m/s, where there is one; and the motion of the quick fit (1, time), where it is one of a person."""
 
 
-def screen_points(
-    points: TrackedPoints, body: BodyModel, *, grounded: bool = True
-) -> tuple[TrackedPoints, Findings, Velocity | None]:
+def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = True) -> Screened:
     """Check one clip's joints or markers, and repair what can be repaired surely.
 
     In this order: what repeats bit for bit, the order of frames, sides and single pairs that
     change names within the clip, jumps of the whole body, its size, sides exchanged throughout,
     and, against a quick robust fit, two points exchanged, points away from their place, outliers
     and the ground, unless there is none (`grounded`).
-
-    Returns:
-        The points as they should be fitted, what was found, and the velocity of the treadmill
-        under the feet, m/s, where there is one.
     """
     exact = (repaired_zeros, repaired_copies, repaired_held)
     named, found = in_turn(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
-        return named.observation, found, None
+        return named.observation, found, None, None
     if disorder := frame_order(named):  # no other check works on such frames
-        return named.observation, found + Findings(warnings=disorder), None
+        return named.observation, found + Findings(warnings=disorder), None, None
     steady = plausible(named)
     flips = find_exchanges(steady)
     steady = steady.permuted(steady.counterparts, flips)
@@ -78,13 +75,13 @@ def screen_points(
         named, more = _exchanged_back(named, pair, moments)
         found += more
     if jumps := identity_changes(steady):  # two different people cannot be fitted by one body
-        return named.observation, found + Findings(warnings=jumps), None
+        return named.observation, found + Findings(warnings=jumps), None, None
     named, fitted, more = _sides(named, flips, body)
     found += more
     named, fitted, more = _exchanged(named, fitted, body)
     found += more
-    named, belt, more = _against_a_body(named, fitted, body, grounded=grounded)
-    return named.observation, found + more, belt
+    kept, more, belt, start = _against_a_body(named, fitted, body, grounded=grounded)
+    return kept, found + more, belt, start
 
 
 def _sides(
@@ -167,7 +164,7 @@ def _exchanged_back(
 
 def _against_a_body(
     named: NamedPoints, fitted: QuickFit, body: BodyModel, *, grounded: bool
-) -> tuple[NamedPoints, Velocity | None, Findings]:
+) -> Screened:
     """What a quick robust fit says about single points, the ground and the noise."""
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
@@ -177,7 +174,7 @@ def _against_a_body(
     if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
         # the quick fit itself is wrong, so it judges no points: an acrobat's planted hand was said
         # to be left behind by a body that was fitted wrong
-        return named, None, NOTHING
+        return named.observation, NOTHING, None, None
     kept, wild = outliers(replace(predicted, points=kept), noise)
     # points left out throughout are inferred, so the user is told
     repairs, warnings = tuple(misplaced), tuple(misplaced)
@@ -195,4 +192,4 @@ def _against_a_body(
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)
-    return replace(kept, given=given), belt, Findings(repairs, warnings)
+    return replace(kept, given=given).observation, Findings(repairs, warnings), belt, motion

@@ -22,6 +22,7 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
 from recon.fitting.stages import (
+    after_place,
     paced_by_size,
     prior_stages,
     shape_found_once,
@@ -233,6 +234,8 @@ class ClipProblem:
             if self.size_untold:
                 stages = paced_by_size(stages)
             stages = with_scene(stages, moved, terms)
+            if self.guess.posed:
+                return after_place(stages)
             return stages if self.guess.distance_known else without_root(stages)
 
         return rewritten
@@ -341,5 +344,5 @@ class ClipProblem:
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
-        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
+        guess = replace(self.guess, motion=self.guess.motion.window(0, frames))
         return replace(self, observations=seen, guess=guess)

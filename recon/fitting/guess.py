@@ -1,6 +1,7 @@
 """The first guess of a fit: from the data without a prior, or the caller's motion."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from observations.first_guess import FirstGuess, first_guess, labelled
 from recon.body.model import BodyModel
@@ -40,4 +41,4 @@ def _of_shape(guess: FirstGuess, options: FitOptions) -> FirstGuess:
     if known is None:
         return guess
     shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
-    return FirstGuess(guess.motion.replace(shape=shape), guess.distance_known)
+    return replace(guess, motion=guess.motion.replace(shape=shape))

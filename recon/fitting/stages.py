@@ -7,6 +7,7 @@ from typing import Any
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.methods import FitOptions, checked_method, loaded
+from recon.method.free import FreeMotion
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term, joint_acceleration, relative_acceleration
 
@@ -42,6 +43,12 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
         return with_physics(stages, physics) if physics else stages
 
     return made
+
+
+def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages from the first on that has a prior: those before place a motion as it is."""
+    first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
+    return tuple(stages[first:])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:

@@ -19,7 +19,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
@@ -66,8 +65,9 @@ class Deviations:
     """Standard deviations of what was measured of every frame's pose; None where nothing was."""
 
 
-Measure = Callable[[Motion], Float[Tensor, "rows time measures"]]
-"""Numbers that follow from the rotations of each frame, such as joint angles, of several clips."""
+Measure = Callable[[Motion], Float[Tensor, "time measures 66"]]
+"""Derivatives of numbers that follow from the rotations of each frame of a clip, such as joint
+angles, by the rotation steps of its joints."""
 
 
 def deviations(
@@ -88,7 +88,7 @@ def deviations(
         noises: standard deviations of the sensors' coordinates.
         density: how likely poses, shapes and accelerations are, without the data.
         ground: what is believed of an unknown ground; None where it is known or not asked for.
-        measure: numbers of every frame's pose whose standard deviations are asked for, too.
+        measure: derivatives of numbers whose standard deviations are asked for, too.
 
     Raises:
         ArithmeticError: when the Hessian is not positive definite, and so has no inverse.
@@ -164,7 +164,9 @@ def _of_window(
     found = factor.inverse()
     marginals = _marginals(found, near.seen(), shapes)
     if measure is not None:
-        variance = _variances(found, _by_rotations(measure, motion, len(h.corner)))
+        # nothing but the rotations changes what is measured
+        slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))
+        variance = _variances(found, slopes)
         marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
@@ -206,24 +208,6 @@ def _marginals(
     root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
     return Deviations(per_joint, root, found.border.diagonal()[:shapes].sqrt())
-
-
-def _by_rotations(
-    measure: Measure, motion: Motion, border: int
-) -> Float[Tensor, "time measures coordinates"]:
-    """Jacobian of what is measured by the rotation steps; by all else it does not change."""
-    steps = motion.translation.new_zeros(FRAME - 2, 22, 3)
-    steps[1:].flatten(1).diagonal().fill_(STEP)
-    turned = motion.rotations @ so3.exp(steps)[:, None]
-    clips = motion.replace(
-        translation=motion.translation.expand(len(steps), -1, -1),
-        rotations=turned,
-        shape=motion.shape.expand(len(steps), -1),
-        valid=motion.valid.expand(len(steps), -1),
-    )
-    values = measure(clips)
-    slopes = ((values[1:] - values[:1]) / STEP).movedim(0, -1)
-    return torch.nn.functional.pad(slopes, (3, border))
 
 
 def _variances(

@@ -25,20 +25,29 @@ def marquardt(
 ) -> tuple[Unknowns[Any], Solution] | None:
     """Damped Gauss-Newton steps, each clip with its own damping (`recon.solver.gauss_newton`).
 
-    Right where the Hessian costs no more than a few evaluations, as without a network.
+    Right where the Hessian costs no more than a few evaluations, as without a network. Where the
+    scene is moved, too, whose Hessian is not known, it is held first, and then all is moved as by
+    `preconditioned`.
     """
     settings = stage.minimiser
-    options = GaussNewton(settings.max_iterations, settings.tolerance_decrease, settings.scale)
+    few = max(settings.tolerance_decrease, _LEAST_DECREASE)
+    options = GaussNewton(settings.max_iterations, few, settings.scale)
     try:
         local, base = Local.about(stage, body, unknowns)
         if local.size > local.bordered:
-            return None
+            alone = replace(stage, free=frozenset(n for n in stage.free if n in _OF_MOTION))
+            held = marquardt(alone, body, unknowns, told)
+            rest = replace(stage, minimiser=replace(settings, tolerance_decrease=few))
+            return held and preconditioned(rest, body, held[0], told)
         found, solution = minimise(local, base, options, len(unknowns.scene.offsets), told)
     except NoHessian:
         return None
     return found, replace(solution, x=local.layout.flatten(found))
 
 
+_OF_MOTION = frozenset({"translation", "root", "pose", "shape"})
+_LEAST_DECREASE = 3e-4
+"""Relative decrease below which no Hessian is worth it: what is left falls with its square."""
 _DAMPINGS = (0.0, 1e-4, 1e-2)
 
 

@@ -102,9 +102,18 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     predicted = places.new_zeros(sensor.moments, *places.shape[1:])
     predicted[seen] = places[before].lerp(places[after], share)
     curvature = weight * one.point_model(predicted).curvature[seen]
-    if scene.ground is not None:
+    if scene.ground is not None and _isotropic(curvature) is None:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
+    joints, isotropic = carried.own_joints, _isotropic(curvature)
+    if joints is not None and isotropic is not None and not bool((share > 0).any()):
+        # the Jacobian of joints is that of the other terms
+        every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
+        own = every.index_add(0, before, isotropic)
+        model.joints[:, 0].unflatten(-1, (-1, 3)).index_add_(
+            1, joints, own[..., None].expand(-1, -1, 3)
+        )
+        return
     jacobian, shaped = model.by_steps(carried)
     share = share[..., None]
     every = curvature.new_zeros(motion.frames, *curvature.shape[1:])
@@ -127,6 +136,13 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
         part.border[1:] += ahead.mT @ edge[:-1]
         mixed = edge[:-1].flatten(0, 1).mT @ pulled.flatten(0, 1)
         part.corner.add_(mixed + mixed.mT)
+
+
+def _isotropic(curvature: Float[Tensor, "some points 3 3"]) -> Tensor | None:
+    """The factors a of matrices a 1; None where others are among them."""
+    factor = curvature[..., 0, 0]
+    identity = torch.eye(3, dtype=curvature.dtype, device=curvature.device)
+    return factor if torch.equal(curvature, factor[..., None, None] * identity) else None
 
 
 def _between(

@@ -1,7 +1,7 @@
 """The interfaces of estimates and energies."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Any
 
@@ -32,8 +32,8 @@ class Decoded:
 
     def body(self, model: BodyModel) -> PosedBody:
         """The model in the motion; posed only where the prior has not posed this model already."""
-        if self.posed is not None and self.posed.model is model:
-            return self.posed
+        if self.posed is not None and self.posed.model.same_as(model):
+            return replace(self.posed, model=model)
         return model.pose(self.motion)
 
 

@@ -35,7 +35,7 @@ def load_observation(
     path: Any,
     *,
     body: BodyModel | None = None,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    unit: str | None = None,
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
     hand: Literal["left", "right"] | None = None,
     frame_rate: float | None = None,

@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.body.angles import isb_angles
+from recon.body.angles import ISB_ANGLES, isb_angles, isb_slopes
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.opensim import about_axes, opensim_coordinates
@@ -216,3 +216,23 @@ def test_angles_of_recordings_are_those_of_an_independent_computation(recordings
             for name, values in other.items():
                 away = (ours[name] - values + 180) % 360 - 180
                 assert np.abs(away).max() < 1.0, (path.name, name)
+
+
+def test_slopes_are_the_differences_of_angles_that_every_joint_s_turn_makes(body):
+    motion = standing(body, 6)
+    random = torch.Generator().manual_seed(0)
+    bends = 0.3 * torch.randn(22, 3, generator=random).double() + torch.zeros(6, 22, 3)
+    motion = motion.replace(rotations=motion.rotations @ so3.exp(bends))
+    slopes = isb_slopes(motion, body).reshape(6, len(ISB_ANGLES), 22, 3)
+    here = np.stack(list(isb_angles(motion, body).values()), -1)
+    step = 1e-4
+    for joint in range(22):
+        for axis in range(3):
+            turn = torch.zeros(3).double()
+            turn[axis] = step
+            rotations = motion.rotations.clone()
+            rotations[:, joint] = rotations[:, joint] @ so3.exp(turn)
+            there = isb_angles(motion.replace(rotations=rotations), body)
+            away = np.stack(list(there.values()), -1) - here
+            away = (away - 360 * np.round(away / 360)) / step
+            assert np.abs(away - slopes[:, :, joint, axis]).max() < 0.5  # of 57 degrees per radian

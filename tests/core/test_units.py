@@ -53,8 +53,11 @@ def test_a_declared_unit_that_makes_a_dwarf_is_refused() -> None:
 
 
 def test_an_unknown_unit_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="inch"):
-        check_override("furlong")
+    for word in ("furlong", "0", "-1", "nan", "inf", ""):
+        with pytest.raises(ValueError, match="inch"):
+            check_override(word)
+    check_override("0.3048")
+    assert METRES["0.3048"] == 0.3048
     assert parse_unit(" Millimeters ") == "mm"
     assert parse_unit("") is None
 

@@ -9,6 +9,7 @@ import torch
 from observations.joints3d import Joints3D
 from observations.points import TrackedPoints as Points
 from recon.core import rotations as so3
+from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.diagnosis import quick_fit as quick
 from recon.diagnosis.checks import BEFORE
@@ -28,6 +29,7 @@ class Screened(NamedTuple):
     points: Points
     said: Findings
     belt: torch.Tensor | None
+    start: Motion | None
 
 
 def seen(noise: float = 0.015) -> Joints3D:

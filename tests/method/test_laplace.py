@@ -11,7 +11,6 @@ from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior, PoseWeights
 from recon import cli
 from recon.body.angles import ISB_ANGLES, isb_angles
-from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
 from recon.core.scene import UnknownGround
@@ -138,9 +137,8 @@ def test_a_result_says_how_sure_its_ground_is(tmp_path):
 def test_the_root_s_rotation_as_a_measure_is_as_sure_as_the_root():
     """The covariance of a frame goes into what is measured of it, correlations and all."""
 
-    def root(clips):
-        turn = clips.rotations[:1, :, 0].mT @ clips.rotations[:, :, 0]
-        return so3.log(turn)
+    def root(motion):
+        return torch.eye(3, 66).to(motion.translation).expand(motion.frames, 3, 66)
 
     one = deviations(at_truth(), [seen()], [Noise(0.02, 0.02)], belief(), None, root)
     assert one.measures is not None
