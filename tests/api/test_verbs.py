@@ -211,7 +211,8 @@ def test_metrics_are_the_same_for_files_results_and_joints(tmp_path):
     )
     assert from_files.keys() == found.keys()
     for key, value in found.items():
-        assert from_files[key] == (None if value is None else pytest.approx(value, rel=1e-5, abs=1e-4))
+        close = None if value is None else pytest.approx(value, rel=1e-5, abs=1e-4)
+        assert from_files[key] == close
     joints = bundled().pose(truth).joints.numpy()
     alone = recon.evaluate(result, joints)
     assert alone["joints_all"] == pytest.approx(found["joints_all"], abs=1e-5)
