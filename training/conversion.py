@@ -84,21 +84,24 @@ def convert(
         raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
     asked = set(only) or known
     out.mkdir(parents=True, exist_ok=True)
-    _convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
+    convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
     for name in asked & copied.keys():
-        _convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
+        convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
     if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
         convert_clips(chosen, out, processes=processes)
     judge(out, body)
 
 
-def _convert_others(
+def convert_others(
     clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
     made: _Maker,
 ) -> None:
-    """Convert clips that are no skeletons of a known format, but for those that are there."""
+    """Convert clips that are no skeletons of a known format, but for those that are there.
+
+    A clip that cannot be converted is logged and left out.
+    """
     for clip in clips:
         path = out / clip.collection / f"{clip.name}.npz"
         settings = [clip.id, file_checksum(clip.path), body.checksum, CONVERSION_VERSION, _VERSION]

@@ -32,6 +32,8 @@ _SHOWN = 0.25
 """Share of a second's frames in which a foot is near the ground, for its feet to be judged."""
 _RAISED, _RESTS = 0.1, 0.3
 """Metres above the ground of a sole that stands on something else, and for how many seconds."""
+_FLIGHT = 0.8
+"""Seconds; where no foot is near the ground for longer, seats, bars or hands carry."""
 _STILL = 0.15
 """Metres per second of a sole that stands."""
 _BELOW = 0.12
@@ -182,14 +184,19 @@ def sliding(
 
 
 def _raised(movement: Movement) -> Bool[np.ndarray, " time"]:
-    """Frames in which the lower sole stands on something higher than the ground, or under it."""
+    """Frames in which something that is not the ground carries, or soles are under the ground.
+
+    A sole stands higher than the ground, or no foot is near it for longer than a flight lasts.
+    """
     lower = movement.sole_heights.argmin(1)
     rows = np.arange(movement.frames)
     points = np.stack((movement.ankles, movement.toes), 2)[rows, lower]
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).min(1) * movement.fps
     height = movement.sole_heights[rows, lower]
     found = height < -_BELOW
-    for first, last in stretches((height > _RAISED) & (speed < _STILL), _RESTS * movement.fps):
+    stands = stretches((height > _RAISED) & (speed < _STILL), _RESTS * movement.fps)
+    hangs = stretches(height > movement.ground + _NEAR, _FLIGHT * movement.fps)
+    for first, last in (*stands, *hangs):
         found[first : last + 1] = True
     return found
 

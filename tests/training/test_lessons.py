@@ -92,3 +92,14 @@ def test_who_stands_on_a_chair_teaches_no_steps_there(body: BodyModel) -> None:
     assert spans[0].steps
     assert not spans[-1].steps
     assert "raised" in spans[-1].why
+
+
+def test_who_sits_with_feet_in_the_air_teaches_no_steps_there(body: BodyModel) -> None:
+    time = times(6.0, RATE)[:-1]
+    swing = 0.2 * (1.5 * torch.pi * time).sin()
+    high = 0.3 * ((time > 2.0) & (time < 4.0)).double()
+    motion = standing(body, path(swing, high, like=time), RATE)
+    words = [span.why for span in judged(MotionFile(motion), Source(), body)]
+    assert any("raised" in why for why in words)
+    (short,) = judged(clip(body), Source(), body)
+    assert "raised" not in short.why
