@@ -61,7 +61,8 @@ class BodyModel(TensorStruct):
         from recon.formats.smpl import load_smpl  # few give a body of their own
 
         path = Path(path)
-        return _model(path.stem, path.read_bytes(), load_smpl(path).of_body())
+        arrays = load_smpl(path).of_body()
+        return _model(path.stem, path.read_bytes(), arrays)
 
     @property
     def shape_size(self) -> int:
