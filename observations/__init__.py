@@ -1,4 +1,4 @@
-"""Observations: one adapter per sensor, each an energy with data inside."""
+"""Observations: a class for each kind of sensor, which holds data and computes their energy."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from observations.joints3d import Joints3D as Joints3D
     from observations.markers3d import Markers3D as Markers3D
 
-from recon.core.lazy import lazy  # after the guard
+from recon.core.lazy import lazy  # imported after the block for type checkers
 
 _HOMES = {"Joints3D": "observations.joints3d", "Markers3D": "observations.markers3d"}
 

@@ -1,4 +1,4 @@
-"""The scale of a camera's path, which trackers of images leave open: standing feet give it.
+"""The unknown scale of a moving camera's path, found from feet that stand still.
 
 A person's distance follows from the size of the body, so feet have places in metres about the
 camera. In the world they are where the camera is, in an unknown unit, plus that. One foot stands
@@ -59,7 +59,7 @@ def path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres per unit of the path, such that one foot mostly stands.
+    """Metres per unit of the path for which one foot stands still most of the time.
 
     1 where the camera only turns.
 
@@ -163,7 +163,7 @@ def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
 
 
 def tell_distance(views: Sequence[Keypoints2D]) -> bool:
-    """Whether every clip has a point seen from different enough directions to triangulate it.
+    """Whether rays of some point in every clip differ enough in direction to triangulate it.
 
     Cameras side by side see hardly more than one of them does: not how far a person is.
     """
@@ -172,7 +172,7 @@ def tell_distance(views: Sequence[Keypoints2D]) -> bool:
 
 
 def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
-    """The rest pose laid on the triangulated torso, frame by frame."""
+    """The rest pose aligned with the triangulated torso in every frame."""
     first = views[0]
     positions, visible = triangulate(views)
     shape = positions.new_zeros(body.shape_size)

@@ -26,7 +26,7 @@ from recon.core.limits import FRAME_RATE, POINT_DEVIATION, POSITION, TIME
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
-else:  # points in space have no camera
+else:  # imported for type checkers only: 3D points need no code of cameras
     from typing import Any as Camera
 
 FARTHEST = 5.0
@@ -99,7 +99,7 @@ def checked_std(
 
 
 def masked(values: Any) -> Tensor:
-    """Points of which `numpy.ma` masks a coordinate; one false for other arrays."""
+    """Mask of points with a coordinate that `numpy.ma` masks; a single False for other arrays."""
     if not isinstance(values, np.ma.MaskedArray):
         return torch.tensor(False)
     return torch.from_numpy(np.ma.getmaskarray(values).any(-1))
@@ -132,7 +132,7 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
 
 
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
-    """The camera with the leading axes of its keypoints; without them it is one fixed camera.
+    """The camera, given the leading axes of its keypoints; a camera without them is fixed.
 
     Raises:
         ValueError: when it has a distorting lens, or belongs to another number of clips.

@@ -26,7 +26,7 @@ class BodyPlace:
 
 
 def _sided(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
-    """The places of both sides; names of joints and landmarks are sided alike."""
+    """The places on the left and the right side; joints and landmarks get the side as prefix."""
     return {
         f"{side}_{name}": BodyPlace(
             tuple(f"{side}_{joint}" for joint in place.joints),

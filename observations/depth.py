@@ -157,7 +157,7 @@ class PointCloud(Sensor):
         return Noise(noise * max(typical / CLOUD_WORTH, 1.0) ** 0.5, noise)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-        """Joints of the first clip with points on the flesh around them, at every moment."""
+        """Mask of joints of the first clip with points on the skin around them."""
         joints = estimate.scene.to_recording(estimate.body.joints)
         joints, covered = self.at_own_times(joints, estimate.motion)
         found = np.zeros((self.moments, joints.shape[-2]), dtype=bool)
@@ -168,7 +168,7 @@ class PointCloud(Sensor):
         return found
 
     def matched(self, estimate: Estimate) -> "PointCloud":
-        """The smooth energy whose correspondences and scale are fixed at those of the estimate."""
+        """The energy with correspondences and kernel scale of the estimate held fixed: smooth."""
         with torch.no_grad():
             middles, normals, seen = self._surface(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
@@ -235,7 +235,7 @@ class PointCloud(Sensor):
     def _between(
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Squared distances of the points from the discs of these numbers, and which exist."""
+        """Squared distances of points from discs given by index, and which points exist."""
         pick = index[..., None].expand(*index.shape, 3)
         return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
 
@@ -308,7 +308,7 @@ class PointCloud(Sensor):
         return self._few(number)
 
     def _few(self, number: Tensor) -> "PointCloud":
-        """The cloud with some of its points in every frame, chosen by their numbers."""
+        """The cloud with a subset of its points in every frame, chosen by index."""
         axis = self.present.ndim - 1
 
         def taken(values: Tensor) -> Tensor:
@@ -348,7 +348,7 @@ class PointCloud(Sensor):
 
 @cache
 def _labeller() -> CloudLabeller:
-    """The bundled network, loaded once, and with the first cloud."""
+    """The bundled labelling network, loaded once, when the first cloud needs it."""
     return CloudLabeller.load()
 
 

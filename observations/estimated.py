@@ -95,7 +95,7 @@ class EstimatedPoints(Markers3D):
         return Noise(_SCALE, _SCALE)
 
     def robust_beyond(self, distance: float) -> "EstimatedPoints":
-        """The sensor itself: untrusted points are marked before a fit, so no kernel is needed."""
+        """The sensor unchanged: untrusted points are marked before, so no kernel is needed."""
         del distance
         return self
 

@@ -40,7 +40,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if named:
         return FirstGuess(named[0].start(body), True)
     if len(views) > 1:
-        # rays meet where several cameras saw the person
+        # points seen by several cameras are triangulated: their rays meet
         from observations.camera_paths import one_clock, tell_distance, views_start
 
         alike = one_clock(views)

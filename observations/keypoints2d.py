@@ -113,7 +113,7 @@ class Keypoints2D(PointsOfBody):
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":
-        """The view with the focal length of a scene, which is then taken as known."""
+        """The view with the focal length of the scene, which is then taken as known."""
         if self.focal_known or scene.lens is None:
             return self
         return self.derived(camera=scene.lens.of(self.camera), focal_known=True)
@@ -211,13 +211,13 @@ class Keypoints2D(PointsOfBody):
         return Noise(found, found * pixel)
 
     def pixel_size(self, guess: Motion, body: BodyModel) -> float:
-        """Metres that a pixel is wide at the body: median distance over focal length."""
+        """Width of a pixel at the body, metres: median distance over focal length."""
         pelvis = body.pose(guess).joints[..., :1, :].mean(-3, keepdim=True)
         distance = float(self.camera.to_camera(pelvis)[..., 2].clamp(min=0.1).median())
         return distance / float(self.camera.camera_matrix[..., [0, 1], [0, 1]].mean())
 
     def coarse(self, body: BodyModel, step: int = 2) -> "Keypoints2D":
-        """All frames: views are cheap to evaluate, so nothing is left out."""
+        """The view itself: views are cheap to evaluate, so no frame is left out."""
         del body, step
         return self
 

@@ -63,7 +63,7 @@ class Keypoints3D(TrackedPoints):
             points = BodyPoints.of_layout(points, BodyModel.load())
         elif not isinstance(points, BodyPoints):
             points = BodyPoints.of_names(tuple(points), BodyModel.load())
-        # a body with another mesh has no places for what lies on the skin
+        # keypoints on the skin are vertices of the bundled mesh: other meshes do not have them
         self._measured(
             positions, visible, (fps, start_time), std, ("points", points.bones), points.known,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows, points=points,

@@ -16,7 +16,7 @@ Tracker = TrackedPoints | Keypoints2D
 
 
 def followed(given: Any) -> Tracker:
-    """The sensor as a stream takes it: without an axis of clips, in single precision.
+    """The sensor in the form that a stream needs: without a clip axis, in single precision.
 
     Raises:
         ObservationError: when it has no named points, its camera moves or has no pose, or the

@@ -26,7 +26,7 @@ from recon.method.sensor import Sensor
 
 if TYPE_CHECKING:
     from observations.correspondences import BodyPoints
-else:  # joints and markers need no table of keypoints
+else:  # imported for type checkers only: joints and markers need no table of keypoints
     from typing import Any as BodyPoints
 
 OFFSET_UNIT = 0.05
@@ -274,7 +274,7 @@ class TrackedPoints(PointsOfBody):
         return Noise(found, found)
 
     def robust_beyond(self: P, distance: float) -> P:
-        """Points with Geman and McClure's kernel, whose scale is a distance in metres.
+        """The sensor with Geman and McClure's robust kernel; its scale is a distance in metres.
 
         Where standard deviations are given, it is the distance of a point that has their root
         mean square; a point of twice that deviation may be twice as far away.

@@ -30,7 +30,7 @@ class Checkpoint:
     settings: Mapping[str, Any]
 
     def require(self, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
-        """The tensors of these names and shapes, and no others.
+        """The tensors, checked to have exactly these names and shapes.
 
         Raises:
             ValueError: naming the file and every layer that is missing, spare or misshapen.
@@ -102,7 +102,7 @@ def checksum(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
 
 
 def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
-    """Weights of this kind: `open` in the package, `nc` of a source checkout, or a file.
+    """Load weights by name: `open` (in the package), `nc` (in a source checkout), or a path.
 
     Raises:
         FileNotFoundError: when there is no such file.

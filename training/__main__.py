@@ -75,7 +75,7 @@ def train(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # heeded by `writes`
+    del quiet  # used by the decorator `writes`
     from recon.cli import console
 
     asked: dict[str, Any] = {"steps": steps, "latent": latent}

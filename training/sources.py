@@ -66,7 +66,7 @@ def _listed(folder: Path) -> list[SourceClip]:
 
 
 def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
-    # a column `clip` of these manifests names the take, of which there may be several windows
+    # column `clip` of these manifests names the take; a take may have several windows
     notes = row | {"action": row["description"]}
     if folder.name in _COMMON:
         notes["skeleton"] = COMMON
@@ -277,7 +277,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
     offsets = np.array([place for _, place in _TREE.values()])
     for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
         raised = _raised(name)
-        # R' = R A for the joints of an arm, seen from their parents, and offsets likewise
+        # R' = R A for the joints of an arm, relative to their parents; offsets likewise
         before = _raised(names[parent]) if parent >= 0 else np.eye(3)
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]

@@ -58,7 +58,7 @@ def save_checkpoint(
             f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
             "finite numbers, in float16 of at most 65504: look into the training that gave them"
         )
-    # converted as by JSON, so that a file that is read has the checksum that was written
+    # converted by JSON first, so that the checksum is the same after reading the file again
     plain = json.loads(json.dumps({"kind": kind, "settings": dict(settings)}))
     about = json.dumps(plain | {"sha256": checksum(rows, plain)}, sort_keys=True)
     with replacing(path) as beside:

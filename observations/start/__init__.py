@@ -1,1 +1,1 @@
-"""First guesses from one sensor: the rest body placed on its data."""
+"""First guesses from the data of one sensor: the rest body aligned with them."""

@@ -60,7 +60,7 @@ def inertia(
     first, mass = below @ first, mass @ below.mT
     joints = bones[..., 3]
     lever = first - mass[..., None] * joints
-    # about its own joint: Σ w x (x - p_b)ᵀ, and then Σ w (x - p_a) (x - p_b)ᵀ
+    # moments about the second joint, Σ w x (x - p_b)ᵀ; then about both, Σ w (x - p_a) (x - p_b)ᵀ
     own = second - first[..., None] * joints[..., None, :]
     upper, lower = _HANGING
     moments = own[:, lower] - joints[:, upper, :, None] * lever[:, lower, None, :]
@@ -199,7 +199,7 @@ class Springs:
     def pulls(
         self, state: BonePoses
     ) -> tuple[Float[Tensor, "between 69"], Float[Tensor, "between 69"]]:
-        """Stiffness of every spring, and its gradient by the later one of its frames."""
+        """Stiffness of every spring, and its energy's gradient by its later frame."""
         like = state.translation
         springs = torch.cat((
             like.new_full((3,), self.place),
@@ -217,7 +217,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class _Annealed(Problem[tuple[BonePoses, int]]):
-    """Poses of all rows, and the index of the next kernel scale of the annealing."""
+    """Poses of all rows (frames), and the index of the next kernel scale of the annealing."""
 
     solver: PoseSolver
     targets: Callable[[BonePoses], BoneTargets]
@@ -235,7 +235,7 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
         diagonal = own.diagonal(dim1=1, dim2=2)
         diagonal[:, 6:] += 1
         diagonal += 1e-3 * diagonal + 1.0
-        # such a row keeps its pose and does not affect the others
+        # a row without a finite gradient keeps its pose and does not affect the others
         lost = ~gradient.isfinite().all(-1)
         gradient[lost], own[lost] = 0.0, torch.eye(own.shape[-1])
         inner = own[:, None]
@@ -293,7 +293,7 @@ def _laid(
     model: Float[Tensor, "rows points 3"],
     weight: Float[Tensor, "rows points"],
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
-    """The rigid transform that brings the model nearest to the points, least squares."""
+    """The rigid transform that aligns the model with the points by least squares."""
     total = weight.sum(-1).clamp(min=1e-9)[:, None]
     there = (weight[..., None] * points).sum(1) / total
     here = (weight[..., None] * model).sum(1) / total

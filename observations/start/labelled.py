@@ -250,7 +250,7 @@ def _chosen(
         if k - kept[-1] >= stride or k == int(number[-1]):
             kept.append(k)
     number = torch.tensor(kept)
-    # present points first, in a random order, so that a cut leaves no scan line out
+    # shuffled, present points first, so that the first points are spread over all scan lines
     order = (
         present[number].float()
         + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2
@@ -273,7 +273,7 @@ def _chosen(
 
 
 def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """The labels under one hypothesis of which side is left."""
+    """The labels as they are, or with left and right exchanged, as the hypothesis says."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]
@@ -299,7 +299,7 @@ def _changes(
 def _between(
     found: BonePoses, number: Int[Tensor, " rows"], count: int
 ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
-    """Translations and rotations at all moments from those at some; constant beyond the ends."""
+    """Translations and rotations interpolated to all moments; constant beyond the ends."""
     place = torch.arange(count)
     after = torch.searchsorted(number, place).clamp(max=len(number) - 1)
     before = (after - (number[after] > place).long()).clamp(min=0)

@@ -1,4 +1,4 @@
-"""A first guess from points in space: the rest body laid rigidly on each frame's torso."""
+"""A first guess from 3D points: the rest body aligned rigidly with the torso of each frame."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -27,7 +27,7 @@ def rigid_start(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The rest pose, placed so that its torso's points lie best on the visible ones.
+    """The rest pose, aligned with the visible points of the torso by least squares.
 
     Where a frame shows fewer than three points of the torso all its points are used; where that
     is not enough either, the placement of the nearest frame that has one.

@@ -75,7 +75,7 @@ def _foot(
 
 
 def _filled(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
-    """Gaps bridged by straight lines, ends held."""
+    """The values with gaps interpolated linearly; constant beyond the ends."""
     seen = np.all(np.isfinite(path), axis=-1)
     moments = np.arange(len(path))
     return np.stack([np.interp(moments, moments[seen], path[seen, k]) for k in range(3)], 1)

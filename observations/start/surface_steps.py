@@ -81,7 +81,7 @@ class SeenSurface:
         labels: PointLabels,
         eye: Float[Tensor, "rows 3"] | None,
     ) -> "SeenSurface":
-        """The points with the costs of matching them to other parts than their labels name."""
+        """The points, with costs of matching them to body parts other than their labels."""
         kinds = kinds_of_surfels(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
         costs = costs_of_points(labels)
@@ -130,7 +130,7 @@ class SeenSurface:
         away = self.points - middle
         height = (away * normal).sum(-1, keepdim=True) * normal
         bone = self.bone[found]
-        # the surfel's place in the frame of its bone, from the posed surface, blending included
+        # the surfel's place in the frame of its bone, from the posed surface with blended skinning
         placed = state.bones[torch.arange(len(bone))[:, None], bone]
         place = (placed[..., :3].mT @ (middle - placed[..., 3])[..., None])[..., 0]
         count = self.present.sum(-1, keepdim=True).clamp(min=1)
@@ -160,7 +160,7 @@ def evidence(
     present: Bool[Tensor, "rows points"],
     eye: Float[Tensor, "rows 3"] | None,
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, " rows"]]:
-    """What speaks against every frame of a motion: two shares from 0 to 1.
+    """Evidence against every frame of a motion: two shares from 0 to 1.
 
     Args:
         motion: one clip, whose frames are the rows.

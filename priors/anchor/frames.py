@@ -72,7 +72,7 @@ class Anchors(TensorStruct):
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch anchors 124"]) -> "Anchors":
-        """The inverse of `pack`; pairs of columns that are no rotation are made one."""
+        """The inverse of `pack`; 6D rotations are orthonormalised."""
         columns = rows[..., :POSE_NUMBERS].unflatten(-1, (len(POSED), 6))
         return cls(
             rotations=so3.from_6d(columns + columns.new_tensor(_IDENTITY)),
@@ -93,7 +93,7 @@ class Anchors(TensorStruct):
     def aligned(
         self, pelvis: Float[Tensor, "*batch 3"]
     ) -> tuple["Anchors", Float[Tensor, "*batch 4 4"]]:
-        """The cycles in the frame of their first anchor, and T_world_cycle, which takes them back.
+        """The cycles in the frame of their first anchor, and T_world_cycle, the transform back.
 
         The first root faces +y, and its translation is zero but for the height. The published
         alignment takes away all rotation and translation, so that which way is up is lost.
@@ -110,7 +110,7 @@ class Anchors(TensorStruct):
 def rest_pelvis(
     body: BodyModel, shape: Float[Tensor, "*batch shape"]
 ) -> Float[Tensor, "*batch 3"]:
-    """Pelvis of the unposed body, which turning a motion must leave in place, metres."""
+    """Position of the unposed body's pelvis, metres: motions are rotated about it."""
     return body.rest_joints(shape)[..., 0, :]
 
 

@@ -175,7 +175,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         fps: float,
         start_time: float = 0.0,
     ) -> AnchorVariables:
-        """Variables of the cycles of given codes, placed in the world and on a clock."""
+        """Variables of cycles with given latent codes, at given places in the world and times."""
         spread = self.weights.spread
         away = (codes - spread.mean)[..., None]
         latent = torch.linalg.solve_triangular(spread.root, away, upper=False)[..., 0]
@@ -195,7 +195,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         )
 
     def anchors(self, variables: AnchorVariables) -> Anchors:
-        """The decoded cycles in the world, without details."""
+        """The decoded cycles in the world, without the corrections."""
         x = variables
         anchors = Anchors.unpack(self.rows(x))
         return anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))

@@ -1,1 +1,1 @@
-"""HuMoR: every step from pose to pose (Rempe et al. 2021)."""
+"""HuMoR: a density of every step from one pose to the next (Rempe et al. 2021)."""

@@ -100,7 +100,7 @@ class Collocation(Prior[PoseVariables]):
         return self.poses.encode(motion)
 
     def belief(self, noise: float) -> Density:
-        """The density of the pose prior; its smoothness stands in for HuMoR's steps."""
+        """The density of the pose prior, whose smoothness approximates HuMoR's steps."""
         return PosePrior(self.poses.density, PoseWeights.for_noise(noise)).belief(noise)
 
     def from_steps(
@@ -216,7 +216,7 @@ class Collocation(Prior[PoseVariables]):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
-        # where every joint is seen, no limbs are drawn from the networks
+        # imported here: fits in which every joint was seen draw no limbs from the networks
         from priors.humor.likely import LikelyStates, tempo
         from priors.humor.limbs import UnseenLimbs, unseen_limbs
         from recon.physics.support import Support
@@ -242,7 +242,7 @@ class Collocation(Prior[PoseVariables]):
 
 
 def in_images(data: tuple[Term, ...]) -> bool:
-    """Whether all that was seen are points in images."""
+    """Whether all observations are keypoints in images."""
     return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
 
 

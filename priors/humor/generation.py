@@ -54,7 +54,7 @@ class Footing:
         touching: Float[Tensor, "all 4"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
-        """Index of the draw that is kept of every `draws` draws.
+        """Of every `draws` random draws, the index of the one that is kept.
 
         Args:
             before: states in the world, each repeated for its draws.
@@ -72,7 +72,7 @@ class Footing:
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
     def grounded(self, before: State, after: State, touching: Float[Tensor, "clips 4"]) -> State:
-        """The states moved towards the ground; arguments as of `kept`, without draws."""
+        """The states moved towards the ground; arguments as in `kept`, without `draws`."""
         lower = (after.joints[:, FEET, 2] - touching).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
         lowered = self.lowered * _share(before, after) * (lower - _ABOVE).clamp(min=0)
@@ -149,7 +149,7 @@ def roll_from(
     footing: Footing | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
-    """Random continuations of given states, which come first; axes (clips, frames), 30 Hz.
+    """Given states followed by random continuations; axes (clips, frames), 30 Hz.
 
     Args:
         humor: in the states' precision and on their device.

@@ -31,7 +31,7 @@ matters."""
 
 
 def tempo(data: Sequence[Term]) -> float:
-    """Factor of time with which each motion of a batch is read by the networks; 1 is real time.
+    """Factor by which time is scaled for the networks, per motion of a batch; 1 is real time.
 
     √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor

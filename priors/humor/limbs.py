@@ -70,7 +70,7 @@ class LimbDraws:
     def of(
         cls, humor: Humor, shape: Float[Tensor, "particles shape"], unseen: Bool[Tensor, " 22"]
     ) -> "LimbDraws":
-        """The particles of bodies of these shapes."""
+        """The shared data of particles, for bodies of these shapes."""
         parents = torch.tensor([max(parent, 0) for parent in PARENTS], device=unseen.device)
         nowhere = unseen[parents]
         return cls(humor, humor.pelvis(shape), humor.body.rest_joints(shape), unseen, nowhere)
@@ -85,7 +85,7 @@ class LimbDraws:
         return completed.replace(joints=posed_joints(completed, self.rest))
 
     def first(self, state: State, random: torch.Generator) -> State:
-        """Draws of a first state: the mixture of initial states, given the seen part of one.
+        """First states drawn from the mixture of initial states, conditioned on the observed part.
 
         Args:
             state: in the world, axis (1).
@@ -248,7 +248,7 @@ class UnseenLimbs:
 
 
 def _best(weights: Float[Tensor, "hypotheses particles"]) -> Int[Tensor, " hypotheses"]:
-    """The heaviest particle of every filter, as numbers among all."""
+    """Index, among all particles, of the particle with the largest weight in every filter."""
     filters = torch.arange(len(weights), device=weights.device)
     return weights.argmax(-1) + filters * weights.shape[-1]
 
@@ -256,7 +256,7 @@ def _best(weights: Float[Tensor, "hypotheses particles"]) -> Int[Tensor, " hypot
 def _paths(
     poses: list[Tensor], parents: list[Tensor], last: Int[Tensor, " hypotheses"]
 ) -> Float[Tensor, "hypotheses time 21 3 3"]:
-    """The trajectories of poses that end in the particles of the last frame."""
+    """The trajectories of poses that lead to the particles of the last frame."""
     index, path = last, [poses[-1][last]]
     for pose, parent in zip(poses[-2:0:-1], parents[-2::-1], strict=True):
         index = parent[index]

@@ -58,7 +58,7 @@ class LiveSteps:
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the pose density and of smoothness that go with the steps."""
+        """Weights of the pose density and of smoothness beside the energy of steps."""
         return self.weights.pose
 
     def judged(
@@ -74,7 +74,7 @@ class LiveSteps:
         humor, weights = self.humor, self.weights
         states = posed_states(motion, joints)
         found = explain(humor.networks, states, humor.pelvis(motion.shape))
-        # the velocity of the first held frame is not known, as the frame before it is gone
+        # the first held frame has no velocity, as the frame before it has left the window
         steps = slice(min(held, 1), None)
         error = 0.5 * (found.error[0, steps] @ humor.error_whitening).square().sum(-1)
         surprise = found.surprise[0, steps]

@@ -79,7 +79,7 @@ class FrozenDecoder:
 
     @classmethod
     def of(cls, decoder: Perceptron) -> "FrozenDecoder":
-        """A copy of a network's weights, cut from it."""
+        """A copy of a network's weights, detached from the network."""
         linear = [m for m in decoder.net if isinstance(m, nn.Linear)]
         norms = [m for m in decoder.net if isinstance(m, nn.GroupNorm)]
         weights = [m.weight.detach() for m in linear]
@@ -103,7 +103,7 @@ class FrozenDecoder:
     def add(
         self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch all_outputs"]:
-        """What latents, the pelvis's place and biases add to every layer's input, side by side."""
+        """What latents, the pelvis's position and biases add to the input of all layers."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
@@ -112,7 +112,7 @@ class FrozenDecoder:
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
     def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:
-        """Units in the groups that are normalised together."""
+        """The units arranged by groups that are normalised together."""
         return units.view(*units.shape[:-1], self.groups, -1)
 
     def __call__(
@@ -129,7 +129,7 @@ class FrozenDecoder:
 
 
 def _looped(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
-    """The last layer's rows: joints seen from the translation, rotation vectors halved."""
+    """The last layer with joints relative to the translation, and rotation vectors halved."""
     looped = rows[_RAW_ORDER]
     for axis in range(2):
         joints = slice(VECTORS * axis + 2, VECTORS * axis + 2 + len(JOINTS))

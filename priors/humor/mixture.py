@@ -57,13 +57,13 @@ class Mixture(TensorStruct):
 
     @classmethod
     def load(cls, path: str | Path) -> "Mixture":
-        """HuMoR's released file: weights, means and covariances of all 138 numbers.
+        """Load the authors' released file: weights, means and covariances of all 138 features.
 
         Raises:
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
-        from recon.formats.opening import load_arrays  # of the released files alone
+        from recon.formats.opening import load_arrays  # only the authors' released files need it
 
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")
@@ -108,7 +108,7 @@ class Mixture(TensorStruct):
             values: measured.
             std: standard deviations of their errors.
         """
-        # in double precision: rounding is worth nats where variances are small
+        # in double precision: with small variances, single precision changes densities by nats
         lower = torch.linalg.inv(self.whitening.double().mT)  # C = lower lowerᵀ
         covariances = lower @ lower.mT
         other = ~known

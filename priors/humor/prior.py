@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from priors.humor.live import LiveSteps
     from priors.humor.loop import FrozenDecoder
     from priors.humor.unrolled import HumorVariables
-else:  # fits by collocation unroll nothing
+else:  # imported for type checkers only: fits by collocation need no roll-out
     from typing import Any as HumorVariables
 
 _LOG = logging.getLogger(__name__)
@@ -158,7 +158,7 @@ class Humor(Prior[HumorVariables]):
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
-        from priors.humor.unrolled import decoded  # fits by collocation unroll nothing
+        from priors.humor.unrolled import decoded  # for roll-outs only
 
         return decoded(self.like(variables.translation), variables)
 

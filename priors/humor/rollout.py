@@ -30,7 +30,7 @@ from recon.core.struct import TensorStruct
 
 @dataclass(frozen=True)
 class Rollout(TensorStruct):
-    """Steps in a row; each in the canonical frame of the state it starts from."""
+    """Consecutive steps, each in the canonical frame of the state it starts from."""
 
     inputs: Float[Tensor, "batch steps 339"]
     """Packed canonical states from which the steps start."""
@@ -59,7 +59,7 @@ class Rollout(TensorStruct):
         return Frame(turn, origins)
 
     def in_world(self, first: Frame, pelvis: Float[Tensor, "batch 3"]) -> State:
-        """All states reached, in the frame that the first one's frame is given in."""
+        """All states in the world, given the canonical frame of the first state."""
         return self.frames(first).leave(self.states, pelvis[:, None])
 
 
@@ -119,6 +119,6 @@ _PLACES = torch.cat((STATE_ORDER, torch.arange(2))).argsort()
 
 
 def _joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:
-    """A packed state of nothing but joints, all at one place."""
+    """A packed state with all joints at one position and zeros elsewhere."""
     joints = 3 * len(JOINTS)
     return functional.pad(torch.cat([place] * len(JOINTS), -1), (STATE - 2 * joints, joints))

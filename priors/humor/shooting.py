@@ -162,7 +162,7 @@ class Shooting(Prior[HumorVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """The start, the first 15 frames, all latents (the first state held), and then all.
+        """The stages: start; first 15 frames; all latents with the first state fixed; everything.
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """

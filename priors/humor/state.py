@@ -72,12 +72,12 @@ class Frame(TensorStruct):
 
     @classmethod
     def of(cls, state: State) -> "Frame":
-        """The frame of one's own heading and horizontal translation."""
+        """The canonical frame of a state: by its own heading and horizontal translation."""
         level = state.translation.new_tensor([1.0, 1.0, 0.0])
         return cls(so3.heading(state.root), state.translation * level)
 
     def enter(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-        """A state of the outer frame, seen from this one.
+        """A state of the outer frame, expressed in this frame.
 
         Args:
             state: in the outer frame.
@@ -98,7 +98,7 @@ class Frame(TensorStruct):
         )
 
     def leave(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-        """A state of this frame, seen from the outer one; the inverse of `enter`."""
+        """A state of this frame, expressed in the outer frame; the inverse of `enter`."""
         back = self.turn.mT
         joints = (state.joints - pelvis[..., None, :]) @ self.turn
         return State(

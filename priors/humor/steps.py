@@ -101,7 +101,7 @@ class Steps(TensorStruct):
         return cls(packed[0], packed[1], rotations)
 
     def error(self, raw: Float[Tensor, "clips steps 216"]) -> Float[Tensor, "clips steps 207"]:
-        """The raw step from where a step of the decoder leads to the end."""
+        """The raw step from the decoder's predicted state to the true end of the step."""
         straight = self.end - self.start
         turns = torch.cat((raw[..., 6:9], raw[..., 12:75]), -1).unflatten(-1, (-1, 3))
         before, after = self.rotations.unbind(0)
@@ -124,7 +124,7 @@ _MOVED = 207
 
 @lru_cache(maxsize=8)
 def _placed(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Factors with which vectors lose a frame's origin and the pelvis, and regain the pelvis."""
+    """Which numbers of a state lose a frame's origin and the pelvis, and regain the pelvis."""
     about = torch.zeros(50, 2, dtype=dtype, device=device)
     back = torch.zeros(50, 1, dtype=dtype, device=device)
     about[0, 0] = 1.0
@@ -163,7 +163,7 @@ class StepCurvature(TensorStruct):
 
     @classmethod
     def load(cls, path: str | Path = "open") -> "StepCurvature":
-        """The bundled one, or one of a file.
+        """Load the bundled curvature, or that of a file.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -213,7 +213,7 @@ def _turned(turn: Tensor, block: Tensor, exists: Tensor | None) -> Float[Tensor,
 
 @lru_cache(maxsize=1)
 def bundled_curvature() -> StepCurvature:
-    """The curvature that belongs to the weights in the package; others differ little from it."""
+    """The curvature measured for the bundled weights; that of other weights differs little."""
     return StepCurvature.load()
 
 

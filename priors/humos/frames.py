@@ -112,14 +112,14 @@ class BodyFrames(TensorStruct):
         return world + pad(self.place * legs, (0, 1))[..., None, :]
 
     def pack(self) -> Float[Tensor, "*batch time numbers"]:
-        """One row per frame, in metres: everything times the length that it moves."""
+        """One row per frame: every feature in metres, angles times the length of their levers."""
         columns = so3.to_6d(self.orientations).flatten(-2)
         rest = torch.cat((self.direction, self.place, self.clearance[..., None]), -1)
         return torch.cat((columns, rest), -1) * _worth().to(columns)
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
-        """The inverse of `pack`; what is no rotation or direction is made one."""
+        """The inverse of `pack`; rotations and directions are normalised."""
         rows = rows / _worth().to(rows)
         angle = rows[..., -5:-3]
         length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()
@@ -175,7 +175,7 @@ def _chains() -> Float[Tensor, "22 21"]:
 
 @lru_cache(maxsize=1)
 def levers() -> Float[Tensor, " 22"]:
-    """Lever of every bone: metres by which a turn of one radian moves what hangs from it, about.
+    """Approximate metres by which turning a bone by one radian moves the bones that follow it.
 
     Of the average body; bones of the legs count half as much again, and none less than 8 cm.
     """
@@ -190,7 +190,7 @@ def levers() -> Float[Tensor, " 22"]:
 
 @lru_cache(maxsize=1)
 def _worth() -> Float[Tensor, " numbers"]:
-    """Metres per unit of every feature of a frame."""
+    """Factor that converts every feature of a frame to metres."""
     places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
     return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))
 
@@ -262,7 +262,7 @@ def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*b
 def _lay(
     windows: Float[Tensor, "*batch windows 16 numbers"], frames: int
 ) -> Float[Tensor, "*batch time numbers"]:
-    """Windows laid over each other and added up."""
+    """The sum of overlapping windows, each at its own place in time."""
     weighed = windows * _sine().to(windows)[:, None]
     early, late = weighed[..., 1:, :HOP, :], weighed[..., :-1, HOP:, :]
     return (early + late).flatten(-3, -2)[..., :frames, :]

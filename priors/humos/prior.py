@@ -110,7 +110,7 @@ class Humos(Prior[HumosVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Those of the whole motion (`priors.humos.collocation`).
+        """The stages of a fit, as in `priors.humos.collocation`.
 
         Raises:
             WeightsError: when the body is not on the processor.
@@ -236,7 +236,7 @@ def _bends() -> Float[Tensor, "22 1"]:
 
 
 def frames_at_rate(frames: int, fps: float) -> int:
-    """Frames at 20 Hz that cover so many at another rate."""
+    """Number of frames at 20 Hz that cover a given number at another rate."""
     return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
 
 

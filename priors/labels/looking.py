@@ -1,4 +1,4 @@
-"""Labels of the points of clouds, as the trained network gives them."""
+"""Labels of points of clouds, computed by the trained network."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,7 +94,7 @@ def standard(
     has_eye: Bool[Tensor, " moments"],
     level: Bool[Tensor, " moments"],
 ) -> SeenClouds:
-    """Clouds about their medians, turned by `standard_turns`.
+    """Clouds relative to their medians, rotated by `standard_turns`.
 
     Args:
         points: positions, metres; zero where not present.
@@ -151,7 +151,7 @@ def longest(
     present: Bool[Tensor, "moments points"],
     across: Float[Tensor, "moments 3"] | None,
 ) -> Float[Tensor, "moments 3"]:
-    """Unit vector along which points vary most, of all or of those across another unit vector."""
+    """Direction in which points vary most; of all directions, or of those across a given one."""
     count = present.sum(-1, keepdim=True).clamp(min=1)[..., None]
     away = (points - points.sum(-2, keepdim=True) / count).where(present[..., None], 0.0)
     if across is not None:
@@ -268,7 +268,7 @@ def around(
 
 
 def believed(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
-    """Probabilities from the network's outputs, sides exchanged where that is likelier."""
+    """Probabilities from the network's outputs, sides exchanged where likelier."""
     there = present[..., None]
     as_said = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)

@@ -229,7 +229,7 @@ class RawLabels(TensorStruct):
 
 
 class Layer(nn.Module):
-    """A layer of a transformer: attention among tokens, then each by itself."""
+    """A transformer layer: attention between tokens, then a network applied to each token."""
 
     def __init__(self, width: int) -> None:
         """Random weights."""

@@ -164,7 +164,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """The density that the weights stand for beside data of this standard deviation, metres.
+        """The density that these weights amount to for data of this standard deviation, metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share `_TRUST` of it is believed.

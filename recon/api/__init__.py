@@ -1,1 +1,1 @@
-"""The front door: observations or files in, a result out. `import recon` has all its names."""
+"""The public functions, from observations or files to results; `import recon` has them all."""

@@ -1,4 +1,4 @@
-"""What a result says of a completed cycle of gait, and of motions that are none."""
+"""Numbers and warnings in the report of a completed gait cycle."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +24,7 @@ _FEW_MOMENTS = 4
 def cycle_report(
     found: ClipFit, medians: Sequence[float | None]
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Numbers of the first clip's cycle, and warnings where it is none or little was seen.
+    """Numbers about the first clip's cycle; warns if it is no gait cycle or little was seen.
 
     The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once

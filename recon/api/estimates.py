@@ -111,7 +111,7 @@ def _unmirrored(
 
 
 def _of_this_body(path: Path, body: BodyModel) -> bool:
-    """Whether a file says that its shape coefficients are of this body."""
+    """Whether a file names this body as the one that its shape coefficients belong to."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
     arrays = load_arrays(path)

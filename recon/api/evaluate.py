@@ -229,7 +229,7 @@ def _there(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
 def _camera_poses(
     ours: MotionFile, seen: ObservationFile | None
 ) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "4 4"]] | None:
-    """T_world_camera as it was found and as it was; None where either is not known.
+    """The estimated and the true T_world_camera; None where either is unknown.
 
     Raises:
         ReconError: when several poses were found, though the camera stood still.

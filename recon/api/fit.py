@@ -275,7 +275,7 @@ def refine(
             [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
             unit=unit, up=up, hand=hand, person=person, **how,
         )  # fmt: skip
-    # scipy is needed for estimates only
+    # imported here: it loads scipy, which only fits to estimates need
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed
 
@@ -298,13 +298,13 @@ def refine(
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # of files alone
+    from recon.formats.producers import is_estimate  # only needed for paths of files
 
     return is_estimate(paths)
 
 
 def _is_keypoints(path: Path) -> bool:
-    """Whether a file is of keypoints that are fitted; refused where nothing can be refined."""
+    """Whether a file holds keypoints to fit; refused when it cannot be refined either."""
     from recon.formats.producers import holds_sam3d_body, refuse_others
 
     refuse_others(path, "refine")

@@ -163,7 +163,7 @@ def _of_body(
     body: BodyLike,
     seed: int,
 ) -> MotionResults:
-    """Motions of one body, drawn from HUMOS."""
+    """Random motions of one body, drawn from the prior HUMOS."""
     _frames(seconds)
     rate = REFERENCE_FPS if fps is None else positive(fps, "fps")
     model = body_given(body) if prior is None else prior.body

@@ -1,4 +1,4 @@
-"""Arguments that name a motion, body, shape or prior: records, results, files or arrays."""
+"""Reads arguments for a motion, body, shape or prior: a record, result, file or array."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from recon.method.priors import PriorLike, is_prior
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # of most people no shape is known
+else:  # imported for type checkers only: most fits are given no shape
     from typing import Any as ShapePrior
 
 MotionLike = Motion | MotionResult | MotionFile | Mapping[str, Any] | Path | str
@@ -35,7 +35,7 @@ BodyLike = BodyModel | Path | str | None
 
 @dataclass(frozen=True)
 class GivenMotion:
-    """A motion of one clip of a known body, and what is known besides."""
+    """A motion of one clip of a known body, with its name, contacts and ground."""
 
     file: MotionFile
     name: str
@@ -48,7 +48,7 @@ class GivenMotion:
 
 
 def paths_given(given: Any) -> tuple[Path, ...]:
-    """Files and folders of one clip, where the caller gave nothing else; else none."""
+    """The files and folders of one clip; empty when the caller gave observations in memory."""
     if isinstance(given, Path | str):
         return (Path(given),)
     several = given if isinstance(given, list | tuple | set | frozenset) else ()
@@ -81,7 +81,7 @@ def motion_given(
         FileNotFoundError: when there is no such file.
         ReconError: when it is no motion of one clip, is damaged, or was made with another body.
     """
-    from recon.body.motion_files import WITH_BODY, of_body  # most fits are given no motion
+    from recon.body.motion_files import WITH_BODY, of_body  # rarely needed
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):

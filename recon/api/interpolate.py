@@ -1,4 +1,4 @@
-"""`recon.interpolate`: the cycle of gait between those of two motions, its feet settled."""
+"""`recon.interpolate`: a gait cycle between two others, with feet corrected to stand still."""
 
 from dataclasses import asdict
 

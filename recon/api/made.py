@@ -63,7 +63,7 @@ class MotionResults:
 
     @property
     def tables(self) -> Tables:
-        """What is known of each."""
+        """A table with a row for every motion."""
         rows = {f"{self.noun} {k}": one.about for k, one in enumerate(self.made)}
         return {repr(self).splitlines()[0]: rows}
 
@@ -85,7 +85,7 @@ class MotionResults:
         inputs: Mapping[str, str] | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """What is written beside them, in plain values.
+        """The content of the report, in plain values.
 
         Args:
             out: where they are written, as `save` takes it.

@@ -93,7 +93,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
 
             return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
         return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
-    from recon.fitting.ground import camera_above, world_above  # few planes are given
+    from recon.fitting.ground import camera_above, world_above  # rarely needed
 
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:

@@ -104,7 +104,7 @@ def fitted(
         checks = (*BEFORE, *AFTER)
     of_data = [one for one in checks if getattr(one, "comes_before_fit", False)]
     of_fit = [one for one in checks if one not in of_data]
-    # check the data: repair sure faults, warn of doubtful ones
+    # check the data: repair faults that are certain, warn of the others
     clip = CheckedClip(
         observations=tuple(observations), names=tuple(names), options=options, body=body
     )
@@ -115,17 +115,17 @@ def fitted(
         found = clip.start if start is None else None
         start = found or start
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import in_room  # there are few treadmills
+            from recon.diagnosis.movement import in_room  # imported here: treadmills are rare
 
             start = in_room(start, -clip.belt)
         # first guess: a motion from the data without a prior, or the caller's
         seen, guess = guessed(clip.observations, options, body, start)
         guess = replace(guess, posed=found is not None)
-        # the problem: each sensor's residuals with its noise; scene, ground, lens to be found
+        # the problem: residuals of each sensor over its noise; unknown ground and focal length
         problem = posed(seen, guess, options, body, watch)
         # minimise the stages of the prior, one after the other
         fit = problem.solved()
-    # examine: residuals, standard deviations, other hypotheses, laws of movement
+    # check the result: residuals, standard deviations, other hypotheses, plausible movement
     return checked(Examined.of(clip, fit), of_fit)
 
 
@@ -133,7 +133,7 @@ def _completed(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
     """One cycle by a prior of cycles, or a whole recording."""
-    # priors of gait cycles alone complete
+    # imported here: only priors of gait cycles need it
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording
 

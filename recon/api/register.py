@@ -164,7 +164,7 @@ def register(
 def _read(
     path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
 ) -> PointsFile:
-    """What one camera saw, in its own frame where it has no pose."""
+    """The observation of one camera; in the camera's frame where it has no pose."""
     if path.is_dir() and any(path.glob("*.png")):
         if camera is None or frame_rate is None:
             raise ObservationError(f"{path}: depth images need --camera and --frame-rate")
@@ -184,14 +184,14 @@ def _read(
 
 
 def _alone(file: PointsFile) -> PointsFile:
-    """The points in the frame of their camera, as if it had no pose."""
+    """The points in the frame of their camera, with its pose removed."""
     T = _pose(file)
     lens = replace(_lens(file), T_camera_world=None)
     return replace(file, points=file.points @ T[:3, :3].T + T[:3, 3], camera=lens)
 
 
 def _lens(file: PointsFile) -> CameraArrays:
-    """The camera; of clouds that say nothing of one, any, at the origin."""
+    """The camera of a cloud; for clouds without one, a placeholder at the origin."""
     if file.camera is not None:
         return file.camera
     usual = depth_camera()

@@ -39,7 +39,7 @@ def describe(
         inputs: SHA-256 of everything that was read, by path (`recon.reading.inputs`).
         settings: of the fit, by name.
     """
-    from recon.formats.reports import versions  # results that are not written need none
+    from recon.formats.reports import versions  # imported here: needed when a result is written
 
     return {
         "failed": result.failed[0],
@@ -288,7 +288,7 @@ def result_of(
     arguments: Mapping[str, Any],
     stopped: Finding | None,
 ) -> Result:
-    """The motion at its times and in its frame, described.
+    """The result of a fit, resampled to the times and moved to the frame of the recording.
 
     Args:
         examined: the fit.
@@ -302,12 +302,12 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach().to(device="cpu")
     first = clip.observations[0]
-    # a few scans per second are too few frames for a result, so it has the fit's own rate
+    # with only a few scans per second, the result has the frame rate of the fit instead
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
     T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
     if found.grounded and clip.T_recording_camera is None and not found.ground_known:
-        # 3D recordings with z up keep their frame; only the ground is lower or higher there
+        # 3D recordings with z up keep their frame; only the height of their ground differs
         ground = -float(T[2, 3])
         motion = motion.replace(
             translation=motion.translation + ground * motion.translation.new_tensor(_UP)
@@ -320,13 +320,13 @@ def result_of(
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = None
     if completes and not found.stretches:
-        # only a cycle of gait is judged as one
+        # imported here: only results of one gait cycle need it
         from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
-        from recon.diagnosis.movement import in_room, path_of_belt  # there are few treadmills
+        from recon.diagnosis.movement import in_room, path_of_belt  # rarely needed
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)

@@ -1,4 +1,4 @@
-"""A motion with its uncertainty and findings: what most functions of `recon` return."""
+"""A motion with its uncertainty and findings, which most functions of `recon` return."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -140,7 +140,7 @@ class MotionResult(ABC):
     @property
     def certainty(self) -> JointCertainty | None:
         """Median standard deviations of joints that were seen and of joints that were not."""
-        from recon.formats.joint_table import JointCertainty  # a report alone has one
+        from recon.formats.joint_table import JointCertainty  # imported here: only reports need it
 
         return JointCertainty.of(self.file)
 
@@ -198,7 +198,7 @@ class MotionResult(ABC):
         Raises:
             FileExistsError: when either is there and recon did not write it, unless `overwrite`.
         """
-        # results that are not written need no writers
+        # imported here: needed when a result is written
         from recon.formats.motions import save_motion
         from recon.formats.writing import writing_file
 
@@ -239,7 +239,7 @@ class MotionResult(ABC):
 
 
 def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The end of every report.
+    """The fields at the end of every report.
 
     Settings, checksums of inputs where they are known, and versions.
     """

@@ -147,7 +147,7 @@ def retarget(
 
 
 def ground_height(given: GivenMotion, asked: float | None) -> float:
-    """Height of a motion's level ground: what is asked for, else what the file says, else zero.
+    """Height of a motion's ground: as the caller gives it, else as in the file, else zero.
 
     Raises:
         ReconError: when the file says that it is not level.

@@ -1,4 +1,4 @@
-"""`recon.simulate`: a known motion as a sensor would have seen it."""
+"""`recon.simulate`: simulated observations of a known motion."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

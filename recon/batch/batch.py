@@ -73,7 +73,7 @@ def fit_one(job: Job) -> Record:
 
 
 def is_done(job: Job, key: str) -> bool:
-    """Whether the log has the same work as done, and its result file is unchanged."""
+    """Whether the log lists the same work as done and the result file is unchanged."""
     known = job.known
     same = known.get("status") == "ok" and known.get("key") == key
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
@@ -224,7 +224,7 @@ def _size(clip: BatchClip) -> tuple[str, int]:
 
 
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
-    """Refuse to write a result of any clip over what any clip is made from."""
+    """Refuse outputs that would overwrite an input of any clip."""
     inputs = {file.resolve() for clip in clips for file in clip.observations}
     inputs |= {path.resolve() for path in paths_in(settings)}
     for clip in clips:

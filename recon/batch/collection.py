@@ -36,7 +36,7 @@ class SourceClip:
 
     @property
     def id(self) -> str:
-        """Its name among the clips of all collections."""
+        """Unique name among the clips of all collections."""
         return f"{self.collection}/{self.name}"
 
     @property
@@ -136,7 +136,7 @@ def _name(row: dict[str, str]) -> str:
 
 
 def _without_suffix(name: str) -> str:
-    """A name without the ending that makes it a recording; other dots are part of it."""
+    """A file name without the suffix of its format; other dots are part of the name."""
     ending = next((end for end in _SUFFIXES if name.lower().endswith(end)), "")
     return name[: len(name) - len(ending)]
 
@@ -156,7 +156,7 @@ def _check_names(clips: Sequence[SourceClip]) -> None:
 
 @dataclass(frozen=True)
 class Content:
-    """What a clip is read from: its file, or its text in an archive; or why there is none."""
+    """The source of a clip: a file, or text in an archive, or why it is missing."""
 
     clip: SourceClip
     text: str | None = None

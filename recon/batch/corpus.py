@@ -143,7 +143,7 @@ class _Corpus:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
         waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
-        # in small groups, so that a killed run loses few calibrations
+        # in small groups: a run that is killed then loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
             self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums)
 
@@ -185,7 +185,7 @@ class _Corpus:
                     suspected.append(half)
                 else:
                     result = found
-        # in their order, since a calibration depends on it
+        # in the order of `some`, since a calibration depends on the order of its clips
         kept = [clip for clip in some if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):

@@ -80,7 +80,7 @@ class Task:
 
 @dataclass(frozen=True)
 class RecordingPiece:
-    """A recording, or what lies between two jumps of one."""
+    """A recording, or the part of one between two jumps."""
 
     name: str
     recording: SkeletonRecording
@@ -107,7 +107,7 @@ def calibrate_group(
     """
     recordings: list[SkeletonRecording] = []
     for content in contents(clips):
-        # one that has changed since it was surveyed is refused when it is converted
+        # files that changed after the survey are refused later, at their conversion
         with contextlib.suppress(ValueError):
             pieces, _ = split(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
@@ -175,7 +175,7 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
         clear_leftovers(place)
     try:
         stage.mkdir()
-        motion = stage / "motion"  # without an ending, so that no reader of OUT takes it for one
+        motion = stage / "motion"  # without `.npz`: not read as a motion
         conversion.save(motion, body, contacts=bool(row["contacts"]))
         found = file_checksum(motion)
         noted = {**row, "checksum": found}
@@ -213,7 +213,7 @@ def split(
 
 @lru_cache(maxsize=1)
 def _body(path: str | Path | None) -> BodyModel:
-    """Read once by every process; the conversion began with its checksum."""
+    """The body, read once by every process and checked against the checksum at the start."""
     return BodyModel.load(path)
 
 
@@ -247,6 +247,6 @@ def _noted(path: Path) -> tuple[object, ...]:
     if not isinstance(row, dict):
         return ()
     if "checksum" not in row and {"collection", "clip", "settings"} <= row.keys():
-        # version 0.1.0 noted none
+        # reports of version 0.1.0 hold no checksums
         return (file_checksum(path),)
     return row.get("checksum"), row.get("replaces")

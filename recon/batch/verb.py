@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _is_former(folder: Path) -> bool:
-    """Whether a folder has the log of a batch; one that was cut at once has no whole line yet."""
+    """Whether a folder has the log of a batch, possibly without a complete line."""
     from recon.batch.worklog import read_log
 
     logs = list(folder.glob("log*.jsonl"))
@@ -70,7 +70,7 @@ def batch(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # heeded by `writes`
+    del quiet  # used by the decorator `writes`
     from recon.cli import console
     from recon.cli.looks import check_plugs
 
@@ -82,7 +82,7 @@ def batch(
     if ray is not None:
         from recon.batch.ray_cluster import absolute
 
-        # processes of a cluster begin in another folder
+        # processes of a cluster start in another working folder
         manifest, out, settings = manifest.absolute(), out.absolute(), absolute(settings)
     index, slash, count = shard.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
@@ -132,7 +132,7 @@ def _is_former_corpus(folder: Path) -> bool:
 
 
 def _corpus(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # outputs are no recordings, so the folder of recordings may hold them
+    # OUT may be inside the folder of recordings: motion files are not taken for recordings
     return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
 
 
@@ -161,7 +161,7 @@ def convert_all(
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
-    del quiet  # heeded by `writes`
+    del quiet  # used by the decorator `writes`
     from recon.batch.corpus import convert_corpus
     from recon.cli import console
 

@@ -96,7 +96,7 @@ class _Worker:
     """A worker process that runs jobs one after the other."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        # spawned: forked processes inherit locks that threads of torch hold
+        # spawned, not forked: forked processes would inherit locks that threads of torch hold
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(function, theirs), daemon=True)
@@ -104,7 +104,7 @@ class _Worker:
         theirs.close()
 
     def begin(self, job: tuple[Any, ...]) -> None:
-        """Hand a job over; that the process died before is told by `result`."""
+        """Send a job to the process; if the process has died, `result` reports that."""
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self.connection.send(job)
 
@@ -117,13 +117,13 @@ class _Worker:
             self._process.join()
             return Failure("crashed", _death(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
-            # the state of the process is unknown after that
+            # after such an error the state of the process is unknown
             self.stop()
             return result, False
         return result, True
 
     def stop(self) -> None:
-        """End the process, whatever it does; it removes what it has half written."""
+        """End the process at once; it removes files that it has half written."""
         self._process.terminate()
         self._process.join(_PATIENCE)
         if self._process.is_alive():
@@ -165,7 +165,7 @@ def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
 
 
 def _is_refusal(error: Exception) -> bool:
-    """Whether it was raised to refuse an input: by recon, not by a library below it.
+    """Whether recon raised the error to refuse an input, rather than a library it uses.
 
     Libraries raise subclasses of ValueError, such as UnicodeDecodeError and LinAlgError.
     """

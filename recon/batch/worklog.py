@@ -47,7 +47,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
         if not line.strip():
             continue
         clip = _clip(line, path, number)
-        # ids that differ by case alone are one file on many systems
+        # on many file systems, ids that differ only in case name the same file
         same = unicodedata.normalize("NFC", clip.name).casefold()
         if same in clips:
             before, other = clips[same]
@@ -162,7 +162,7 @@ def open_log(path: Path) -> Iterator[WorkLog]:
 
 
 def read_log(path: Path) -> dict[str, Record]:
-    """The last record of every id of a log that somebody else may be writing to."""
+    """The last record of every id in a log, which another process may be writing."""
     data = path.read_bytes() if path.is_file() else b""
     return _records(data[: data.rfind(b"\n") + 1])
 
@@ -184,7 +184,7 @@ def _without_time(record: Record) -> Record:
 
 
 def _hold(descriptor: int, path: Path) -> None:
-    """Lock the file until it is closed, which a killed process does too."""
+    """Lock the file until it is closed; the lock ends also when the process is killed."""
     if sys.platform == "win32":
         return
     import fcntl

@@ -63,7 +63,7 @@ both in metres, and probabilities of contact (time, 22). Joints are needed."""
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method gave back for one window; each tensor has one row per frame."""
+    """The output of a method for one window; each tensor has one row per frame."""
 
     joints: Float[Tensor, "time 22 3"]
     motion: Motion | None = None
@@ -158,7 +158,7 @@ def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answ
 
 
 def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
-    """The metrics of an answer over the frames that a protocol judges, in SI units."""
+    """The metrics of an answer over the frames that a protocol evaluates, in SI units."""
     part = slice(*protocol.judged)
     truth = window.truth.window(*protocol.judged)
     touching = window.touching[part]

@@ -1,4 +1,4 @@
-"""The converted corpus: its clips, whose they are, and to which part they belong."""
+"""The converted corpus: its clips, their subjects, and their split (training, test, ...)."""
 
 import json
 import tomllib

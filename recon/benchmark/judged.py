@@ -1,4 +1,4 @@
-"""`recon.bench`: methods judged on the same windows of free motions."""
+"""`recon.bench`: methods evaluated on the same windows of freely licensed motions."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -151,7 +151,7 @@ def _judged(
     answers: Sequence[Answer],
     body: BodyModel,
 ) -> tuple[list[Row], float | None]:
-    """The metrics of every window, and how right contacts of feet are."""
+    """The metrics of every window, and the accuracy of foot contacts."""
     rows = [judged(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):

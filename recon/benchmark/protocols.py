@@ -34,7 +34,7 @@ def noisy_joints(
     noise: float = 0.04,
     joints: tuple[int, ...] = tuple(range(len(JOINTS))),
 ) -> Joints3D:
-    """Joints, all 22 unless said, with Gaussian noise, metres per coordinate."""
+    """Joints (by default all 22) with Gaussian noise of `noise` metres per coordinate."""
     positions = body.pose(truth).joints
     random = torch.Generator().manual_seed(seed)
     errors = torch.randn(positions.shape, generator=random, dtype=torch.float64)
@@ -48,7 +48,7 @@ def noisy_joints(
 
 
 def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
-    """Joints of which nothing is seen in some frames: in-betweening."""
+    """Joints that are all unseen in some frames (in-betweening)."""
     positions, visible = observed.positions.clone(), observed.visible.clone()
     positions[:, gap], visible[:, gap] = 0.0, False
     return observed.replace(positions=positions, visible=visible)

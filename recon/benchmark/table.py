@@ -1,4 +1,4 @@
-"""What a benchmark found: means over subjects with their intervals, by method."""
+"""Results of a benchmark: means over subjects with confidence intervals, by method."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Values = Sequence[float | None]
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and the interval that it lies in."""
+    """A mean and its confidence interval."""
 
     mean: float
     low: float
@@ -93,7 +93,7 @@ def _by_clip(
 def _resampled(
     clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
 ) -> Float[np.ndarray, " draws"]:
-    """The subject's mean for each draw of as many clips as there are."""
+    """Bootstrap means of a subject: clips are drawn with replacement."""
     drawn = clips[random.integers(0, len(clips), (DRAWS, len(clips)))].sum(1)
     return drawn[:, 0] / drawn[:, 1]
 

@@ -1,4 +1,4 @@
-"""True windows as one batch: those listed of a folder of motions, or of the bundled clip."""
+"""True windows as one batch: those that the splits list, or those of the bundled clip."""
 
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -53,7 +53,7 @@ class TrueWindows:
 
     @property
     def counted(self) -> list[str]:
-        """The subjects over whom means are taken: all who are not apart, or all there are."""
+        """The subjects that count in means: those not listed as apart, or all if none is left."""
         every = sorted(set(self.subjects))
         return [subject for subject in every if subject not in self.apart] or every
 
@@ -141,7 +141,7 @@ def load_windows(
 def contacts_at(
     recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
 ) -> Bool[Tensor, "time 22"]:
-    """The recording's labels nearest in time; made from its motion where it has none."""
+    """Contact labels nearest in time; computed from the motion where the recording has none."""
     motion, labels = recorded.motion, recorded.contacts
     if labels is None:
         heights = rest_heights(body, motion.shape)
@@ -223,7 +223,7 @@ def bench_source(
 
 
 def free_windows(splits: Splits, part: Part) -> Splits:
-    """The splits with those windows of a part alone whose clips are freely licensed."""
+    """The splits, with one part reduced to windows of freely licensed clips."""
     lengths = {
         frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
         for frames, rows in splits.windows.get(part, {}).items()

@@ -163,7 +163,7 @@ def _axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 
 
 
 def _between(proximal: str, distal: str) -> list[int]:
-    """The joints that turn one segment relative to another: those of the bones from it on."""
+    """The joints between two segments, whose rotations turn one relative to the other."""
     last = -1 if proximal == "ground" else joint_index(BONES[proximal])
     joints = [joint_index(BONES[distal])]
     while PARENTS[joints[-1]] != last:

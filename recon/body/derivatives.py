@@ -58,7 +58,7 @@ class CarriedPoints:
 
     @property
     def own_joints(self) -> Int[Tensor, " points"] | None:
-        """The joint that each point is; None where a point is anything else."""
+        """The joint that each point is identical with; None if any point is not a joint."""
         alone = bool((self.share.amax(1) == 1).all()) and not bool(self.place.any())
         return self.share.argmax(1) if alone else None
 

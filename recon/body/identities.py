@@ -202,7 +202,7 @@ def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
         values, slopes = _linear(base, (tall,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, Lean):
-        # heavy and slim are judged among people of this height
+        # "heavy" and "slim" are relative to people of this height
         goal = float(tall(base)) if metres is None else metres
         shape = nearest_shape(base, (tall,), (goal,), free)
         _, slopes = _linear(shape, (tall, heavy), free)

@@ -39,7 +39,7 @@ def turned(
     orientations: Float[Tensor, "frames 22 3 3"],
     turns: Float[Tensor, "frames 66"],
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """Rotations R_a Exp(O_aᵀ w_a) after turns w_a, as the coordinates of a step have them."""
+    """Rotations R_a Exp(O_aᵀ w_a) after turns w_a about world axes, as in a step's coordinates."""
     world = turns.unflatten(-1, (3, -1)).transpose(1, 2)
     return rotations @ so3.exp((orientations.mT @ world[..., None])[..., 0])
 
@@ -102,7 +102,7 @@ class Levers(TensorStruct):
         """Jacobian of the points by the 69 coordinates of a step, metres."""
         arms = self.about(pose).transpose(1, 2)
         out = arms.new_zeros(*arms.shape[:2], 3, COORDINATES)
-        out.diagonal(dim1=-2, dim2=-1)[:] = 1  # by the translation
+        out.diagonal(dim1=-2, dim2=-1)[:] = 1  # derivative by the translation: the identity
         turns = out[..., 3:].unflatten(-1, (3, len(JOINTS)))
         for axis in range(3):
             after, last = (axis + 1) % 3, (axis + 2) % 3
@@ -182,7 +182,7 @@ class ShapeLevers(TensorStruct):
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # places of joints do not enter
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # zeros for positions
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
     def by_shape(

@@ -58,7 +58,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled()
-        from recon.formats.smpl import load_smpl  # few give a body of their own
+        from recon.formats.smpl import load_smpl  # imported here: few users load their own body
 
         path = Path(path)
         arrays = load_smpl(path).of_body()
@@ -70,7 +70,7 @@ class BodyModel(TensorStruct):
         return self.shape_directions.shape[-1]
 
     def same_as(self, other: "BodyModel") -> bool:
-        """Whether it is the other body, in the same precision and on the same device."""
+        """Whether both are the same body, in the same precision and on the same device."""
         own, its = self.template, other.template
         alike = self.checksum == other.checksum and self.shape_size == other.shape_size
         return alike and own.dtype == its.dtype and own.device == its.device

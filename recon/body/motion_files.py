@@ -39,7 +39,7 @@ def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> Moti
 def of_body(
     file: MotionFile, path: object, body: BodyModel, remedy: str = WITH_BODY
 ) -> MotionFile:
-    """What `load_motion_of` makes of a file that was read; `path` is for messages.
+    """As `load_motion_of`, for a file that was read already; `path` is for messages.
 
     Raises:
         ValueError: when it was made with another body.

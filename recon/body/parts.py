@@ -1,4 +1,4 @@
-"""Ten parts of a body, and how its skin is shared among them.
+"""Ten parts of a body, and the part that every vertex of the skin belongs to.
 
 Parts are read off the skinning weights, so any body of 22 joints has them.
 """

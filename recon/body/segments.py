@@ -83,7 +83,7 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     behind = points.mean("left_psis", "right_psis")
     front = points.mean("left_asis", "right_asis") - behind
     low, high = points.mean("xiphoid", "t7"), points.mean("sternal_notch", "c7")
-    # the plane of the thorax holds the two landmarks of its upper end
+    # the sagittal plane of the thorax contains the two landmarks at its upper end
     depth = points.mean("sternal_notch") - points.mean("c7")
     axes = {
         "pelvis": _about_z(across, np.cross(across, front)),
@@ -215,7 +215,7 @@ def _continued(
     turned: Float[np.ndarray, " time"],
     way: Float[np.ndarray, " time"],
 ) -> Float[np.ndarray, "time 3"]:
-    """The solutions that follow each other without jumps, the first one at the beginning.
+    """One of two solutions per frame, so that angles do not jump; it begins with the first.
 
     Args:
         first: one solution of every frame.
@@ -256,7 +256,7 @@ def _continued_through_lock(
         else:
             choices = [first[k]] if k == 0 else [first[k], second[k]]
         near = [one - 2 * np.pi * np.round((one - before) / (2 * np.pi)) for one in choices]
-        # the first frame has none before it
+        # the first frame has no predecessor
         if k == 0:
             near = choices
         before = found[k] = min(near, key=lambda q: float(np.abs(q - before).sum()))

@@ -32,35 +32,35 @@ def quietly(is_quiet: bool) -> Iterator[None]:
 
 
 def say(message: str) -> None:
-    """A line for the person at the terminal."""
+    """Print a line about progress to stderr."""
     if not _quiet.get():
         _line(message)
 
 
 def note(message: str) -> None:
-    """A line about what was assumed, which matters when the result surprises."""
+    """Print a line about an assumption that may explain a surprising result."""
     if not _quiet.get():
         _line(message, _DIM)
 
 
 def warn(message: str) -> None:
-    """A line that should be read before the result is used."""
+    """Print a warning: a line that should be read before the result is used."""
     if not _quiet.get():
         _line(f"warning: {message}", _YELLOW)
 
 
 def complain(message: str) -> None:
-    """A line about what went wrong with a part of the work."""
+    """Print an error about a part of the work."""
     _line(message)
 
 
 def last(message: str) -> None:
-    """The last line of a verb: where its result is."""
+    """Print the last line of a verb, which says where its result is."""
     _line(message)
 
 
 def findings(report: Mapping[str, Any]) -> None:
-    """What a report found: remarks, repairs that were made, and warnings, in this order."""
+    """Print the findings of a report: remarks, repairs and warnings, in this order."""
     for finding in report.get("diagnosis", []):
         note(finding["message"])
     for finding in report.get("repairs", []):
@@ -88,7 +88,7 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
 def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text  # not read as markup
+    from rich.text import Text  # plain text: rich would interpret markup
 
     shown = Table(title=Text(visible(title)), title_justify="left")
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))

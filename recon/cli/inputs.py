@@ -1,4 +1,4 @@
-"""Files and folders that a verb reads, looked for before anything heavy is loaded."""
+"""Checks that the input files of a verb exist, before slow imports."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -65,7 +65,7 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
 
 
 def _hint(path: Path) -> str:
-    """Files of nearly the same name, or the folder that is missing, too."""
+    """A hint for a missing file: similar names, or that its folder is missing, too."""
     folder = path.parent
     if not folder.is_dir():
         return f"; the folder {folder} is not there either"

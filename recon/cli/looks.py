@@ -1,4 +1,4 @@
-"""Quick refusals, before torch is loaded: of files that do not fit, and of unknown priors."""
+"""Quick checks before torch is loaded: unsuitable files and unknown priors are refused."""
 
 import os
 import sys
@@ -21,7 +21,7 @@ _HEAD = 1 << 16
 
 
 def look_at(given: Mapping[str, Any]) -> None:
-    """Refuse what cannot be fitted or converted: unknown priors, foreign files, unknown markers.
+    """Refuse arguments that must fail: unknown priors, unsuitable files, unknown markers.
 
     Args:
         given: a verb's arguments by name.
@@ -45,7 +45,7 @@ def look_at(given: Mapping[str, Any]) -> None:
 
 
 def refuse_foreign(paths: Sequence[Path]) -> None:
-    """Refuse files that cannot be fitted, by who wrote them, suffix and first bytes.
+    """Refuse files that cannot be fitted, judging by program, suffix and first bytes.
 
     Raises:
         ValueError: says what was seen and what would fit.
@@ -67,7 +67,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
 
 
 def _wrong(path: Path, head: bytes, *, known: bool) -> str | None:
-    """What is wrong with a file, by its ending and first bytes; None where nothing is."""
+    """The reason to refuse a file, by its suffix and first bytes; None if there is none."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
     first = repr(text.strip().splitlines()[0][:60]) if text.strip() else "nothing"
@@ -152,7 +152,7 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
 
 
 def check_plugs(prior: str, reader: str | None) -> None:
-    """Refuse names of no prior, and let classes "module:Class" be found in the current folder.
+    """Refuse unknown priors; modules of "module:Class" may be in the current folder.
 
     The folder comes last in Python's search, so that its files take no installed module's place.
 
@@ -173,6 +173,6 @@ def check_plugs(prior: str, reader: str | None) -> None:
 
 
 def find_here(names: Iterable[str]) -> None:
-    """Let classes "module:Class", if any of the names is one, be found in the current folder."""
+    """Make the current folder importable if any of the names is of the form "module:Class"."""
     if any(":" in name for name in names) and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

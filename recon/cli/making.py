@@ -1,4 +1,4 @@
-"""The command line of a function, made from its source: torch is not loaded to show its help."""
+"""Makes a command line from a function's source code, so that help does not load torch."""
 
 import ast
 import builtins
@@ -65,7 +65,7 @@ class Verb:
 
 
 def command(name: str, verb: Verb) -> Callable[..., None]:
-    """The function that a command line calls: it checks, computes, writes and says what it did."""
+    """The function behind a command line: it checks arguments, computes, writes and reports."""
     node = _function(verb.place)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
     own = [one for one in _parameters(node) if one.name not in taken]
@@ -76,7 +76,7 @@ def command(name: str, verb: Verb) -> Callable[..., None]:
     def run(**arguments: Any) -> None:
         running.run(verb.place, [place.parameter for place in verb.places], arguments)
 
-    for one in {run, unwrap(run)}:  # in tests the type checker has wrapped the function
+    for one in {run, unwrap(run)}:  # both: the type checker of the tests wraps functions
         one.__name__, one.__doc__ = name, ast.get_docstring(node)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
         vars(one)["__signature__"] = Signature(given)
@@ -92,7 +92,7 @@ def _function(place: str) -> ast.FunctionDef:
 
 
 def _parameters(node: ast.FunctionDef) -> list[Parameter]:
-    """A function's parameters, without annotation where no command line can give them."""
+    """Parameters of a function; those that a command line cannot express lose their annotation."""
     plain = node.args.args
     missing = [None] * (len(plain) - len(node.args.defaults))
     defaults = [*missing, *node.args.defaults, *node.args.kw_defaults]
@@ -114,7 +114,7 @@ def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
 
 
 def _kind(node: ast.expr) -> Any:
-    """The type that an annotation names.
+    """The type of an annotation given as source code.
 
     Raises:
         NameError: when it is of something that no command line can give.

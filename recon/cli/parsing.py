@@ -42,7 +42,7 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
 
 
 def _of_all(words: list[str]) -> list[str]:
-    """`VERB --all` is the verb `VERB-all`, which another room brings."""
+    """Turn `VERB --all` into the verb `VERB-all`, which another package defines."""
     option = listing.WHOLE.get(words[0], ()) if words else ()
     for k in range(len(words)):
         for spelt in (list(option), ["=".join(option)]):
@@ -117,7 +117,7 @@ def _options(name: str, hint: Any, default: Any) -> set[str]:
 
 
 def _put_off(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """A function with the verb's signature and help that only stores its arguments when called."""
+    """A function with the verb's signature and help that only stores its arguments."""
 
     @functools.wraps(verb)
     def later(*args: Any, **kwargs: Any) -> Callable[[], None]:

@@ -41,7 +41,7 @@ def its_own_report(path: Path, _: Arguments) -> tuple[Output, ...]:
 
 
 def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """A folder that is written whole."""
+    """A folder that is written as a whole."""
     return (Output(path, Kind.FOLDER),)
 
 

@@ -41,7 +41,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     if settings is not None:
         options |= vars(settings)
         more = settings.arguments()
-    # before reading: a file that changes later must not pass for the one that was read
+    # checksums before reading: files that change during the run are then noticed
     inputs = input_checksums(how | options)
     with console.fitting({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))

@@ -35,7 +35,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
     array = _array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
-    with np.errstate(over="ignore"):  # numbers beyond float32 become infinite, and are refused
+    with np.errstate(over="ignore"):  # too large for float32: infinite, refused later
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
 
@@ -53,7 +53,7 @@ def is_geometry(one: Any) -> bool:
     """Whether this is a cloud, a mesh or a pair of depth image and lens of Open3D."""
     if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
         return hasattr(one[0], "depth")
-    if hasattr(one, "motion") or hasattr(one, "fps"):  # results and records of ours have a clock
+    if hasattr(one, "motion") or hasattr(one, "fps"):  # our results have a clock
         return False
     return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 

@@ -35,7 +35,7 @@ class Projection(TensorStruct):
 
     @property
     def in_front(self) -> Bool[Tensor, "*batch points"]:
-        """Points the camera can see; beware that they may still lie outside the image."""
+        """Mask of points in front of the camera; they may still lie outside the image."""
         return self.depth > NEAREST
 
 
@@ -184,7 +184,7 @@ class Camera(TensorStruct):
 
 
 def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: str = "") -> None:
-    """Refuse the intrinsics of a camera that nobody can have.
+    """Refuse impossible intrinsics of a camera.
 
     Args:
         matrix: (3, 3), pixels.
@@ -220,7 +220,7 @@ def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: s
 
 
 def check_pose(pose: Any, source: object, key: str) -> None:
-    """Refuse transforms (..., 4, 4) that are not rigid or lead farther than people are recorded.
+    """Refuse transforms (..., 4, 4) that are not rigid or have an implausibly large translation.
 
     Raises:
         ValueError: naming file, quantity and what came.
@@ -264,7 +264,7 @@ def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[T
 def _undistort(
     rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
 ) -> Float[Tensor, "*shape 2"]:
-    """Ideal coordinates of bent ones, by fixed-point iteration (for monotone distortion)."""
+    """Undistorted coordinates, by fixed-point iteration (converges for monotone distortion)."""
     straight = rays
     for _ in range(_UNDISTORT_STEPS):
         radial, shift = _lens(straight, coefficients)

@@ -1,4 +1,4 @@
-"""Clouds of points: as arrays, and their unit and up axis, told by the person in them."""
+"""Point clouds as arrays, and their unit and up axis, inferred from the person in them."""
 
 from typing import Any, get_args
 
@@ -33,7 +33,7 @@ points of somebody who crouches stay on the floor."""
 
 
 def held_numbers(values: Any) -> np.ndarray:
-    """Numbers that Open3D holds: vectors of its older interface, tensors of the newer."""
+    """An array from Open3D: from vectors of its older or tensors of its newer interface."""
     values = values.cpu().numpy() if hasattr(values, "cpu") else values
     return np.asarray(values, dtype=np.float64)
 
@@ -82,7 +82,7 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
 def up_of_clouds(
     clouds: list[Float[np.ndarray, "_ 3"]], name: str, *, told: bool
 ) -> tuple[Up, tuple[str, ...]]:
-    """The direction that is up in scans of a person alone, and what is said where it is not z.
+    """The up direction of scans of a person alone, and a note if it is not z.
 
     The longest axis is up, or down: the lower end stays on the floor, is wider, as feet stand
     apart, and has less of the body near it. Scans that show a room have z up, and those of

@@ -1,4 +1,4 @@
-"""Unit and up axis of a recording, told by the size of the body in it and by how it stands."""
+"""Unit and up axis of a recording, inferred from the size and posture of the body in it."""
 
 import re
 from collections.abc import Sequence
@@ -115,7 +115,7 @@ def unit_of_path(
     up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
-    """Unit in which a body's path leaves a foot standing, and the reason where it is not metres.
+    """Unit of a body's path for which a foot stands still, and the reason if it is not metres.
 
     Of somebody who hardly goes anywhere it is that in which the feet are at height zero.
 
@@ -205,7 +205,7 @@ def settled_up(
     name: str,
     extent: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[Up, str]:
-    """The direction that is up, by head and feet, then by custom, then by the floor.
+    """The up direction: from feet to head, else the usual one of the format, else by the floor.
 
     Args:
         names: of the points.
@@ -311,7 +311,7 @@ def _swing(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> float:
-    """By how much the lowest point goes up and down, in nine tenths of the frames."""
+    """Range of the height of the lowest point, over nine tenths of the frames."""
     heights = np.where(visible, positions @ to_z_up(up)[2], np.inf)[visible.any(1)].min(1)
     return float(np.subtract(*np.quantile(heights, (0.95, 0.05))))
 
@@ -322,7 +322,7 @@ def surely_up(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Up | None:
-    """The body's upright direction where it surely contradicts the declared up axis.
+    """The direction of the body if it clearly contradicts the declared up axis, else None.
 
     None otherwise.
 

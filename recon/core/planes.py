@@ -200,7 +200,7 @@ def before(
     eye: Float[np.ndarray, "3"],
     least: float = 0.06,
 ) -> Bool[np.ndarray, " points"]:
-    """Points on the sensor's side of a plane, farther than `least` from it, metres."""
+    """Mask of points on the sensor's side of a plane, more than `least` metres away from it."""
     side = np.sign(normal @ eye - offset)
     return side * (points @ normal - offset) > least
 
@@ -343,7 +343,7 @@ def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " poin
     far = np.linalg.norm(away, axis=1)
     rays = away / np.maximum(far, 1e-9)[:, None]
     near = np.asarray(KDTree(rays).query(rays, k=_NEIGHBOURS + 1)[1])[:, 1:]
-    # in the plane across the mean ray, where neighbours span two directions
+    # project neighbours onto the plane perpendicular to the mean ray
     _, _, axes = np.linalg.svd(rays.mean(0)[None])
     image = rays @ axes[1:].T
     beside = image[near] - image[:, None]
@@ -352,6 +352,6 @@ def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " poin
     normal = design.transpose(0, 2, 1) @ design + 1e-6 * np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = inverse @ (design.transpose(0, 2, 1) @ far[near][..., None])
-    # the fitted plane has an error of its own, from the noise of the neighbours
+    # add the error of the fitted plane, which comes from the noise of the neighbours
     spread = np.sqrt(1 + inverse[:, 0, 0])
     return np.abs(far - plane[:, 0, 0]) / spread

@@ -1,4 +1,4 @@
-"""A rasteriser on the CPU: the face and depth that every pixel of a picture shows of a mesh.
+"""A CPU rasteriser: which face of a mesh every pixel shows, and its depth.
 
 OpenCV's rasteriser does the work. It draws what a pinhole camera sees; corners are therefore given
 to it at the places where a camera of 90 degrees sees them at the asked pixels, so that lenses with
@@ -22,7 +22,7 @@ The range is kept this tight because depths are single-precision shares of it.""
 
 @dataclass(frozen=True)
 class Raster:
-    """The face, depth and place of one mesh that every pixel of a picture shows."""
+    """Face, depth and position on the mesh for every pixel of a picture."""
 
     depth: Float[np.ndarray, "height width"]
     """Depth of the nearest face; infinity where there is none."""
@@ -31,7 +31,7 @@ class Raster:
 
     @cached_property
     def covered(self) -> Bool[np.ndarray, "height width"]:
-        """Pixels that see a face."""
+        """Mask of pixels that show a face."""
         return np.isfinite(self.depth)
 
 

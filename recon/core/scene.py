@@ -15,7 +15,7 @@ from recon.core.struct import TensorStruct
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera, Ground
-else:  # most scenes have no camera
+else:  # imported for type checkers only: most scenes have no camera
     from typing import Any as Camera
     from typing import Any as Ground
 
@@ -68,7 +68,7 @@ class UnknownGround(TensorStruct):
     @property
     def plane(self) -> Ground:
         """The ground in the recording's frame."""
-        from recon.core.camera import Ground  # few grounds are unknown
+        from recon.core.camera import Ground  # imported here: in most clips the ground is known
 
         T = self.T_world_recording
         return Ground(T[..., 2, :3], -T[..., 2, 3])

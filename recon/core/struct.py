@@ -1,4 +1,4 @@
-"""Frozen records of tensors: the way data moves through the library."""
+"""Immutable records of tensors, which hold nearly all data of the library."""
 
 import dataclasses
 from collections.abc import Callable
@@ -44,7 +44,7 @@ class TensorStruct:
         return cast(Any, self).map(move)
 
     def detach(self: _S) -> _S:
-        """The record with its tensors cut from the graph that computed them."""
+        """The record with its tensors detached from the autograd graph."""
         return cast(Any, self).map(Tensor.detach)
 
     def __getitem__(self: _S, index: Any) -> _S:
@@ -67,7 +67,7 @@ class TensorStruct:
         return record
 
     def _settle(self, **fields: Any) -> None:
-        """Set fields to what a check made of them; for constructors alone."""
+        """Replace fields by their checked values; only for use in constructors."""
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 

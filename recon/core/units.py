@@ -19,7 +19,7 @@ Unit = str
 
 
 class _Metres(dict[str, float]):
-    """Metres per unit by its name; a positive number stands for itself."""
+    """Metres per unit, by the unit's name or as a positive number."""
 
     def __missing__(self, unit: str) -> float:
         try:
@@ -82,6 +82,6 @@ def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
 
 
 def snapped_rate(fps: float) -> float:
-    """The frame rate, a whole number where a rounded interval hid one (1 / 0.0083333)."""
+    """The frame rate, rounded where its inverse is a rounded interval (1 / 0.0083333 is 120)."""
     whole = round(fps)
     return float(whole) if whole > 0 and abs(fps - whole) < 2e-4 * whole else float(fps)

@@ -1,4 +1,4 @@
-"""Texts of files, made harmless before they are shown."""
+"""Makes texts from files safe to print."""
 
 
 def visible(text: object) -> str:

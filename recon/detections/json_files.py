@@ -109,7 +109,7 @@ def is_alphapose(value: Any) -> bool:
 
 
 def _alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
-    """Where any score exceeds 1, all are divided by 6; else they are taken as they are."""
+    """AlphaPose's people; scores are divided by 6 if any exceeds 1."""
     images = sorted({str(person["image_id"]) for person in people})
     numbers = frame_numbers([PurePath(image).stem for image in images], name)
     by_image = dict(zip(images, numbers, strict=True))
@@ -130,7 +130,7 @@ def _openpose(entry: Any, place: str) -> People | None:
 
 
 def _easymocap(entry: Any, place: str) -> People | None:
-    """As OpenPose's; a negative confidence means missing."""
+    """EasyMocap's people, as in OpenPose; negative confidence means missing."""
     return _listed_people(entry, place, "annots", "keypoints", ("personID", "id"))
 
 
@@ -182,7 +182,7 @@ def _mmpose(entry: Any, place: str) -> People | None:
 
 
 def _mediapipe(entry: Any, place: str) -> People | None:
-    """Fractions of the image or pixels; the confidence is the visibility."""
+    """MediaPipe's landmarks, in pixels or fractions; confidence is the visibility."""
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None

@@ -21,7 +21,7 @@ from recon.method.sensor import frame_is_level, views_of
 
 if TYPE_CHECKING:
     from recon.formats.joint_table import JointCertainty
-else:  # a report alone has one
+else:  # imported for type checkers only
     from typing import Any as JointCertainty
 
 MOST = 360 / 12**0.5
@@ -34,7 +34,7 @@ def angle_slopes(body: BodyModel) -> Measure | None:
     def slopes(motion: Motion) -> Float[Tensor, "time angles 66"]:
         return torch.from_numpy(isb_slopes(motion, body)).to(motion.translation)
 
-    # landmarks of other bodies are not known
+    # landmarks are only defined on the bundled body
     return slopes if body.checksum == BodyModel.load().checksum else None
 
 

@@ -270,7 +270,7 @@ def mirrored(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
-    # cameras whose ground and person do not fit together measure in no metres
+    # the unit of a calibration is wrong when its ground and the person's size contradict
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )

@@ -44,7 +44,7 @@ class Alternative:
     @property
     def excess(self) -> float:
         """Share of the chosen energy by which this one is larger."""
-        if self.chosen_energy <= 0:  # data without noise
+        if self.chosen_energy <= 0:  # happens with data without noise
             return math.inf
         return self.energy / self.chosen_energy - 1
 

@@ -93,7 +93,7 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
     computed = temporal_noise(points) < _NOISELESS
     for point, bone in enumerate(points.bones):
-        # the root of what is relative to it stays: other zeros are out by now
+        # root-relative data keep the zeros of their root; all other zeros were removed before
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
         for first, last in stretches(same[:, point], _REPEATS - 1):

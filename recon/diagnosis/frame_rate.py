@@ -147,7 +147,7 @@ def _imbalance(movement: Movement, factor: float) -> float:
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
-    # corners of a foot in the air are replaced by those of the other, which then count twice
+    # the standing foot's corners replace those of the foot in the air, and so count twice
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
     return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
 
@@ -268,7 +268,7 @@ def rate_range(
     low = max((bound[0] for bound in limits.values()), default=math.inf)
     high = min((bound[1] for bound in limits.values()), default=0.0)
     if low > high:
-        # no law says anything, or they contradict each other: then not the rate alone is wrong
+        # no law of movement applies, or they contradict each other: not only the rate is wrong
         return None
     against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
     return RateRange(low, high, against or tuple(limits))

@@ -129,7 +129,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _flips(points, [pair])
-        # with an odd number it is unknown on which side they began
+        # after an odd number of exchanges it is unknown which side was first
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
@@ -255,8 +255,8 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
-    # a limb may be faster than the quick fit follows; it then leaves the body smoothly, while
-    # outliers leap out of the path and back
+    # a fast limb, which the quick fit cannot follow, departs from the body smoothly, whereas
+    # outliers jump away from the path and back
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
     bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
     unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]

@@ -239,7 +239,7 @@ def belt_velocity(
     if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
-    # the part of each foot that is on the ground: heel strike to flat foot to toe
+    # the lowest part of each foot: first the heel, then the whole sole, then the toes
     lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
     steps = np.diff(feet[..., :2], axis=0) * movement.fps
     velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
@@ -247,7 +247,7 @@ def belt_velocity(
     standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
     if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
         return None
-    # the velocity with most others near it, refined to their median
+    # the mode: the velocity with most others near it, then the median of these
     every = velocity[standing]
     some = every[:: max(1, len(every) // 400)]
     best = some[int(np.argmax([int(_near(every, candidate).sum()) for candidate in some]))]

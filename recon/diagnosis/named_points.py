@@ -200,7 +200,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             spread = float(np.median(np.abs(seen - middle)))
             for one in (a, b):
                 wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
-    # the end of a wrong bone that has other, right bones is where it should be
+    # a point is right if it also ends another bone, and all its other bones have the right length
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
 
 

@@ -64,7 +64,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     named, found = in_turn(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None, None
-    if disorder := frame_order(named):  # no other check works on such frames
+    if disorder := frame_order(named):  # no other check works on frames out of order
         return named.observation, found + Findings(warnings=disorder), None, None
     steady = plausible(named)
     flips = find_exchanges(steady)
@@ -134,7 +134,7 @@ def _exchanged(
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
-        # before points are called wrong, the fit tries to reach them
+        # first let the fit try to reach the points before it calls them wrong
         fitted = pursued(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
@@ -176,7 +176,7 @@ def _against_a_body(
         # to be left behind by a body that was fitted wrong
         return named.observation, NOTHING, None, None
     kept, wild = outliers(replace(predicted, points=kept), noise)
-    # points left out throughout are inferred, so the user is told
+    # points left out in all frames are inferred by the fit, so a warning says so
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given
     if wild is not None:
@@ -186,9 +186,9 @@ def _against_a_body(
             given = given.replace(kernel=partial(geman_mcclure, sigma=scale))
     motion = fitted.estimate.motion
     belt = None
-    if grounded and given.placed:  # root-relative points have no heights and paths
+    if grounded and given.placed:  # root-relative points have neither heights nor paths
         height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
-        if height != 0:  # it is known to two centimetres
+        if height != 0:  # the estimated height is exact to two centimetres
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)

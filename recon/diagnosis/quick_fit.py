@@ -109,7 +109,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     start = smoothed(NamedPoints.of(versions[best], body)).observation.start(body)
-    # an excerpt of a long recording is not the whole of it
+    # imported here: only long recordings need it
     from recon.fitting.long import fit_long
 
     motion = fit_long([_robust(versions[best])], method, body, start=start).motion

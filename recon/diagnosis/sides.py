@@ -54,7 +54,7 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
     flags = exchanged_sides(images)
     doubted = np.zeros_like(flags)
     if len(flags) == 1 and flags.any():
-        # fits are needed where names seem to be exchanged
+        # imported here: only fits can confirm that names are exchanged
         from recon.diagnosis.images import confirmed_sides
 
         sure = confirmed_sides(images, flags[0])[None]

@@ -71,7 +71,7 @@ def write_bvh(
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
-    # a hundredth of a micrometre in any unit
+    # enough decimals for a hundredth of a micrometre in any unit
     decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
@@ -102,7 +102,7 @@ def write_bvh(
         else:
             lines.append(f"{indent}\tCHANNELS 3 {rotations}")
         with warnings.catch_warnings():
-            # at gimbal lock scipy warns and still returns angles of the same rotation
+            # at gimbal lock scipy warns, but the angles it returns still give the same rotation
             warnings.simplefilter("ignore", UserWarning)
             columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
         for child in children:

@@ -57,7 +57,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
             version="2.0", generator="recon", extras={"start_time": motion.start_time}
         ),
         scene=0,
-        # a skinned mesh belongs at the root: it is placed by its joints alone
+        # glTF ignores the node of a skinned mesh: its joints alone place it, so it is at the root
         scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],
         nodes=nodes,
         meshes=[mesh],

@@ -56,7 +56,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
-    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes and hands are at rest
+    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes, fingers: at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),

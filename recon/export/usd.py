@@ -44,7 +44,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
     with replacing(path) as beside, TemporaryDirectory() as folder:
-        # the library tells the kind of file by its name, which it reads as UTF-8 with arguments
+        # USD infers the format from the file's name and parses that name: a plain one is used
         staged = Path(folder) / f"motion{path.suffix.lower()}"
         _save(staged, motion, body)
         shutil.copyfile(staged, beside)
@@ -84,7 +84,7 @@ def _save(path: Path, motion: Motion, body: BodyModel) -> None:
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
     _skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
-    # the body's extent at some frames, so that viewers find it without skinning
+    # bounding boxes of the body at some frames: viewers need them to frame the body
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
     extent = root.CreateExtentAttr()

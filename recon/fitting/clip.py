@@ -176,7 +176,7 @@ class ClipProblem:
     @property
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
-        # a moving camera keeps the focal length that its tracker assumed
+        # moving cameras keep the focal length that their tracker assumed
         return self.size_untold and not views_of(self.observations)[0].focal_known
 
     @property
@@ -308,7 +308,7 @@ class ClipProblem:
         there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
             return self
-        # imported here: only a moving camera has a path
+        # imported here: only moving cameras need it
         from observations.camera_paths import with_unit
 
         seen = view.camera.to_camera(there).detach().double().cpu().numpy()
@@ -320,7 +320,7 @@ class ClipProblem:
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
-        # most grounds are known
+        # imported here: in most clips the ground is known
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 
         start = self.guess.motion
@@ -339,10 +339,10 @@ class ClipProblem:
 
     def first_seconds(self) -> "ClipProblem":
         """The clip cut off after a window's length."""
-        from recon.fitting.long import WINDOW  # needed for long recordings only
+        from recon.fitting.long import WINDOW  # imported here: only long recordings need it
 
         begin = self.guess.motion.start_time
-        frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
+        frames = round(WINDOW * self.guess.motion.fps) + 1  # both ends of the window are counted
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
         guess = replace(self.guess, motion=self.guess.motion.window(0, frames))
         return replace(self, observations=seen, guess=guess)

@@ -272,7 +272,7 @@ class _Completion:
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
         prior, noise = self.prior, self.noise
-        # moments of the clock from one to the next while first guesses are compared
+        # use every `step`-th frame while first guesses are compared
         step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)

@@ -33,7 +33,7 @@ def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
     """
     up = mean_up(motion, body)
     pivot = pelvis_path(motion, body)
-    # R = Exp(v) turns up to z: v = up × z by the angle between them
+    # R = Exp(v) rotates `up` onto z; v has the direction of up × z and the length of the angle
     sine = up[..., :2].norm(dim=-1, keepdim=True)
     angle = torch.atan2(sine, up[..., 2:])
     axis = torch.stack((up[..., 1], -up[..., 0]), -1) / sine.clamp(min=1e-9)
@@ -85,7 +85,7 @@ def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, 
     Raises:
         ValueError: when the normal is zero.
     """
-    from recon.core.camera import Ground, world_from_camera  # few planes are given
+    from recon.core.camera import Ground, world_from_camera  # rarely needed
 
     plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()

@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # of most people no shape is known
+else:  # imported for type checkers only: most fits are given no shape
     from typing import Any as ShapePrior
 
 

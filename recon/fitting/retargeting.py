@@ -134,7 +134,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
     Arguments, result and errors are those of `retarget`.
     """
     motion, shape = _checked(motion, shape, body)
-    # the path is scaled about the start of the whole clip, of which the window has a part
+    # the path is scaled about the start of the whole clip, not of this window
     grown = with_shape(motion, body, shape)
 
     def one(window: Motion) -> Motion:

@@ -168,7 +168,7 @@ def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
         rotation = turn[None]
     out = np.tile(np.eye(4), (len(rotation), 1, 1))
     out[:, :3, :3] = rotation
-    # the range of a translation is checked once its unit is known
+    # the range of the translation is checked later, when its unit is known
     check_pose(out, where, "rotation from world to camera")
     out[:, :3, 3] = translation
     return out

@@ -39,7 +39,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     _, name, width, height, bits, colour = _HEAD.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
-    # grey has one channel; cv2 gives others up to four
+    # greyscale images have one channel; of others cv2 returns up to four
     IMAGE.check(width * height * max(bits // 8, 1) * (4 if colour else 1), path, "header")
     if size is not None and (width, height) != size:
         raise FormatError(

@@ -96,7 +96,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ scales the body, not the world
+    if "smpl_scaling" in arrays:  # AIST++ scales the body; here the path is
         translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
@@ -139,7 +139,7 @@ def _tree(path: Path) -> Tree:
         if is_zipfile(path):
             with ZipFile(path) as archive:
                 packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
-            if packed:  # torch would unpack them, however large they become
+            if packed:  # torch would unpack compressed members, whatever their size
                 raise ValueError(f"{packed[0].filename} is compressed, which torch never does")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
@@ -274,7 +274,7 @@ def _numbers(value: Any) -> np.ndarray:
         return value.float().numpy()
     try:
         return np.asarray(value)
-    except (ValueError, TypeError):  # lists of unequal lengths
+    except (ValueError, TypeError):  # e.g. nested lists of unequal lengths
         return np.zeros(0)
 
 

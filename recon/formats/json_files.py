@@ -43,7 +43,7 @@ def read_json(path: Path) -> Any:
 def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
     """Contents of files, refused where the lists and dictionaries in them would take too much."""
     found = [read_bytes(path, JSON) for path in paths]
-    # letters beyond ASCII make all of a text two to four times as large
+    # a text with characters beyond ASCII needs two to four bytes per character in memory
     JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
     sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
     _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
@@ -51,7 +51,7 @@ def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
 
 
 def _parsed(path: Path, data: bytes) -> Any:
-    # a tree of JSON has no cycles, and looking for them takes most of the time
+    # parsed JSON has no reference cycles; garbage collection would take most of the time
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -61,7 +61,7 @@ def _parsed(path: Path, data: bytes) -> Any:
     except ValueError as error:
         if str(path) in str(error):
             raise
-        # a number with more digits than Python converts
+        # raised by numbers with more digits than Python converts
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     finally:
         if collects:

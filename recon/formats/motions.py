@@ -200,7 +200,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     if frames == 0 or not bool(motion.valid[:frames].all()):
         raise FormatError("expected a clip whose frames exist from the first on")
     precision = motion.translation.dtype
-    # the logarithm is taken in double precision: near half turns it loses half the digits
+    # in double precision: near half turns the logarithm loses half of its digits
     poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
     arrays: dict[str, np.ndarray] = {
         "trans": _numpy(motion.translation[:frames]),
@@ -280,7 +280,7 @@ def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
-        from recon.core.camera import check_pose  # few motions come with a camera
+        from recon.core.camera import check_pose  # imported here: few motions come with a camera
 
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:

@@ -62,7 +62,7 @@ def check_sizes(
         zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
     """
     total, names = 0, []
-    # masks of a person who is not seen are zeros
+    # masks compress well: a mask without a person has only zeros
     limit = limit if limit is MASKS else packed(path, limit)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
@@ -89,7 +89,7 @@ def check_sizes(
                     f"{path}: {name} promises {dtype} {shape}, {stated} bytes, but holds "
                     f"{info.file_size - place}"
                 )
-            # a number takes four bytes at least once it is used
+            # numbers are used as float32 or wider, so each takes at least four bytes
             total += max(info.file_size, 4 * int(np.prod([float(n) for n in shape])))
             limit.check(total, path, name)
     return names

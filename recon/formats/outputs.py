@@ -114,7 +114,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
                 )
-        # a link is judged by the folder it is in, not by its target
+        # for a symbolic link, the folder that contains it counts, not its target
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
         if output.is_folder and any(name.is_relative_to(output.real) for name in names):
             raise ValueError(
@@ -136,7 +136,7 @@ def refuse_place(output: Output) -> None:
     """
     real = output.real
     for place in output.places:
-        if place.is_symlink():  # links are resolved, but for those that lead in a circle
+        if place.is_symlink():  # realpath resolves all links except circular ones
             raise OSError(f"{output.path}: its links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:
@@ -154,10 +154,10 @@ def refuse_place(output: Output) -> None:
         )
     for beside in (real, folder / real.name):
         clear_leftovers(beside)
-    # writing is tried: permissions do not tell of read-only file systems, and root has all
+    # try to write: permissions do not show read-only file systems, and root has all permissions
     trial = part_of(folder / (real.name + ".json"))
     try:
-        os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # follows no link
+        os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # fails on links
         trial.unlink()
     except OSError as error:
         raise OSError(
@@ -233,7 +233,7 @@ def paths_in(value: Any) -> Iterator[Path]:
     """
     match value:
         case Path():
-            # FILE::MEMBER is read from FILE
+            # FILE::MEMBER is a member of the archive FILE
             path = value if value.exists() else Path(str(value).partition("::")[0])
             yield path
             if path.is_file() and (pattern := _READ_TOGETHER.get(path.suffix.lower())) is not None:

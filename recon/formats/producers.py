@@ -256,7 +256,7 @@ def producer_of(path: Path) -> Producer | None:
             return one
     endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
     alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
-    # an empty frame shows of which kind it is in no file
+    # a file of a frame without people does not show its format, so the largest file is examined
     found = _of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
     return found if found is None or found.folder or len(alike) == len(inside) else None
 

@@ -52,7 +52,7 @@ def check_counts(path: Path) -> None:
             count = int(line[2][:20])
             CLOUD.check(count, path, f"element {line[1][:20]}")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # a list takes at least its length's bytes; a number in text two characters
+            # least size: a list has the bytes of its length, a number in a text two characters
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -268,7 +268,7 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
     """Sorted by name, numbers in it by their value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
-        # longer runs of digits than Python converts are no numbers of frames
+        # at most 4000 digits, the most that Python converts to an integer
         parts = re.split(r"(\d{1,4000})", path.name)
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 

@@ -13,7 +13,7 @@ def weights_path(name: str | Path, kind: str) -> Path:
     if name not in ("open", "nc"):
         return Path(name)
     found = find_spec("priors")
-    assert found is not None  # it is installed with this package
+    assert found is not None  # `priors` is installed together with this package
     assert found.origin is not None
     package, file = Path(found.origin).parent, f"{kind}.safetensors"
     return package / "weights" / file if name == "open" else package.parent / "weights-nc" / file

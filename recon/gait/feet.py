@@ -190,7 +190,7 @@ def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " 
     least = max(MIN_SWING_M, MIN_SWING_SHARE * swing)
     padded = np.pad(values, 1, constant_values=float(values.min()) - 2 * least)
     found = find_peaks(padded, prominence=least, distance=max(1, round(MIN_STRIDE_S * fps)))[0] - 1
-    # where the values still rise at an end, their largest is outside
+    # a maximum at either end is left out: the true one may be outside the data
     return found[(found > 0) & (found < len(values) - 1)]
 
 
@@ -222,7 +222,7 @@ def _left(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]
     rests = _speeds(feet, side) < LEAVING_M_S
     found: list[int] = []
     for frame in behind.tolist():
-        # where toes rest at their farthest, they leave later
+        # when the toes rest at their farthest point, toe-off comes after that rest
         after = np.flatnonzero(~rests[frame : frame + round(SWING_S * feet.fps)])
         if len(after) == 0:
             continue

@@ -128,7 +128,7 @@ def _along_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
     for side in SIDES if curve.sided else SIDES[:1]:
         colour = COLOURS[side] if curve.sided else "black"
         axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
-    # signs follow the name of the angle and are equal for both sides
+    # positive is the direction that the angle is named after, on both sides of the body
     title = curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
     axes.set_title(title, loc="left")
 

@@ -8,7 +8,7 @@ from recon.formats.outputs import Output
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # the room of pictures loads torch, which other verbs must not wait for
+    # imported late: this module loads torch, which would delay all other verbs
     from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)

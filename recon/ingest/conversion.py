@@ -216,7 +216,7 @@ def _plane_before(
     """The plane z = 0 of a motion that was moved rigidly, in the frame in which it was given."""
     here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
     turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
-    normal = turn[2]  # what the turn takes to z
+    normal = turn[2]  # the vector that the rotation maps to z
     height = normal @ here.joints[0, 0] - there.joints[0, 0, 2]
     nx, ny, nz = normal.tolist()
     return nx, ny, nz, float(height)

@@ -51,7 +51,7 @@ _FOOT_MARKER = (0.0, 0.08)
 _KEY_RATE = 10.0
 
 
-# weights of energies; markers count as half of their squared distances in metres
+# weights of energies, relative to half the sum of squared distances of markers (m²)
 SHAPE_WEIGHT = 6e-5
 BONY_WEIGHT, LOOSE_WEIGHT = 0.3, 0.03
 """Per frame, of offsets of markers on bony landmarks, and of those put anywhere on a limb."""

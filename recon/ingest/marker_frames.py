@@ -111,7 +111,7 @@ def mended_frames(
         return unmade_steps(joints(motion), positions, visible, bones, limit)
 
     def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-        # first without a robust kernel: wrongly turned limbs are no outliers
+        # first without a robust kernel, which would ignore the markers of wrongly turned limbs
         plain = replace(energies, sigma=None)
         start = _solved(plain, frames, start, _settings(energies, _NEAR))
         return _solved(energies, frames, start, _settings(energies, _EXACT))
@@ -194,7 +194,7 @@ def mended(
     for _ in range(_ROUNDS):
         jumps, far = unmade(motion), residuals(motion)
         suspects = _suspects(jumps, far, motion.fps)
-        # what was solved before and did not become better is not solved again
+        # frames whose solution did not improve are not solved again
         suspects = _stretches_where(suspects, partial(_not_all, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
@@ -233,7 +233,7 @@ def eased(
             break
         turning = torch.ones(len(JOINTS))
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
-            # a joint is moved fast by the turns of its parent and of the parent of that
+            # a joint moves fast when its parent or its grandparent turns fast
             parent = max(PARENTS[joint], 0)
             turning[[parent, max(PARENTS[parent], 0)]] = stiffer
         tried = solve(*_joined(motion, around), turning)

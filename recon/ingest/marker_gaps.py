@@ -187,7 +187,7 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
         unseen = ~observed[:, rows].all(-1).numpy() & ~empty
         never = bool(unseen[~empty].all())
         for first, last in () if never else stretches(unseen):
-            # neighbours in time fill short gaps well
+            # short gaps are left out: interpolation in time fills them well
             unseen[first : last + 1] = last - first + 1 > _SHORT * fps
         if not unseen.any():
             continue

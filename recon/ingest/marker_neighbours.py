@@ -181,7 +181,7 @@ def _variances(
     curvature = energies.curvature(poses, rows).double()
     curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
     inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
-    # coordinates are axis by axis, and joint by joint within: a block of three for every joint
+    # coordinates are ordered by axis, then by joint; take the 3 x 3 block of every joint
     blocks = inverse.unflatten(1, (3, -1)).unflatten(3, (3, -1)).diagonal(dim1=2, dim2=4)
     return blocks.permute(0, 3, 1, 2)[:, 1:]
 
@@ -193,7 +193,7 @@ def _smoothed(
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
     """Means of processes about zero, given values with their information at some moments."""
-    from scipy.linalg import solveh_banded  # loaded by recordings with gaps only
+    from scipy.linalg import solveh_banded  # imported here: only recordings with gaps need it
 
     at = moments.numpy()
     time = int(at[-1]) + 1

@@ -307,10 +307,10 @@ class PoseEnergies(TiedFrames[Poses]):
 
 
 def _rows(state: Poses, rows: Tensor) -> Poses:
-    # indexing copies, so all frames are taken as they are
+    # indexing would copy: skip it when all frames are asked for
     return state if len(rows) == len(state.translation) else state[rows]
 
 
 def _some(values: Tensor, rows: Tensor) -> Tensor:
-    # one value belongs to all frames
+    # a single value is shared by all frames
     return values if len(values) in (1, len(rows)) else values[rows]

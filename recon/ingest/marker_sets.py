@@ -129,7 +129,7 @@ def full_body_markers(
         for marker, label in enumerate(recording.marker_names)
         if recording.visible[:, marker].any()
     ]
-    # OpenCap adds markers that a network placed beside the keypoints they were made from
+    # OpenCap's files hold keypoints and, beside them, markers that a network derived from them
     study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
     if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
         return _keypoints(seen, body)
@@ -207,7 +207,7 @@ def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
     return MarkerSet(
         labels=known,
         vertices=vertices,
-        # detectors place joints some centimetres off the body's own joints
+        # joints of detectors are some centimetres away from those of the body model
         loose=(True,) * len(known),
         nominal=nominal,
         bones=_bones(vertices, body),

@@ -153,16 +153,16 @@ def minimise_frames(
         tried = energies.moved(state, rows, steps)
         values, slopes = energies.look(tried, rows)
         ends, pulls = energies.tied(tried)
-        # the predicted effect of a step on the ties, so that a frame is judged by its
-        # own step and not by those of its neighbours
+        # predicted effect of a step on the ties, so that a frame's step is accepted by its
+        # own effect and not by the effect of its neighbours' steps
         drawn = pull[rows] + energies.stiffness * steps - 0.5 * ties.drawn(steps)
         change = values - value[rows] + (drawn * steps).sum(-1)
-        good = change <= rounding * scale  # false for nan
+        good = change <= rounding * scale  # false where `change` is NaN
         rising = (change > rounding * scale).nonzero()[:, 0]
         size = curvatures.size(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # without the steps of bad frames, the ties of good ones are other than tried
+            # rejecting the steps of bad frames changes the ties of good ones: check these again
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tied(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()
@@ -290,7 +290,7 @@ def solve_tied(
     x = _solved(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
-    # begun at the solution without ties, whose residual is what the ties draw
+    # start at the solution without ties; its residual is the force of the ties
     residual = ties.drawn(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)

@@ -267,7 +267,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
     asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
     positions = torch.einsum("pc,tpcd->tdp", shares, asked)
     local, translation = carried(motion, body, target, rest)
-    # vertices far from the other surface at rest are parts that only one body has
+    # vertices far from the other body's rest surface belong to parts that only one body has
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
         rest=target.rest_joints(rest.shape),

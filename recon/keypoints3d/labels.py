@@ -55,7 +55,7 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
     found = [_meant(word, joints=joints, ankles=ankles) for word in words]
     if "spine_base" not in words:
         return found
-    # the head of Kinect v2 is its middle
+    # Kinect v2 defines its head joint as the middle of the head
     return ["head_centre" if one == f"head{JOINT}" else one for one in found]
 
 

@@ -57,7 +57,7 @@ def _read(line: str) -> tuple[MomentLike, float | None]:
         several = any(_is_sensor(one) for one in points)
         arrays = [_array(one) for one in points] if several else _array(points)
         return arrays, None if time is None else float(time)
-    except Exception as error:  # whatever a line holds, the stream goes on with the next one
+    except Exception as error:  # bad lines are reported; the stream goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '
             f"{line.strip()[:60]!r}"

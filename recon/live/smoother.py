@@ -99,7 +99,7 @@ class Smoothed:
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(moments(one, count - most, count) for one in data)
-            # as many frames are held fixed, so that the motion continues smoothly
+            # this many frames are held fixed, so that the motion continues smoothly
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective

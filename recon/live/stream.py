@@ -134,7 +134,7 @@ class Stream:
             moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
         except ObservationError:
             raise
-        except Exception as error:  # whatever is pushed, the stream goes on with the next moment
+        except Exception as error:  # after bad input the stream continues with the next moment
             raise ObservationError(
                 f"no moment of the sensors of before: {error!s:.300}"
             ) from error

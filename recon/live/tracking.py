@@ -335,7 +335,7 @@ class Tracking:
         rows = range(self.final, stop)
         if len(rows) == 0:
             return []
-        # one frame more on either side, for speeds
+        # one more frame on either side, to compute speeds
         first = max(self.final - 1, 0)
         objective, own = now.objective, slice(self.final - first, stop - first)
         rotations, _, places = objective.posed(now.window[first : stop + 1])

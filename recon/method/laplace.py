@@ -115,7 +115,7 @@ def deviations(
             measured[first + skip : stop] = part.measures[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
     told = [part.ground for part in parts if part.ground is not None]
-    # windows of a long recording share one ground: the most certain window counts
+    # windows of a long recording share one ground: take its std from the most certain window
     surest = min(told, key=lambda one: one.height) if told else None
     return Deviations(joints, root, least, surest, measured)
 
@@ -138,7 +138,7 @@ def _of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    # data outside the window need not be computed
+    # leave out data outside the window
     sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
     moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
@@ -164,7 +164,7 @@ def _of_window(
     found = factor.inverse()
     marginals = _marginals(found, near.seen(), shapes)
     if measure is not None:
-        # nothing but the rotations changes what is measured
+        # only the rotations affect the measurements
         slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))
         variance = _variances(found, slopes)
         marginals = replace(marginals, measures=variance.sqrt())

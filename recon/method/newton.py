@@ -107,7 +107,7 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
         curvature = turn @ curvature @ turn.mT
     joints, isotropic = carried.own_joints, _isotropic(curvature)
     if joints is not None and isotropic is not None and not bool((share > 0).any()):
-        # the Jacobian of joints is that of the other terms
+        # the other terms need the Jacobian of the joints, too
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
         own = every.index_add(0, before, isotropic)
         model.joints[:, 0].unflatten(-1, (-1, 3)).index_add_(
@@ -230,7 +230,7 @@ class Local(Problem[Unknowns[Any]]):
         moved: dict[str, Tensor] = {}
         for path, shape in self.of_scene:
             flat = steps[:, start : start + shape.numel()]
-            moved[path] = flat.reshape(len(steps), *shape)  # the ground's height has no axis
+            moved[path] = flat.reshape(len(steps), *shape)  # the ground's height is a scalar
             start += shape.numel()
         if moved:
             paths = iter(scene.tensors())

@@ -192,7 +192,7 @@ def as_prior(given: PriorLike) -> Prior[Any]:
         return _FormerPrior(given)
     try:
         signature(given.stages).bind((), USUAL_NOISE, None, None)
-    except TypeError:  # a class that derived from the protocol `Prior` of 0.2
+    except TypeError:  # e.g. classes derived from the protocol `Prior` of version 0.2
         return _FormerPrior(given)
     return given
 
@@ -235,7 +235,7 @@ class _FormerPrior(Prior[TensorStruct]):
         if hasattr(given, "method"):
             given = given.method(noise, body, *(() if method is None else (method,)))
         made = given.stages(data)
-        # consecutive stages of one prior object keep its variables
+        # consecutive stages of the same prior go on with the same variables
         priors = {id(stage.prior): stage.prior for stage in made}
         own = {key: as_prior(prior) for key, prior in priors.items()}
         return tuple(replace(stage, prior=own[id(stage.prior)]) for stage in made)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
     from recon.core.camera import Camera
-else:  # the code of a sensor is loaded with its data
+else:  # imported for type checkers only
     from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
@@ -300,7 +300,7 @@ class Sensor(TensorStruct):
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
         """The data after a rigid transform of the frame that they are given in, metres."""
-        if self.sees is None and type(self).predict is Sensor.predict:  # it has own residuals
+        if self.sees is None and type(self).predict is Sensor.predict:  # own residuals
             raise ObservationError(
                 f"{type(self).__name__} cannot be given in another frame: write a method "
                 "transformed(T_new_old), or fit it with a ground that is known"

@@ -146,7 +146,7 @@ def objective(
 
     def terms(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
         nonlocal bound, bound_to
-        if active is not bound_to:  # the solver hands the same tensor until the rows change
+        if active is not bound_to:  # the same object means the same rows
             bound, bound_to = rows_of(stage, start, active), active
         some, base = bound
         return some.values(moved(base, x, active).estimate(some.prior, body, some.portion))

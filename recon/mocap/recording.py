@@ -323,12 +323,12 @@ def head_to_foot(
     feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
     every = range(len(names))
     depth = np.zeros(len(names))
-    # impossible offsets become an infinite length, which no unit fits
+    # overflowing offsets give an infinite length, which is refused as no unit fits
     with np.errstate(over="ignore"):
         lengths = np.linalg.norm(offsets, axis=-1)
     for joint, (parent, length) in enumerate(zip(parents, lengths, strict=True)):
         depth[joint] = 0.0 if parent < 0 else depth[parent] + length
-    # deepest head and foot below every joint, so far; they meet where two branches join
+    # farthest head and foot found below every joint; a joint with both connects two branches
     deepest = np.full((2, len(names)), -math.inf)
     for kind, ends in enumerate((heads or every, feet or every)):
         deepest[kind, list(ends)] = depth[list(ends)]

@@ -164,7 +164,7 @@ def _edges_repeated(
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
-    # the last inner frame of a padded clip is the last whose neighbours exist
+    # of padded clips, use the frames whose two neighbours exist
     last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)

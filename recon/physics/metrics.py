@@ -108,7 +108,7 @@ def physics_samples(
     for start in range(0, motion.frames, _CHUNK_FRAMES):
         stop = min(start + _CHUNK_FRAMES, motion.frames)
         held = None if contacts is None else contacts[start : stop + 1]
-        # the frame before gives the last frame of a clip its speed, the one after a step
+        # the last frame has the speed from the frame before; others that to the frame after
         pieces.append(
             _surface_samples(
                 motion, body, max(start - 1, 0), start, stop, held, points[start:stop]
@@ -161,7 +161,7 @@ def _surface_samples(
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
-    # the frame after the last stands for itself, and its steps count nothing
+    # after the last frame repeat it; steps to the repeated frame are not counted
     following = torch.arange(own.start + 1, own.stop + 1).clamp(max=len(skin) - 1)
     steps = (skin[following, :, :2] - skin[own, :, :2]).norm(dim=-1)
     sunk = (skin[own, :, 2] <= 0) & (skin[following, :, 2] <= 0)

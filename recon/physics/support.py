@@ -158,7 +158,7 @@ def _pairs(
     moving = average_dynamics(estimate.body, estimate.motion.fps)
     line, away = second - first, zmp(moving)[..., None, :] - first
     share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
-    # the root of a distance of zero has no derivative
+    # the square root has no derivative at zero
     distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()
     beyond = (distance - REACH).clamp(min=0) / BALANCE
     return unrest[..., _FIRST].maximum(unrest[..., _SECOND]) + 0.5 * beyond.square()

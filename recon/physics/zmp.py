@@ -96,7 +96,7 @@ def base_of_support(points: Float[Tensor, "points 2"]) -> Float[Tensor, "corners
         return None
     try:
         corners = ConvexHull(points.detach().cpu().double().numpy()).vertices
-    except QhullError:  # all on a line
+    except QhullError:  # all points are on a line
         return None
     return points[torch.from_numpy(corners.astype(np.int64)).to(points.device)]
 
@@ -155,7 +155,7 @@ def centre_of_pressure(
     however high the body is: gate it.
     """
     heights = points[..., 2]
-    # a body in the air is lowered first, which multiplies all weights by one factor
+    # lowering a body in the air to the ground multiplies all weights by the same factor
     floor = heights.detach().amin(-1, keepdim=True).clamp(min=0)
     weights = pressure(heights - floor) * areas
     return (weights[..., None] * points[..., :2]).sum(-2) / weights.sum(-1, keepdim=True)

@@ -79,7 +79,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         camera=camera,
         decisions=said,
     )
-    if camera is None:  # clouds and meshes are in a world; the caller places a plane in it
+    if camera is None:  # in a world; the caller applies a plane
         settings = replace(settings, ground=None)
     return together([("geometries", file)], (), settings, body)
 
@@ -97,7 +97,7 @@ def _camera(lenses: Sequence[Any]) -> CameraArrays:
         if (one.width, one.height) != size or not np.array_equal(one.intrinsic_matrix, matrix):
             raise ObservationError("expected one lens of all depth images, got several")
     check_camera(matrix, size, None, "camera")
-    matrix[:2, 2] += 0.5  # here a pixel's centre is half a pixel from its corner
+    matrix[:2, 2] += 0.5  # in our convention the centre of the first pixel is (0.5, 0.5)
     return CameraArrays(matrix, size)
 
 

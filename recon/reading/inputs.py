@@ -73,7 +73,7 @@ def observation_input(path: Path) -> Input:
             return Input(path, _of_views(path))
         views = () if project.detections is None else _of_views(project.detections)
     except (ValueError, OSError):
-        return Input(path, ())  # unreadable: the fit refuses it with the reason
+        return Input(path, ())  # unreadable: the fit raises the error
     points = [] if project.points is None else [project.points]
     every = tuple(one.resolve() for one in (*project.read, *points, *views))
     return Input(path, every, Path(commonpath([path.resolve(), *every])))
@@ -157,7 +157,7 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
     if settings.shape is None:
-        del plain["shape"]  # results of before there was a shape keep their checksums
+        del plain["shape"]  # older versions had no `shape`: same checksum
     contents: dict[str, Any] = {
         "weights": _weights(settings),
         "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
@@ -199,7 +199,7 @@ def _code(place: str) -> str:
     try:
         spec = find_spec(place.partition(":")[0])
     except (ImportError, ValueError):
-        spec = None  # the fit refuses it and says why
+        spec = None  # the fit raises the error
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return MISSING
     return file_checksum(spec.origin)

@@ -309,7 +309,7 @@ class _Linking:
         moved = frames * kept
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
-        # the first frames tell the velocity by themselves
+        # a new track estimates its velocity from its first frames
         share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SAME else _MEMORY
         trunk = self.trunks[row]
         if not np.isnan(person.trunk) and not np.isnan(trunk):

@@ -48,7 +48,7 @@ def movement(
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
-            # the best match counts, since the person may hide one of two walls for a while
+            # take the wall that matches best, since the person may hide the other for a while
             pairs = [_apart(a, b, middle) for a in planes for b in others]
             if pairs:
                 least = min(pairs, key=lambda pair: pair[0] / _SAID[0] + pair[1] / _SAID[1])
@@ -117,7 +117,7 @@ def _upright(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 def _apart(one: Plane, other: Plane, middle: Float[np.ndarray, "3"]) -> tuple[float, float]:
     """Degrees between two planes, and metres between them at the middle of the scene."""
     (a, far), (b, far_other) = one, other
-    # a plane has two normals
+    # choose the sign: a plane has two opposite normals
     sign = np.sign(a @ b)
     away = (a @ middle - far) - sign * (b @ middle - far_other)
     across = float(np.linalg.norm(np.cross(a, b)))

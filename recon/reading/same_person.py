@@ -273,7 +273,7 @@ def _seeds(views: Sequence[TrackedView]) -> list[tuple[int, int]]:
         out += [
             (v, a) for a, track in enumerate(view.tracks) if track.completeness >= _SEED * most
         ]
-    # The first view first, so that persons are named by their number there.
+    # The first view comes first: persons are named by their number in it.
     return sorted(out, key=lambda seed: (seed[0], -views[seed[0]].tracks[seed[1]].completeness))
 
 

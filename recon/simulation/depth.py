@@ -133,7 +133,7 @@ def depth_points(
             depth = measured(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
-                # the true depth as well: noise must not lift a hidden surface into sight
+                # compare the true depth as well: noise must not make hidden surfaces visible
                 kept &= heights(true, view) >= corruption.hide_below
                 kept &= heights(depth, view) >= corruption.hide_below
             cloud = _sampled(depth, kept, view, corruption, points, random)

@@ -111,7 +111,7 @@ def markers3d(
     truth = posed.points(torch.tensor(vertices))
     if skin_offset > 0:
         bones = body.weights[list(vertices)].argmax(-1)
-        # a separate random stream, so that offsets and noise of one seed are independent
+        # a separate random generator: offsets and noise of one seed are independent
         generator = Generator().manual_seed(seed ^ 0x5EED)
         away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
         truth = truth + (posed.orientations[:, bones] @ away.to(truth)[..., None])[..., 0]

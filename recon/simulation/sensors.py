@@ -159,7 +159,7 @@ def _filmed(
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # 100 views have seeds of their own before they meet those of the next --seed
+        # seeds of views: those of the first 100 views differ from those of the next --seed
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()

@@ -164,9 +164,9 @@ def _minimise(
             active.turn(finished[goes_on], moved[goes_on])
         if callback is None or not moved.any():
             continue
-        # True alone stops: callbacks that were written for their effect return anything
+        # only `True` stops: callbacks may return anything else
         if callback(ledger.progress(active, evaluations)) is True:
-            ledger.step(active, active.searches.low[0] > 0)  # line searches that got somewhere
+            ledger.step(active, active.searches.low[0] > 0)  # searches that found a lower value
             every_active = np.full(len(active.number), True)
             ledger.close(active, _first_reason((every_active, Termination.STOPPED)))
             break

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-# Trials beyond the lowest one: at least this much and at most that much of the last advance.
+# Extrapolated trials advance by at least and at most these multiples of the last advance.
 EXPAND_LEAST, EXPAND_MOST = 0.1, 9.0
 # Trials within a bracket stay this fraction of its width away from both ends.
 MARGIN = 0.1
@@ -101,7 +101,7 @@ class LineSearches:
         self.origin[rows] = value[rows]
         self.low[0, rows] = 0.0
         self.low[1, rows] = value[rows]
-        self.low[2, rows] = np.nan  # the first trial brings the slope at the origin along
+        self.low[2, rows] = np.nan  # known after the first trial
         self.high[:, rows] = np.inf
         self.width[rows] = self.width_before[rows] = np.inf
         self.trials[rows] = 0
@@ -127,7 +127,7 @@ class LineSearches:
         enough = trial[1] <= self.origin + wolfe.c1 * self.step * origin_slope
         improved = enough & (trial[1] < before[1])
         accepted = improved & (np.abs(trial[2]) <= -wolfe.c2 * origin_slope)
-        # Past the minimiser: the way towards `high` now leads uphill.
+        # The trial is past the minimiser: the slope towards `high` is now positive.
         turned = improved & (np.sign(trial[2]) * np.sign(self.high[0] - before[0]) >= 0)
         self.high = np.where(turned, before, np.where(improved, self.high, trial))
         self.low = np.where(improved, trial, before)
@@ -143,7 +143,7 @@ class LineSearches:
 
     def _within(self, width: Float64[np.ndarray, " active"]) -> Float64[np.ndarray, " active"]:
         """The next trial between `low` and `high`, at the cubic's minimiser if that serves."""
-        with np.errstate(all="ignore"):  # no cubic through an end that is not finite
+        with np.errstate(all="ignore"):  # the cubic is undefined when an end is not finite
             gap = self.high[0] - self.low[0]
             fraction = (cubic_minimiser(self.low, self.high) - self.low[0]) / gap
             slow = width >= SHRINK * self.width_before
@@ -155,7 +155,7 @@ class LineSearches:
 
     def _beyond(self, before: Float64[np.ndarray, "3 active"]) -> Float64[np.ndarray, " active"]:
         """The next trial farther out, after a step from `before` to `low` that still descends."""
-        with np.errstate(all="ignore"):  # rows that are bracketed compute nonsense, unused
+        with np.errstate(all="ignore"):  # bracketed rows give values that are not used
             advance = self.low[0] - before[0]
             reach = (cubic_minimiser(self.low, before) - self.low[0]) / advance
             return self.low[0] + advance * np.where(

@@ -72,7 +72,7 @@ def write_html(path: str | Path, show: Show) -> None:
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
     """
-    # viser greets on standard output whatever its verbosity.
+    # viser prints a greeting to stdout even when it is not verbose.
     with replacing(Path(path)) as scratch, contextlib.redirect_stdout(io.StringIO()):
         server = ViserServer(host="127.0.0.1", verbose=False)
         try:
@@ -181,7 +181,7 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
         bone_positions=figure.posed.rest.numpy(),
         skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
         color=_deep(figure.colour),
-        # two skins at one place would fight for the same depth
+        # two coinciding skins would flicker, as both have the same depth
         wireframe=figure.opacity < 1,
         opacity=None if opacity == 1 else opacity,
     )
@@ -238,7 +238,7 @@ def _spheres(
     )
 
     def show(frame: int) -> None:
-        # bones that have not moved are not told again
+        # bones that have not moved are not sent again
         moved = (bones[frame] != bones[max(frame - 1, 0)]).any(-1) | (frame == 0)
         for k in np.flatnonzero(moved).tolist():
             mesh.bones[k].position = bones[frame, k]
@@ -292,7 +292,7 @@ def _legend(show: Show) -> str:
         _row(one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown)
         for one in show.layers
     ]
-    follows = len(show.cameras) == 0  # cameras stand still, and the world with them
+    follows = len(show.cameras) == 0  # do not follow the body when cameras are drawn
     rows.append(_row("follow the person", FAINT, "data-follow", follows))
     assets = resources.files("recon") / "assets"
     style = (assets / "layers.css").read_text(encoding="utf-8")

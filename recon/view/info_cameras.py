@@ -81,7 +81,7 @@ def describe_detections(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `read_keypoints` does.
     """
-    # fractions of an image stay fractions here: who and what is seen does not depend on its size
+    # coordinates may stay fractions of the image: what is reported does not depend on its size
     found = read_keypoints(path, image_size=(1, 1))
     people = follow(found)
     first, last = int(found.frame_numbers[0]), int(found.frame_numbers[-1])
@@ -122,7 +122,7 @@ def _camera(camera: CameraArrays) -> str:
     poses = camera.T_camera_world
     place = "no pose"
     if poses is not None:
-        x, y, z = np.round(-poses[0, :3, :3].T @ poses[0, :3, 3], 2) + 0.0  # no minus zero
+        x, y, z = np.round(-poses[0, :3, :3].T @ poses[0, :3, 3], 2) + 0.0  # + 0.0 avoids "-0"
         moving = "" if len(poses) == 1 else f", moving, {len(poses)} poses"
         place = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m{moving}"
     return f"{width} x {height}, {focal}, {lens}, {place}"

@@ -106,7 +106,7 @@ def write_line(
     colour: Colour = FAINT,
 ) -> None:
     """Write one line whose baseline starts at `place`."""
-    # OpenCV ends the process at letters that Unicode does not know, as names of files may have
+    # OpenCV aborts the process at invalid Unicode, which names of files may contain
     cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
 

@@ -76,7 +76,7 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
 
 def _log_figure(rerun: Any, stream: Any, figure: Figure, frame: int) -> None:
     node = figure.node
-    # one frame at a time: the surfaces of a long motion take gigabytes
+    # one frame at a time: all surfaces of a long motion would need gigabytes
     posed = figure.body.pose(figure.motion.window(frame, frame + 1).detach())
     vertices, joints = _array(posed.vertices[0]), _array(posed.joints[0])
     normals = vertex_normals(vertices, figure.body.faces.cpu().numpy())

@@ -179,7 +179,7 @@ def _smooth(path: Float[np.ndarray, "time 3"], deviation: float) -> Float[np.nda
     window = np.exp(-0.5 * (offset / max(deviation, 1e-3)) ** 2)
     first, second = window * offset, window * offset**2
     first = first.sum(1)
-    second = second.sum(1) + 1e-6  # a lone frame has no slope
+    second = second.sum(1) + 1e-6  # avoids 0/0 for a single frame
     # Weighted least squares of position on offset; the value at offset zero, scaled to sum 1.
     weights = window * (second[:, None] - first[:, None] * offset)
     return (weights / weights.sum(1, keepdims=True)) @ path

@@ -252,7 +252,7 @@ class Corpus(TensorStruct):
 
         beside = torch.arange(PER_FRAME, device=first.device) - 1
         seconds = steps[:, None] / REFERENCE_FPS + beside / (RATE * speed[:, None, None])
-        # the three moments of a frame are one axis of time
+        # flatten the three moments of each frame into one time axis
         return Moments(
             translation=self._rescaled(translation, self.shape[clip], shape).flatten(1, 2),
             rotations=rotations.flatten(1, 2),

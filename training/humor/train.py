@@ -182,7 +182,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     random = torch.Generator().manual_seed(settings.seed)
     varied = learned.draw(samples, 2, settings.variation, random).states
     whitening = error_whitening(networks, varied, rest_pelvis(varied[:, 0]))
-    # initial states come from unedited windows: edits would make flights and one-legged stands too
+    # initial states come from unedited windows only: edited ones float or stand on one leg
     # frequent
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))

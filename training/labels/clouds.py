@@ -148,7 +148,7 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
     blind = chance(variation.blind)
     present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
     present &= ~_lost(clouds, chance(variation.lost_limb), random)
-    # a window that would keep few points is left whole
+    # do not crop when the crop would keep too few points
     enough = present.flatten(1).sum(-1) >= 0.25 * clouds.present.flatten(1).sum(-1)
     present = torch.where(enough[:, None, None], present, clouds.present)
     return clouds.replace(
@@ -204,7 +204,7 @@ def _hidden(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     """Points beyond a plane, or inside a box, both through the cloud; the same all the time."""
     windows = len(clouds.points)
     normal = torch.randn(windows, 3, generator=random)
-    # half of the planes are level, as tables and low walls are
+    # half of the planes are horizontal, like tables
     level = torch.rand(windows, generator=random) < 0.5
     normal = torch.where(level[:, None], torch.tensor([0.0, 0.0, -1.0]), normal)
     normal = torch.nn.functional.normalize(normal, dim=-1)

@@ -62,7 +62,7 @@ def drawn_room(
     eye = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     eye[2] = max(random.uniform(0.3, 2.3), 0.15)
     target = middle + random.normal(0.0, 0.12, 3)
-    # near people must fit the image about half of the time
+    # people at a small distance should fit into the image about half of the time
     zoom = random.uniform(0.8, 1.15) * min(away / 2.2, 1.6)
     matrix = [[zoom * _FOCAL, 0, SIZE[0] / 2], [0, zoom * _FOCAL, SIZE[1] / 2], [0, 0, 1]]
     camera = Camera.create(
