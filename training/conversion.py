@@ -1,4 +1,4 @@
-"""All recordings as one corpus, with what every second of it may teach.
+"""Converts all recordings to one corpus; marks which seconds each training may use.
 
     python -m training.conversion DATA CORPUS
 
@@ -62,7 +62,7 @@ def convert(
     only: tuple[str, ...] = (),
     processes: int = 1,
 ) -> None:
-    """Convert all recordings and say what every second may teach.
+    """Convert all recordings and mark which seconds each training may use.
 
     Args:
         data: folder of all real recordings.
@@ -98,7 +98,7 @@ def convert_others(
     body: BodyModel,
     made: _Maker,
 ) -> None:
-    """Convert clips that are no skeletons of a known format, but for those that are there.
+    """Convert clips that are not skeletons of a known format, unless done already.
 
     A clip that cannot be converted is logged and left out.
     """
@@ -170,7 +170,7 @@ def _residuals(found: Conversion) -> list[float]:
 
 
 def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
-    """Write what every second of a corpus may teach, and the minutes of its parts; the rows.
+    """Write which seconds of a corpus trainings may use, and the minutes of each part.
 
     Args:
         out: folder of the corpus.

@@ -33,7 +33,7 @@ class Muon(torch.optim.Optimizer):
     def __init__(
         self, matrices: Iterable[Tensor], others: Iterable[Tensor], lr: float, weight_decay: float
     ) -> None:
-        """Settings alone: momentum comes with the first step."""
+        """Store the settings; momentum buffers are created in the first step."""
         groups = [
             {"params": list(matrices), "orthogonal": True},
             {"params": list(others), "orthogonal": False},
@@ -55,7 +55,7 @@ class Muon(torch.optim.Optimizer):
 
 
 def orthogonalised(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows columns"]:
-    """About the nearest matrix with orthonormal rows or columns: singular values 0.7 to 1.2."""
+    """Approximately orthogonalised matrix: its singular values are between 0.7 and 1.2."""
     a, b, c = _QUINTIC
     wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.mT
     x = wide / wide.norm().clamp(min=1e-12)

@@ -24,7 +24,7 @@ _MIN_LABELLED = 10
 
 
 def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
-    """Distance of a sure point from the place that its label names on the fitted body, metres.
+    """Distance of a confidently labelled point from the labelled place on the fitted body, metres.
 
     Median over the points of a moment, and upper quartile over some moments: labels of some parts
     and of some moments are wrong, but not those of most, and a fit may be wrong for a part of the
@@ -163,7 +163,7 @@ def _in_image(
 def _outside(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
-    """Share of the surface whose lines of sight from the origin pass near no point."""
+    """Share of the surface for which no point is near the line of sight from the origin."""
     from scipy.spatial import KDTree
 
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())

@@ -1,4 +1,4 @@
-"""What a fitted person says about cameras: distance, focal length, size, and whether they move.
+"""Checks of cameras by the fitted person: distance, focal length, size, undeclared motion.
 
 Whoever stands, walks or dances has some part of a foot at rest on the ground most of the time. In
 the image of a fixed camera its keypoints then stay where they are. In that of a phone in the hand,
@@ -50,7 +50,7 @@ _LEAST, _MOST = 0.5, 2.0
 
 
 def lens_findings(name: str, found: ClipFit) -> Findings:
-    """The focal length of the one camera that nobody calibrated; nothing where all are known.
+    """A finding with the estimated focal length of a camera without calibration.
 
     A warning where it is none of a phone's main camera.
 
@@ -201,7 +201,7 @@ def rest_of(images: Images) -> Rest | None:
 
 
 def _quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float) -> float:
-    """Speed below which a share of the moments lie, without what the noise makes of it."""
+    """A quantile of speed over time, corrected for the noise."""
     return float(np.sqrt(max(np.quantile(speeds, share) ** 2 - noise**2, 0.0)))
 
 
@@ -236,7 +236,7 @@ def _slowest(images: Images, lag: float) -> tuple[Float[np.ndarray, " moments"],
 
 
 def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
-    """What is said of the one camera of a clip that moves, though it is declared fixed.
+    """A warning when the clip's only camera moves although it is declared fixed.
 
     Args:
         name: of the camera, for the message.

@@ -108,7 +108,7 @@ def carried_finding(
     *,
     rests: bool = False,
 ) -> Finding | None:
-    """Whether the one camera that a motion was seen by turned, though it is declared fixed.
+    """A warning when the clip's only camera turned although it is declared fixed.
 
     Args:
         name: of the camera, for the message.
@@ -143,7 +143,7 @@ def carried_finding(
 
 
 def _seen_feet(observed: Bool[np.ndarray, "time 22"], fps: float) -> Bool[np.ndarray, "time 2"]:
-    """Feet that were seen at about the time, as detectors lose single points for a frame."""
+    """Feet seen within a few frames, as detectors lose single points for a frame."""
     both = np.stack([observed[:, foot].all(-1) for foot in _FEET], -1)
     half = max(1, round(_LAG * fps / 2))
     around = np.pad(both, ((half, half), (0, 0)))

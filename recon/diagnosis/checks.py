@@ -88,7 +88,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
-    """The focal length of the one camera that nobody calibrated, as it was found."""
+    """Report the estimated focal length of a camera without calibration."""
     from recon.diagnosis.cameras import lens_findings
 
     return clip, lens_findings(clip.names[0], clip.fit)
@@ -96,7 +96,7 @@ def focal_length(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit("view")
 def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
-    """Whether a camera moved that alone has seen the clip, and that is declared fixed."""
+    """Warn when the clip's only camera moved although it is declared fixed."""
     view = clip.observations[0].view
     if len(clip.observations) > 1 or view is None or not clip.fit.grounded:
         return clip, NOTHING
@@ -118,7 +118,7 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
 
 
 def _broken(clip: Examined) -> bool:
-    """Whether the speed of the motion says nothing about its rate."""
+    """Whether other faults make the motion's speed useless as evidence of the frame rate."""
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
@@ -129,7 +129,7 @@ _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 
 
 def _causes(observations: Sequence[Sensor]) -> str:
-    """What makes the size or the place of a body wrong, by the kinds of its sensors."""
+    """Likely causes of a wrong size or place of the body, by the kinds of sensors."""
     causes = {
         "focal lengths, image sizes, units and the poses of the cameras": any(
             one.view for one in observations
@@ -184,7 +184,7 @@ def distance(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit("cloud")
 def basin(clip: Examined) -> tuple[Examined, Findings]:
-    """Whether a fit to clouds has locked on to a wrong posture or heading."""
+    """Warn when a fit to clouds has converged to a wrong posture or heading."""
     from recon.diagnosis.basins import basin_findings
 
     sensors = zip(clip.residuals, clip.observations, strict=True)
@@ -213,7 +213,7 @@ _OFF_GROUND = 0.15
 
 
 def body_findings(found: ClipFit) -> Findings:
-    """Warnings of implausible size or floating, by which wrong cameras or units show.
+    """Warnings of implausible size or of floating, which wrong cameras or units cause.
 
     Where no camera and no ground determines the size, the prior does, and nothing is reported.
     Points in metres that a small body fits show a child, which is no fault of the data.
@@ -255,7 +255,7 @@ def body_findings(found: ClipFit) -> Findings:
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
-    """Images that fit together better when mirrored, unless that was said before the fit."""
+    """Warn of images that agree better when mirrored, unless that was reported before."""
     from recon.diagnosis.keypoints import together
     from recon.diagnosis.odds import mirror_warnings
 
@@ -363,7 +363,7 @@ def guessed(clip: Examined) -> tuple[Examined, Findings]:
 
 @after_fit()
 def support(clip: Examined) -> tuple[Examined, Findings]:
-    """Note feet at several heights, and rests on something other than feet."""
+    """Note feet at several heights, and support by something other than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
     return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))

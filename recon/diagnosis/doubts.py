@@ -79,7 +79,7 @@ def alternatives(fit: ClipFit) -> tuple[Alternative, ...]:
 
 
 def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
-    """The runners-up of one comparison."""
+    """The hypotheses that one comparison rejected."""
     own = (compared.clip == 0).nonzero()[:, 0]
     finite = own[compared.value[own].isfinite()]
     kept = finite[compared.kept[finite]]

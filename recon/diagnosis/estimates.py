@@ -153,7 +153,7 @@ def _share_of_usual(
 
 
 def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """The motion with limbs on their own sides, and what was done."""
+    """The motion with left and right exchanged back where needed, and a note about it."""
     rotations, repairs = motion.rotations.clone(), list[Finding]()
     for limb, parts in _LIMBS.items():
         joints = tuple(

@@ -44,7 +44,7 @@ def unchanged(
 
 
 def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """Points at the origin are made unseen, but for a root that is always there."""
+    """Mark points at the origin as unseen, except a root that is always there."""
     zero = points.visible & (points.positions == 0).all(-1)
     root = zero.any(0) & (zero | ~points.visible).all(0)
     others = np.linalg.norm(points.without(zero).centre, axis=-1)
@@ -67,7 +67,7 @@ def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
 
 
 def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """Frames in which every point stands bit for bit where it stood before are made unseen."""
+    """Mark frames as unseen in which all points repeat the previous frame bit for bit."""
     same = unchanged(points.positions, points.visible)
     whole = (same | ~points.visible).all(1) & (same.sum(1) >= 2)
     if not whole.any() or whole[1:].all():
@@ -85,7 +85,7 @@ def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
 
 
 def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """Points that keep one value for several moments while others move are made unseen there."""
+    """Mark points as unseen where they keep one value for several frames while others move."""
     visible = points.visible
     same, step = unchanged(points.positions, visible), np.zeros(visible.shape)
     step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1)
@@ -160,7 +160,7 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
 
 
 def floor_finding(height: float) -> Finding:
-    """What is said where the ground was moved."""
+    """The finding for a ground that was moved."""
     return Finding(
         "floor",
         f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
@@ -171,7 +171,7 @@ def floor_finding(height: float) -> Finding:
 
 
 def scale_findings(points: NamedPoints) -> tuple[Finding, ...]:
-    """Whether everything is larger or smaller than people are by one factor."""
+    """A warning when everything is larger or smaller than people by one factor."""
     ratio = size(points)
     if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
         return ()

@@ -1,4 +1,4 @@
-"""The record that checks work on: one clip before its fit, and after it with what follows."""
+"""The record that checks work on: a clip before its fit, and after it with results."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace

@@ -83,7 +83,7 @@ class Odd:
         return out
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays in the camera's frame, ways to the points, and where both exist."""
+        """Rays in the camera's frame, directions to the points, and where both exist."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
         ways = self.points - one.origin[0]
@@ -164,7 +164,7 @@ def mirrored(images: Images, views: list[int]) -> Images:
 
 
 def shifted(images: Images, view: int, frames: float) -> Images:
-    """One view as it would be if every moment showed what came so many frames later."""
+    """One view with its frames shifted in time by a number of frames."""
     moments = images.pixels.shape[1]
     times = np.arange(moments) + frames
     low = np.floor(times + 1e-9).astype(int)

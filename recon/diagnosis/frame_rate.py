@@ -112,7 +112,7 @@ _SLOWER = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 
 def rates_by_balance(movement: Movement) -> Bounds:
-    """Bounds from the body's balance: at a slower rate the ground could hold it."""
+    """Bounds on the rate from balance: at a lower rate, contact forces suffice for the motion."""
     asked = _imbalance(movement, 1.0)
     if asked >= _UNBALANCED:
         for factor in _SLOWER:
@@ -172,7 +172,7 @@ _RUN_RATIO = (0.7, 1.6)
 
 
 def rates_by_strides(movement: Movement) -> Bounds:
-    """Bounds from the length of steps for their duration, where legs alternate regularly.
+    """Bounds on the rate from the lengths and durations of steps, where legs alternate regularly.
 
     Widths are in lengths of a leg, durations in sqrt(leg length / g).
     """
@@ -202,7 +202,7 @@ def rates_by_strides(movement: Movement) -> Bounds:
 
 
 def _extremes(values: Float[np.ndarray, " time"]) -> list[int]:
-    """Frames of maxima and minima between which the values turn back by `_TURN`."""
+    """Frames of alternating maxima and minima that differ by at least `_TURN`."""
     found: list[int] = []
     high = low = direction = 0
     for index, value in enumerate(values):

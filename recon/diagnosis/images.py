@@ -85,7 +85,7 @@ class Images:
 
     @property
     def sensors(self) -> list[Keypoints2D]:
-        """The views with these keypoints and poses in place of their own.
+        """The views as sensors again, with their keypoints and poses replaced by these.
 
         Views of which nothing changed are the very same objects.
         """

@@ -43,7 +43,7 @@ Seen = Bool[np.ndarray, "moments points"]
 
 
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
-    """Keypoints at (0, 0) are made unseen: that is how missing ones are often written."""
+    """Mark keypoints at (0, 0) as unseen: missing ones are often written so."""
 
     def said(v: int, here: Seen) -> Finding:
         share, points = (
@@ -64,7 +64,7 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
 
 
 def repaired_copies(images: Images) -> tuple[Images, Findings]:
-    """Frames that are exact copies of the one before are made unseen."""
+    """Mark exact copies of the frame before as unseen."""
     both = (images.seen[:, 1:] & images.seen[:, :-1]).sum(-1)
     same = unchanged(images.pixels, images.seen)[:, 1:].sum(-1)
     copied = (both >= _MIN_KEYPOINTS) & (same >= _MIN_REPEATED_SHARE * both)
@@ -87,7 +87,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
 
 
 def repaired_held(images: Images) -> tuple[Images, Findings]:
-    """Keypoints that stay at exactly one place while others move are made unseen there."""
+    """Mark keypoints as unseen where they stay at exactly one place while others move."""
     length = np.zeros(images.seen.shape, dtype=int)
     for v, same in enumerate(unchanged(images.pixels, images.seen)):
         for point, own in enumerate(same.T):
@@ -119,7 +119,7 @@ def hidden(
     keypoints: Bool[np.ndarray, "views moments points"],
     said: Callable[[int, Seen], Finding],
 ) -> tuple[Images, Findings]:
-    """The images with some keypoints made unseen, and what is said of each view that has such."""
+    """The images with some keypoints marked as unseen, and a finding per view concerned."""
     rows = [v for v, here in enumerate(keypoints) if here.any()]
     repairs = tuple(said(v, keypoints[v]).of(images.names[v]) for v in rows)
     return images.without(keypoints), Findings(repairs)
@@ -155,7 +155,7 @@ one frame ago; one that moves reaches two and more."""
 
 
 def repaired_outliers(images: Images) -> tuple[Images, Findings]:
-    """Keypoints far from where they are in the frames before and after are made unseen."""
+    """Mark keypoints as unseen that are far from where they are in neighbouring frames."""
     count = np.maximum(images.seen.sum((1, 2)), 1)
     wild = _wild(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
     many = wild.sum((1, 2)) / count > _MANY
@@ -179,7 +179,7 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
 def _wild(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """The known outliers, and those that appear once these are left out."""
+    """The known outliers, and those that are found after leaving these out."""
     for _ in range(_MAX_ROUNDS):
         found = _away(images.without(wild), reach, least)
         if not found.any():
@@ -212,7 +212,7 @@ def _median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarray, "*
 
 
 def identity_findings(images: Images) -> tuple[Finding, ...]:
-    """Whether another person is seen from some moment on, by one view or by all.
+    """A warning when another person is seen from some frame on, in one view or in all.
 
     Half of the keypoints of a view then leave their paths within one step.
     """
@@ -243,7 +243,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def order_findings(images: Images) -> tuple[Finding, ...]:
-    """Whether the frames of a view are out of order: no frame is near the one before it."""
+    """A warning when frames of a view are out of order: none is similar to the one before."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
         one, six = (_typical_way(images, v, lag) for lag in (1, 6))

@@ -35,7 +35,7 @@ Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
 
 
 def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
-    """The two joints whose exchange makes bones most like a person's, if it clearly does.
+    """The two joints whose exchange clearly makes bone lengths plausible, if there are any.
 
     A body may cross its legs to reach exchanged ankles, but it cannot change its bones.
     """
@@ -96,7 +96,7 @@ def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
 def _whole_stretches(
     surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """The stretches of likely moments that hold a sure one, with short gaps closed.
+    """Stretches of likely frames that contain a certain one, with short gaps closed.
 
     Limbs that pass each other are too close to be distinguished for a few frames.
     """
@@ -242,7 +242,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
 def _one_sided(
     points: NamedPoints, offset: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " points"]:
-    """Markers of trunk and legs that are out of place while their counterparts are not."""
+    """Markers of trunk and legs that are displaced although those of the other side are not."""
     mirrored = offset[list(points.counterparts)] * (-1.0, 1.0, 1.0)
     apart = np.linalg.norm(offset - mirrored, axis=-1)
     away, other = np.linalg.norm(offset, axis=-1), np.linalg.norm(mirrored, axis=-1)

@@ -1,4 +1,4 @@
-"""The centre of mass and feet of a body over time, and what carries it: feet, a seat, a belt."""
+"""Centre of mass and feet over time, and what supports the body: feet, a seat, a treadmill."""
 
 from dataclasses import dataclass
 
@@ -137,7 +137,7 @@ _LEAST_FRAMES = 10
 def support_findings(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> list[Finding]:
-    """Feet that stand at several heights, and rests that feet alone cannot carry or hardly do.
+    """Findings about feet at several heights, and about postures that feet alone cannot support.
 
     Args:
         motion: one clip, z up, without a batch axis.
@@ -299,7 +299,7 @@ def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
 
 
 def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
-    """How far the belt has come at every frame of a motion, metres."""
+    """Distance that the belt has moved at every frame of a motion, metres."""
     path = _path(motion.frames, motion.fps, motion.start_time, belt)
     return path.to(motion.translation)
 

@@ -1,4 +1,4 @@
-"""One view that contradicts the others: which one, the likeliest cause, and its correction.
+"""Finds the view that contradicts the others, the likeliest cause, and its correction.
 
 Points that the other views see are compared with the rays of the view. An explanation that
 brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
@@ -58,7 +58,7 @@ def noise_of_views(images: Images) -> float:
 
 
 def checked_together(images: Images) -> tuple[Images, Findings]:
-    """Views of one moment compared: one at odds, one out of step, one mirrored."""
+    """Compare the views: one may contradict the others, be shifted in time, or mirrored."""
     if len(images.names) < 2:
         return images, NOTHING
     noise = noise_of_views(images)
@@ -80,14 +80,14 @@ def all_mirrored(images: Images) -> tuple[Images, Findings]:
 
 
 def mirror_warnings(images: Images) -> tuple[Finding, ...]:
-    """What is said of images that fit together better when mirrored, and are left as they are."""
+    """A warning about images that agree better when mirrored, which are not changed."""
     said = mirrored_together(images)[1]
     todo = "mirror the videos back before keypoints are detected"
     return () if said is None else (replace(said, message=f"{said.message}; {todo}"),)
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """The images mirrored, what is said if they fit together better so, and whether fully.
+    """The mirrored images, a finding if they agree better, and whether the agreement is full.
 
     One view is not enough: it shows what the mirrored person would have done.
     """
@@ -104,7 +104,7 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
 
 
 def another_image(images: Images) -> tuple[Images, Findings]:
-    """One view that fits the others only when it is mirrored or scaled.
+    """Correct one view that agrees with the others only when it is mirrored or scaled.
 
     Looked for before names are, as wrong pixels make names look wrong.
     """
@@ -181,7 +181,7 @@ _CAUSES: dict[Cause, tuple[Code, str, str]] = {
 
 
 def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
-    """A view that stays at odds, or its stretches: left out where the others agree, else said."""
+    """Leave out a view that contradicts the others where these agree; otherwise warn."""
     views = range(len(images.names))
     rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))

@@ -1,4 +1,4 @@
-"""Points in space before a fit: what is wrong with them, and the repairs that are sure."""
+"""Checks of 3D points before a fit; faults that are certain are repaired."""
 
 from dataclasses import replace
 from functools import partial
@@ -87,7 +87,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
 def _sides(
     named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Left and right by continuity within the clip, and by which body fits throughout."""
+    """Exchanges of left and right, found by continuity in time and by fits of the whole clip."""
     order = named.counterparts
     steady = named.permuted(order, exchanged)
     given = plausible(steady).observation
@@ -148,7 +148,7 @@ def _exchanged(
 def _exchanged_back(
     named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
 ) -> tuple[NamedPoints, Findings]:
-    """The points with the names of a pair exchanged at some moments, and what is said of it."""
+    """The points with the names of a pair exchanged back at some moments, and the finding."""
     names = (named.names[pair[0]], named.names[pair[1]])
     frames = () if moments.all() else stretches(moments)
     when = f" ({spans(frames)})" if frames else ""
@@ -165,7 +165,7 @@ def _exchanged_back(
 def _against_a_body(
     named: NamedPoints, fitted: QuickFit, body: BodyModel, *, grounded: bool
 ) -> Screened:
-    """What a quick robust fit says about single points, the ground and the noise."""
+    """Check single points, ground and noise by a quick robust fit."""
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)

@@ -158,7 +158,7 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
 def quick_stages(
     noise: float, data: tuple[Term, ...], *, most: tuple[int, int] = _ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
+    """The pose prior's stages with few iterations, since an error of a centimetre is accepted."""
     prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
     return tuple(
         replace(stage, minimiser=LBFGS(max_iterations=count, tolerance_decrease=1e-3))
@@ -167,7 +167,7 @@ def quick_stages(
 
 
 def _excerpt(points: TrackedPoints) -> TrackedPoints:
-    """The seconds around the moment in the middle of all that was seen."""
+    """The seconds around the median time of the data."""
     length = round(_EXCERPT * points.fps) + 1
     moments = points.positions.shape[-3]
     if moments <= length:

@@ -191,7 +191,7 @@ class Alignment(Problem[_View]):
 
     @property
     def doubted(self) -> bool:
-        """Whether the view as it is given could be better, by a test that needs no search."""
+        """Whether a correction could improve the view; a fast test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
             return self.trusted
@@ -200,7 +200,7 @@ class Alignment(Problem[_View]):
         return self.trusted and gain > _CLEAN
 
     def solved(self) -> Registration | None:
-        """The correction after which least remains; None where the data do not determine it."""
+        """The correction with the smallest residuals; None where the data do not determine it."""
         if not self.trusted:
             return None
         start = self.images.pose[0, 0]
@@ -237,7 +237,7 @@ class Alignment(Problem[_View]):
     def _equations(
         self, x: _View, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Hessian, descent and inflation of the residuals, with what is believed of a shift."""
+        """Hessian, gradient step and inflation of residuals, including the prior of a shift."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._shift(x[1]) / SHIFT**2

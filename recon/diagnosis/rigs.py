@@ -1,4 +1,4 @@
-"""Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
+"""Finds and corrects a wrong clock or pose of one camera of a rig.
 
 Of three views and more, leaving one out shows which is at fault: the others agree, and the one
 agrees with them after a correction of its clock and pose. Two views show that something is wrong,
@@ -276,7 +276,7 @@ def _finding(images: Images, found: Registration) -> Finding:
 
 
 def _said(found: Registration, fps: float) -> str:
-    """What is wrong with a view, with standard deviations."""
+    """A sentence about the fault of a view, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []
     if found.late:

@@ -1,4 +1,4 @@
-"""Keypoints that carry each other's name: left and right, and two neighbours along a limb.
+"""Keypoints with exchanged names: left and right, or two neighbours along a limb.
 
 Left and right follow from two facts. A point does not leave its path and go on along its
 counterpart's within a frame; and where several cameras see a body, rays through one point meet,
@@ -46,7 +46,7 @@ _TOGETHER = 5
 
 
 def repaired_sides(images: Images) -> tuple[Images, Findings]:
-    """Left and right given back their names, and what was found.
+    """The images with left and right exchanged back, and the findings.
 
     Where one view is all there is, only continuity tells; then a fit must confirm every stretch,
     and what it does not confirm is a warning.
@@ -111,7 +111,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
 
 
 def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """The flags of some free views that cost least; none where that is not sure."""
+    """The cheapest choice of exchanges for some views; no exchange where it is uncertain."""
     views = len(images.confidence)
     states = np.stack([
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
@@ -131,7 +131,7 @@ def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments
 
 
 def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.ndarray, " moments"]:
-    """How badly the views fit together at every moment when some have their names exchanged."""
+    """Misfit between the views in every frame, for each choice of views with exchanged names."""
     moments = images.confidence.shape[1]
     cost = np.full(moments, _EXCHANGED * state.sum())
     if len(state) < 2:
@@ -146,7 +146,7 @@ def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.nda
 
 
 def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
-    """What it costs to go on from the moment before under the same names, and under exchanged.
+    """Cost of continuing from the previous frame with the same and with exchanged names.
 
     Both (views, moments); the first moment has no cost. Points go on as they went before.
     """
@@ -171,7 +171,7 @@ def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
 def _continued(
     images: Images,
 ) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
-    """Where keypoints would be if they went on as before, and which were seen one moment before.
+    """Extrapolated positions of keypoints, and which keypoints the previous frame has.
 
     Where a keypoint was not seen two moments before, it would stay.
     """
@@ -211,7 +211,7 @@ class ExchangedPair:
 
 
 def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """The images with exchanged keypoints given back their names, and what was found."""
+    """The images with exchanged keypoints exchanged back, and the findings."""
     found: list[Finding] = []
     for find in (exchanged_for_a_while, exchanged_throughout):
         for one in find(images):
@@ -261,7 +261,7 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
 
 
 def exchanged_throughout(images: Images) -> list[ExchangedPair]:
-    """Neighbours along a limb whose exchange makes bones no longer than they are."""
+    """Neighbours along a limb whose exchange throughout makes bones plausibly short."""
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):

@@ -95,7 +95,7 @@ def velocity_changes(
 
 
 def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
-    """Whether frames are out of order: the body leaps about, but its bones keep their lengths."""
+    """A warning when frames are out of order: positions jump but bone lengths are constant."""
     if found := _seams(points):
         return found
     along, near = bone_noise(points), _travelled(points, 1)
@@ -117,7 +117,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def _seams(points: NamedPoints) -> tuple[Finding, ...]:
-    """Whether the whole body jumps to another place many times.
+    """Whether the whole body jumps to another place repeatedly.
 
     That is so between blocks of frames which were put together in a wrong order. Changes of
     velocity are medians over the points, divided by what the median is for normal noise of one
@@ -150,7 +150,7 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
-    """Frames at which the whole body jumps, as where a tracker goes on with somebody else.
+    """Frames at which the whole body jumps, as when a tracker switches to another person.
 
     The middle of the points steps there unlike it does before and after: the median displacement
     of the points that are seen now and were seen at the last frame with any.

@@ -1,4 +1,4 @@
-"""`recon export`: a motion in other programs' formats."""
+"""`recon export`: write a motion in formats of other programs."""
 
 from recon.cli.making import Verb, command
 from recon.cli.places import Place, folder

@@ -204,7 +204,7 @@ class ClipProblem:
 
     @property
     def rough(self) -> FitOptions:
-        """The pose prior alone, which does not ask where the ground is, for first motions."""
+        """The problem under the pose prior, which needs no ground, for first motions."""
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
@@ -293,7 +293,7 @@ class ClipProblem:
         return tuple(one.settled(scene) for one in self.observations)
 
     def free(self) -> Motion:
-        """A first motion under the pose prior, which does not ask where the ground is."""
+        """A first motion under the pose prior, which needs no ground."""
         start = self.guess.motion
         return self.fit(self.rough, self.scene(start), start, frozenset()).motion
 

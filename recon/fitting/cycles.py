@@ -328,7 +328,7 @@ def _thinned(variables: Any, step: int) -> Any:
 
 
 def _rough(one: Sensor, step: int, body: BodyModel) -> Sensor:
-    """Every `step`-th moment, of clouds few points and a kernel of fixed scale."""
+    """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
     few = one.coarse(body, step)
     return few.derived(kernel=bounded) if few.cloud else few
 

@@ -49,7 +49,7 @@ def ground_below(motion: Motion, body: BodyModel) -> UnknownGround:
 
 
 def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
-    """Mean direction from between the ankles to the head, a unit vector."""
+    """Mean direction from the middle of the ankles to the head, a unit vector."""
     joints = body.pose(motion).joints
     rise = joints[..., _HEAD, :] - joints[..., _ANKLES, :].mean(-2)
     rise = rise.where(motion.valid[..., None], 0.0)

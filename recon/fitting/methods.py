@@ -1,4 +1,4 @@
-"""The options of a fit, and how its prior is found by name and loaded."""
+"""Options of a fit, and loading of its prior by name."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ def class_of(prior: str) -> Any:
 
 
 def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
-    """The prior with its weights, those of an object being its own.
+    """The prior, loaded with its weights; an object is returned as it is.
 
     A class is loaded by `load(weights, body)`; without such a method it is made without arguments.
 
@@ -71,7 +71,7 @@ def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
 
 
 def trait_of(prior: str | PriorLike, name: str) -> bool:
-    """Whether a prior `knows_gravity` or `completes`, without its weights."""
+    """The trait `knows_gravity` or `completes` of a prior, without loading its weights."""
     return trait(class_of(prior) if isinstance(prior, str) else prior, name)
 
 
@@ -121,7 +121,7 @@ class FitOptions:
     """Further energies, added in every stage that moves poses."""
 
     def __post_init__(self) -> None:
-        """Refuse to judge heights above a ground that is not there.
+        """Refuse priors that depend on the height above the ground when there is no ground.
 
         Raises:
             ReconError: when the prior or physics need a ground and there is none.

@@ -162,7 +162,7 @@ def _one_cycle(
 
 
 def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
-    """The noise to state for an observation; None where it is estimated from the data.
+    """The noise to pass on for an observation; None where it is estimated from the data.
 
     Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than

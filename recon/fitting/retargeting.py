@@ -1,4 +1,4 @@
-"""Retargeting: the motion of one body as another one performs it."""
+"""Retargeting: transfers a motion to a body of another shape."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ SETTLING_ITERATIONS = 60
 def settled(
     motion: Motion, moving: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
-    """Motions of a batch whose feet stand: they neither sink nor float nor slide, and balance.
+    """Motions corrected so that feet neither sink, float nor slide and the body is balanced.
 
     Near a motion, with the accelerations of another: least ½ Σ |p - q|² + `SMOOTH` ½ Σ |second
     difference of p - r|² of the joints p, where q are those of `motion` and r those of
@@ -127,7 +127,7 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
 
 
 def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
-    """What a body of another shape does when it does the same, without a network.
+    """The same motion on a body of another shape, found by physics without a network.
 
     The motion nearest to the scaled copy (`recon.body.motion_files.with_shape`) that obeys
     physics.

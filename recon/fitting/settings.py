@@ -80,7 +80,7 @@ class ReadOptions:
         return cls(**{**given, **files})
 
     def given(self) -> list[str]:
-        """Names of the options that are not as usual."""
+        """Names of the options that differ from their defaults."""
         return [one.name for one in fields(self) if getattr(self, one.name) != one.default]
 
 

@@ -46,13 +46,13 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
 
 def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first on that has a prior: those before place a motion as it is."""
+    """The stages from the first with a prior on; earlier ones only place the motion."""
     first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
     return tuple(stages[first:])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first on that moves more than place and heading.
+    """The stages from the first on that moves more than translation and root.
 
     One image tells the distance of a body by the size of its bones. Placing a rest body there
     would trade its stretched limbs against distance. And a prior that knows of no ground has its

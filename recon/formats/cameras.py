@@ -1,4 +1,4 @@
-"""Cameras of files: what one may say, checked, and what is guessed where it says nothing."""
+"""Cameras from files: checks of the values, and guesses for missing ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -190,7 +190,7 @@ def guessed_size(
     confidence: Float[np.ndarray, "detections points"],
     sizes: Sequence[tuple[int, int]] = USUAL_SIZES,
 ) -> tuple[int, int]:
-    """The smallest usual size of a film, lying or upright, that holds the keypoints.
+    """The smallest usual image size, landscape or portrait, that contains the keypoints.
 
     One keypoint in a hundred may lie outside, as detectors guess what the image cuts off. Larger
     ones than all are taken as they are.

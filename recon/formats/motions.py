@@ -265,7 +265,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
-    """Refuse a ground or a camera that nobody can have.
+    """Refuse an impossible ground or camera.
 
     Raises:
         ValueError: naming file, quantity and what came.

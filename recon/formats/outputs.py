@@ -62,7 +62,7 @@ class Output:
 
     @property
     def places(self) -> tuple[Path, ...]:
-        """Itself and its report."""
+        """The output and its report."""
         others = () if self.report in (None, self.real) else (self.report,)
         return (self.real, *others)
 
@@ -128,7 +128,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
 
 
 def refuse_place(output: Output) -> None:
-    """Refuse a place where nothing can be written; a file is made there and removed to know.
+    """Refuse a place that cannot be written to; tested by creating and removing a file.
 
     Raises:
         ValueError: when a folder is where a file is written, or the other way round.
@@ -166,7 +166,7 @@ def refuse_place(output: Output) -> None:
 
 
 def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
-    """Checksums of the files of a former run that are there, by name.
+    """Checksums of files that a former run wrote and that still exist, by name.
 
     Raises:
         FileExistsError: when there are others, unless they may be replaced.

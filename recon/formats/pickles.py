@@ -1,4 +1,4 @@
-"""Pickles of arrays, read without running anything in them: names on a list alone are known."""
+"""Reads pickles of arrays without running code: only names on a list are allowed."""
 
 import pickle
 import struct
@@ -246,7 +246,7 @@ class _RefusedError(Exception):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows the names in `_ALLOWED` and no others."""
+    """An unpickler that allows only the names in `_ALLOWED`."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
         if (module_name, global_name) not in _ALLOWED:

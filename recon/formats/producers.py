@@ -1,4 +1,4 @@
-"""Who writes files of motion: how each is recognised, and which verb takes it or what to do.
+"""Recognises the program that wrote a file, and names the verb that reads it.
 
 `PRODUCERS` is the one table of them. What a verb does not take it refuses by `refuse_others`, with
 the same sentence in every verb; the manual's table has its rows.
@@ -36,7 +36,7 @@ class Producer:
     """Whether a folder of such files is one recording or view."""
 
     def answer(self) -> str:
-        """What it is, who writes it, and which command takes it or what to do instead."""
+        """A sentence: kind of file, its program, and which command reads it or what else to do."""
         what = f"{self.holds} of {self.name}" if self.name else self.holds
         if self.verbs == ("info",):
             return f"{what}: {self.note}"

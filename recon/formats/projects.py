@@ -133,7 +133,7 @@ def _points(folder: Path) -> Path | None:
 
 
 def _rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None, str | None]:
-    """Frames per second: of Config.toml, of the 3D keypoints, of a video; and what is said."""
+    """Frames per second from Config.toml, the 3D keypoints or a video, and a note."""
     if isinstance(stated, int | float) and not isinstance(stated, bool):
         fps = float(stated)
         FRAME_RATE.check(fps, folder / _CONFIG, "frame_rate")

@@ -132,7 +132,7 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
 
 
 def crowded(frames: int, seen: int) -> bool:
-    """Whether a clock of so many frames, of which so many show something, fits into memory."""
+    """Whether a clock with that many frames, mostly empty, would need too much memory."""
     return frames <= max(_EMPTY * seen, _SHORT)
 
 

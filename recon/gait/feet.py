@@ -100,7 +100,7 @@ class Feet:
 
 
 def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.ndarray, "time ..."]:
-    """Values over time without what is faster than 12 Hz: Butterworth, second order, both ways.
+    """Values low-pass filtered at 12 Hz: second-order Butterworth, forwards and backwards.
 
     Values at too low a rate to hold anything faster, or too few, are returned as they are.
     """
@@ -144,7 +144,7 @@ class GaitStance:
     """Frame at which the toes leave; None where the recording ends before."""
 
     def frames(self, count: int) -> range:
-        """Its frames, of `count` of the recording."""
+        """The frames of this stance, within the `count` frames of the recording."""
         first = 0 if self.strike is None else self.strike
         return range(first, count if self.off is None else self.off + 1)
 

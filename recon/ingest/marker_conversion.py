@@ -127,7 +127,7 @@ def fitted_markers(
 
 
 def _lost(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
-    """Markers that are far from their places in most of their frames."""
+    """Markers that are far from their fitted positions in most of their frames."""
     far = (marker_distances(fit, recording) > FAR) & recording.visible
     return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
 
@@ -202,7 +202,7 @@ def _relabelled(
 
 
 def _evenly(recording: MarkerRecording) -> MarkerRecording:
-    """Some frames of it, spread over all."""
+    """A number of frames, evenly spread over the recording."""
     index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
     return dataclasses.replace(
         recording, positions=recording.positions[index], visible=recording.visible[index]

@@ -1,4 +1,4 @@
-"""The poses of all frames of a known subject: key frames, frames in turn, and wrong ones again.
+"""Solves the poses of a known subject: key frames, then all frames, then wrong ones again.
 
 Frames are found one by one, from the poses of key frames. Where markers leave their places for a
 moment, or a limb turns fast, a frame may end with a foot or a hand turned over, which the robust
@@ -90,7 +90,7 @@ def mended_frames(
     joints: Callable[[Motion], Float[Tensor, "frames 22 3"]],
     motion: Motion,
 ) -> tuple[Motion, Bool[Tensor, " frames"], Bool[Tensor, "steps 22"]]:
-    """Frames in which the body leaves its markers solved again; which, and what steps remain.
+    """Solve frames again in which the body is far from its markers; returns which were solved.
 
     Args:
         energies: of all frames.
@@ -154,7 +154,7 @@ def unmade_steps(
     bones: tuple[int, ...],
     limit: float = UNMADE,
 ) -> Bool[Tensor, "steps 22"]:
-    """Steps from frame to frame in which a joint moves and no marker about it does.
+    """Steps between frames in which a joint moves although no marker near it does.
 
     A joint is asked where a marker on its bone, on its parent's or on one of its children's is
     visible at both ends of the step. `limit` is in metres.
@@ -272,7 +272,7 @@ def _fewer_steps(before: Tensor, after: Tensor, _: slice, steps: slice) -> bool:
 def _fits_better(
     before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
 ) -> bool:
-    """Whether markers fit no worse and fewer steps are unmade, or as many and markers better."""
+    """Whether a solution is better: markers fit no worse, and fewer steps lack marker motion."""
     old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
     same = int(after[steps].sum()) == int(before[steps].sum())
     better = _fewer_steps(before, after, inside, steps) or (same and new < 0.9 * old)
@@ -319,7 +319,7 @@ def jump_findings(
 def _suspects(
     jumps: Bool[Tensor, "steps 22"], far: Float[Tensor, "time markers"], fps: float
 ) -> Bool[Tensor, " time"]:
-    """Frames beside an unmade step, or with a marker that is away from its place by exception."""
+    """Frames beside a step without marker motion, or with a marker unusually far away."""
     steps = jumps.any(-1)
     away = far > _FAR
     away &= away.float().mean(0) < _OFTEN

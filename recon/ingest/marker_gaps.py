@@ -164,7 +164,7 @@ def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
 
 
 def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]:
-    """Frames in which nothing was seen of anybody, and limbs that were not seen for a while."""
+    """Findings about frames without any marker, and limbs not seen for a while."""
     found: list[Finding] = []
     empty = ~observed.any(-1).numpy()
     if empty.any():

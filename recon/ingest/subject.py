@@ -105,7 +105,7 @@ class CalibrationWeights:
 
 @dataclass(frozen=True)
 class SubjectModel(TensorStruct):
-    """A recorded skeleton as seen from our body."""
+    """Calibration of a recorded skeleton: shape, offsets and alignments on our body."""
 
     shape: Float[Tensor, " shape"]
     offsets: Float[Tensor, "points 3"]
@@ -238,7 +238,7 @@ def _hold(
 def _mean_alignments(
     frames: Frames, ours: Float[Tensor, "time 22 3 3"], skeleton: SkeletonMap
 ) -> Float[Tensor, "bones 3 3"]:
-    """The chordal mean over frames of what brings recorded orientations to ours."""
+    """Chordal mean, over frames, of the rotations from recorded orientations to ours."""
     between = frames.orientations.transpose(-1, -2) @ ours[:, list(skeleton.bones)]
     return so3.nearest(between.double().mean(0)).to(ours)
 

@@ -57,7 +57,7 @@ class TiedFrames(ABC, Generic[S]):
     def alike(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
-        """Which frames have data of one kind, so that one curvature will do for both."""
+        """Which pairs of frames have the same kind of data, so that they can share a curvature."""
 
     @abstractmethod
     def tied(self, state: S) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
@@ -198,7 +198,7 @@ class _Curvatures:
 
     @classmethod
     def none(cls, gradient: Float[Tensor, "frames n"]) -> "_Curvatures":
-        """Room for those of all frames."""
+        """An empty store for the factors of all frames."""
         frames, size = gradient.shape
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
@@ -220,7 +220,7 @@ class _Curvatures:
         damping: Float[Tensor, " frames"],
         stride: int,
     ) -> None:
-        """Compute those of some frames anew; every `stride` of them share one where they may."""
+        """Recompute the factors of some frames; up to `stride` frames share one where allowed."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
         self.owner[rows] = middle.where(energies.alike(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):

@@ -175,7 +175,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
 
 
 def from_recording(recording: MarkerRecording) -> Points3D:
-    """The points of a recording whose labels are keypoints; `are_keypoints` tells.
+    """The points of a recording whose labels are keypoints (see `are_keypoints`).
 
     Raises:
         ValueError: when the labels are those of markers.

@@ -133,7 +133,7 @@ def followed(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
 def taken(
     counts: Sequence[int], frames: int, person: int | None, name: str
 ) -> tuple[int, tuple[str, ...]]:
-    """The person to take of several, and the note about the choice.
+    """Choose one of several people; returns a note about the choice.
 
     Args:
         counts: frames in which each of them is seen.

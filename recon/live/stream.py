@@ -196,7 +196,7 @@ class Stream:
         return told
 
     def _fitting(self, door: Door) -> Door:
-        """The sensors, checked to be what the prior and the noise are for.
+        """The sensors, checked to suit the prior and the given noise.
 
         Raises:
             ObservationError: when they have another rate or another number.
@@ -229,7 +229,7 @@ class Stream:
         return done
 
     def _told(self, done: list[LiveEstimate]) -> LiveEstimate | None:
-        """The newest of some estimates, with the others and with what was noticed."""
+        """The newest of some estimates, with the earlier ones and the findings."""
         given = self._given
         done = [one for one in done if given is None or one.time > given]
         if not done:

@@ -189,7 +189,7 @@ class Tracking:
 
     @property
     def _now(self) -> Smoothed:
-        """The window, once there is a motion."""
+        """The current window; only valid after the first motion was fitted."""
         assert self.smoothed is not None
         return self.smoothed
 
@@ -236,7 +236,7 @@ class Tracking:
         return empty.index(False) if False in empty else 0
 
     def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """All that is left, up to the last moment with points."""
+        """The remaining estimates, up to the last frame with points."""
         if self.smoothed is None:
             several = sum(not moment.empty for moment in self.gathered) >= _MIN_MOMENTS
             if not several or not self._begun(findings):
@@ -358,7 +358,7 @@ class Tracking:
         ]
 
     def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
-        """Joints that an observation tells the place of, in an active frame."""
+        """Joints that an observation locates, in an active frame."""
         found = np.zeros(22, dtype=bool)
         for one, shown in zip(self._now.seen, self._shown, strict=True):
             found |= one.shown[active].numpy() @ shown

@@ -34,7 +34,7 @@ _OF_SCENE = (offsets, ground_moved, lens_changed)
 
 
 class NoHessian(LookupError):
-    """The Hessian of a stage is not known: steps that leave a term out would overshoot."""
+    """Raised when a term has no known Hessian: steps that ignore the term would overshoot."""
 
 
 def hessians(
@@ -67,7 +67,7 @@ def is_pointwise(energy: Any) -> bool:
 
 
 def _add(term: Term, model: ClipModel) -> bool:
-    """Add what is known of a term that is not the prior's own; whether anything is."""
+    """Add the Hessian of a term that is not of the prior; returns whether it is known."""
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS
     if is_pointwise(energy):

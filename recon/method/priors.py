@@ -132,7 +132,7 @@ class Prior(ABC, Generic[S]):
         )
 
     def belief(self, noise: float) -> Density | None:
-        """The density that its weights stand for beside data of this noise, metres.
+        """The density that its weights amount to for data of this noise, metres.
 
         Standard deviations of a fit follow from it; None, the usual answer, gives none.
         """
@@ -203,7 +203,7 @@ def is_prior(given: object) -> bool:
 
 
 def stages_of(given: PriorLike | Stages) -> Stages:
-    """What gives the stages for data: a prior does, and so may a function."""
+    """The function that returns the stages for data: a prior's method, or a plain function."""
     return as_prior(given).stages if is_prior(given) else given
 
 

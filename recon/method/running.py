@@ -60,7 +60,7 @@ class Hypotheses(Generic[S]):
         return torch.arange(len(self.unknowns.scene.offsets)) if self.clip is None else self.clip
 
     def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:
-        """The rows of least value, so many of every clip, in the order of clips."""
+        """Of every clip, a number of rows with the lowest values, in the order of clips."""
         clip, ordered = self.clips, value.cpu().nan_to_num(torch.inf).argsort()
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
@@ -109,7 +109,7 @@ class Hypotheses(Generic[S]):
         return stage if self.clip is None else stage.rows(self.clip)
 
     def estimate(self, body: BodyModel) -> Estimate:
-        """What energies would see of every row."""
+        """The estimate of every row, the input of energies."""
         with torch.no_grad():
             return self.unknowns.estimate(self.prior, body)
 

@@ -51,7 +51,7 @@ class Unknowns(TensorStruct, Generic[S]):
     def estimate(
         self, prior: Prior[S], body: BodyModel, portion: Callable[[S], S] | None = None
     ) -> Estimate:
-        """What energies see: the motion in the world, or that of a portion of the variables."""
+        """The input of energies: the motion in the world, for all or some of the clips."""
         variables: Any = self.variables
         ground = self.scene.ground
         if ground is not None:

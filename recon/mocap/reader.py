@@ -166,7 +166,7 @@ def skeleton_among(names: Sequence[str], source: str) -> str:
 
 
 def refuse_unknown_skeleton(path: Path) -> None:
-    """Refuse a .bvh file whose skeleton nobody knows, by a look at its joints.
+    """Refuse a .bvh file with an unknown skeleton, judged by its joint names.
 
     Files of other kinds, and files that are not there, pass.
 

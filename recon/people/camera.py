@@ -54,7 +54,7 @@ class _Alone:
 
     @classmethod
     def of(cls, result: Result) -> "_Alone":
-        """What a fit with a camera of unknown pose found."""
+        """The result of one person's fit with a camera of unknown pose."""
         (view,) = views_of(result.examined.fit.observations)
         T = result.T_world_camera
         assert T is not None

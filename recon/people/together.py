@@ -158,7 +158,7 @@ def fit_files(
 
 
 def _on_one_floor(result: Result) -> Result:
-    """A result whose warning about the floor says that it was found and not given."""
+    """A result whose warning about the floor says that the floor was estimated, not given."""
     return replace(
         result,
         warnings=tuple(
@@ -186,7 +186,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
 
 
 def _before(clip: Clip, shared: SharedCamera) -> Clip:
-    """The clip with the shared camera's pose as known."""
+    """The clip with the pose of the shared camera as its known pose."""
     (view,) = views_of(clip.observations)
     camera = view.camera.derived(
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],

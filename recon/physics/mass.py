@@ -29,7 +29,7 @@ def centre_of_mass(
 
 
 def vertex_masses_of_segments(body: BodyModel) -> Float[Tensor, " vertices"]:
-    """Masses by the shares that de Leva measured, which know that a trunk is partly air."""
+    """Masses by de Leva's measured segment shares, which account for the air in the trunk."""
     return spread_over_skin(body, body.template.new_tensor(DE_LEVA))
 
 

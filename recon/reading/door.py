@@ -15,7 +15,7 @@ _LOG = logging.getLogger("recon")
 
 
 def read(path: Any, **how: Any) -> Sensor | list[Sensor] | MotionFile:
-    """What files hold: one observation, a list of those of one clip, or a motion.
+    """Read files: one observation, a list of observations of one clip, or a motion.
 
     Args:
         path: a motion file (.npz), or a file or folder of observations, or several of one clip;

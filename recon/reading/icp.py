@@ -110,7 +110,7 @@ def rough_poses(
 
 
 def _path(view: OrientedCloud) -> dict[int, Float[np.ndarray, "3"]]:
-    """The middle of what moves, by frame, on the ground: cells are left out that stay occupied."""
+    """Horizontal centre of the moving points per frame; cells that stay occupied are left out."""
     cells = np.floor(view.points / _CELL).astype(np.int64)
     each, frame = np.unique(np.c_[cells, view.frame], axis=0), np.unique(view.frame)
     places, counts = np.unique(each[:, :3], axis=0, return_counts=True)

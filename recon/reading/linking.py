@@ -97,7 +97,7 @@ class _Person:
         return self.pixels + self.coasted(frame) * self.velocity
 
     def coasted(self, frame: int) -> int:
-        """Frames for which the velocity carries on; 0 once it is forgotten."""
+        """Number of frames over which the velocity is extrapolated; 0 when it is too old."""
         gone = frame - self.frame
         return gone if gone <= _COASTING else 0
 
@@ -126,7 +126,7 @@ class _Assignment:
 
     @property
     def nameless(self) -> frozenset[tuple[int, ...]]:
-        """The last detections of everybody, without identities.
+        """The last detection of every person, without identities.
 
         Equal for assignments that differ in names.
         """
@@ -134,7 +134,7 @@ class _Assignment:
 
 
 def farthest(unseen: int) -> float:
-    """How far somebody may be from the expected place, in body sizes.
+    """The largest allowed distance from the expected place, in body sizes.
 
     Args:
         unseen: number of frames without a detection before.
@@ -359,7 +359,7 @@ def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
 
 
 def _parted(one: _Frame | None, two: _Frame | None) -> int:
-    """The first frame in which two assignments differ."""
+    """The first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:
         assert one is not None

@@ -155,7 +155,7 @@ class _Pairs:
         return self._made[v, a, w, b]
 
     def least(self) -> float:
-        """The smallest error of any pair."""
+        """The smallest triangulation error of any pair of tracks."""
         return min((pair.error for pair in self._made.values()), default=float("inf"))
 
     def group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:

@@ -128,7 +128,7 @@ def _stands_beside(other: Track, mover: Track) -> bool:
 
 
 def _consistent(detections: Detections, rows: np.ndarray, identity: np.ndarray) -> bool:
-    """Whether nobody of a number jumps, and no number stands twice in a frame."""
+    """Whether person numbers are consistent: none jumps or occurs twice in a frame."""
     for label in np.unique(identity):
         own = rows[identity == label]
         frames = detections.frame[own]

@@ -39,7 +39,7 @@ class Shown:
 
 
 class Surface(IntEnum):
-    """What a pixel sees."""
+    """What every pixel sees: body, furniture or ground, and the orientation of its surface."""
 
     NOTHING = 0
     BODY = 1
@@ -50,7 +50,7 @@ class Surface(IntEnum):
 
 @dataclass(frozen=True)
 class DepthSensor:
-    """How a sensor errs.
+    """Settings of the errors of a depth sensor.
 
     Depth has the standard deviation constant + quadratic (z - 0.4 m)², the law of Nguyen, Izadi
     & Lovell (2012) for the first Kinect. Surfaces seen from the side give no depth at times, and
@@ -223,7 +223,7 @@ def measured(
     sensor: DepthSensor,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "height width"]:
-    """What the sensor makes of true depths; 0 where it finds none."""
+    """Measured depths for true depths: with noise, and 0 where the sensor returns nothing."""
     padded = np.pad(depth, 1, mode="edge")
     around = np.stack([padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]])
     step = np.abs(around - depth)

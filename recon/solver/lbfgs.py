@@ -211,7 +211,7 @@ def _evaluate(
 
 
 def _to_host(*rows: Float64[Tensor, " active"]) -> Float64[np.ndarray, "rows active"]:
-    """All of these in one transfer."""
+    """Copy several tensors to the CPU in one transfer."""
     return torch.stack(rows).cpu().numpy()
 
 

@@ -113,7 +113,7 @@ class LineSearches:
         origin_slope: Float64[np.ndarray, " active"],
         wolfe: Wolfe,
     ) -> Verdict:
-        """Take in phi and phi' at `step`, move the brackets, and choose the next `step`.
+        """Update the brackets with phi and phi' at `step`, and choose the next `step`.
 
         A trial that is not finite counts as too long.
         """

@@ -77,7 +77,7 @@ class Active:
         terms: Float64[Tensor, "active terms"],
         largest: Float64[np.ndarray, " active"],
     ) -> None:
-        """Let this trial be the best point of these elements."""
+        """Make the current trial the best point of these elements."""
         self.best_x = _choose(rows, x, self.best_x)
         self.best_gradient = _choose(rows, gradient, self.best_gradient)
         self.best_terms = _choose(rows, terms, self.best_terms)

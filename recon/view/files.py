@@ -121,7 +121,7 @@ def shown(
 
 
 def _another(path: Path, first: Path) -> str:
-    """Name of a second motion."""
+    """Default name of a second motion in the legend."""
     return path.stem if path.stem != first.stem else f"{path.stem} (2)"
 
 
@@ -140,7 +140,7 @@ def draw_html(path: Path, show: Show) -> None:
 
 
 def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
-    """Another motion at the times of the first."""
+    """Another motion resampled to the times of the first."""
     try:
         return file.motion.at(motion.times, motion.fps)
     except ValueError as error:

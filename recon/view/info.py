@@ -52,7 +52,7 @@ _ANY_RATE = 30.0
 def info(
     file: Path, *, unit: Unit | None = None, up: Up | None = None, hand: Hand | None = None
 ) -> dict[str, Any]:
-    """Say what a file or folder holds, and how that was told.
+    """Say what a file or folder holds, and what was assumed in reading it.
 
     Motions, observations, recordings, bodies, 2D keypoints, calibrations, scans, depth images:
     their format, sizes, rate, units and decisions, as plain values.
@@ -163,7 +163,7 @@ def _certainty(file: MotionFile) -> dict[str, Any]:
 
 
 def _ground(file: MotionFile) -> dict[str, float]:
-    """How far a ground that was found may be off."""
+    """Standard deviations of an estimated ground."""
     if file.ground_std is None:
         return {}
     normal, height = file.ground_std.tolist()
@@ -217,7 +217,7 @@ def _observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _pose(camera: CameraArrays) -> dict[str, Any]:
-    """Whether the camera's pose is known, and with it the ground."""
+    """Whether the camera's pose, and therefore the ground, is known."""
     poses = camera.T_camera_world
     return {"poses": 0 if poses is None else len(poses), "ground_known": poses is not None}
 

@@ -24,7 +24,7 @@ _LOOKED_AT = 5
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """What a folder is of, by the endings of its files.
+    """Describe the content of a folder, by the suffixes of its files.
 
     Raises:
         ValueError: when it holds nothing that recon reads, or something damaged.
@@ -76,7 +76,7 @@ def describe_json(path: Path) -> dict[str, Any]:
 
 
 def describe_detections(path: Path) -> dict[str, Any]:
-    """2D keypoints of one view and who is in it.
+    """Describe the 2D keypoints of one view and the people in it.
 
     Raises:
         FileNotFoundError, ValueError: as `read_keypoints` does.

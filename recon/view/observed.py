@@ -1,4 +1,4 @@
-"""Observation files as what a scene shows of them: points, clouds and cameras on its frames."""
+"""Points, clouds and cameras of observation files, at the frames of a scene."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -294,7 +294,7 @@ def _repeated(
     front: float = 1.0,
     through: float = 0.0,
 ) -> LitSurface:
-    """Many things of the same faces as one surface."""
+    """Many copies of one mesh as a single surface."""
     copies, count = vertices.shape[:2]
     every = np.arange(copies)[:, None, None] * count + faces
     light = np.broadcast_to(light, vertices.shape).reshape(-1, 3)
@@ -302,7 +302,7 @@ def _repeated(
 
 
 def _around(points: Float[np.ndarray, "points 3"], view: Viewpoint) -> tuple[int, int, int, int]:
-    """The part of a picture that points are in: left, top, right, bottom.
+    """Bounding box of points in a picture: left, top, right, bottom.
 
     It is the whole picture where one is not well before the viewer.
     """

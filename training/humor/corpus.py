@@ -44,7 +44,7 @@ OTHER = "other"
 
 
 def kind_of(description: str) -> str:
-    """The kind of motion that a description of a recording tells."""
+    """The kind of motion, inferred from the description of a recording."""
     text = description.lower()
     for kind, words in KINDS.items():
         if any(word in text for word in words):
@@ -110,7 +110,7 @@ class Corpus(TensorStruct):
 
     @classmethod
     def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "Corpus":
-        """All stretches of one part that teach steps.
+        """All stretches of one part that are marked for training steps.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -267,7 +267,7 @@ class Corpus(TensorStruct):
         old: Float[Tensor, "windows shape"],
         new: Float[Tensor, "windows shape"],
     ) -> Float[Tensor, "windows frames moments 3"]:
-        """Translations with which a new body does the same and its feet stay on the ground.
+        """Translations for another body, with which its feet stay on the ground.
 
         The pelvis' path scales with the legs, measured from the level of the toe joints, which
         becomes that of the new toes: where legs keep their proportions, no foot slips or rises.
@@ -322,7 +322,7 @@ def _balanced(
 
 
 def _between_jumps(clip: MotionFile) -> list[MotionFile]:
-    """The runs of a clip in which it moves as a body can, with their contacts only."""
+    """The runs of a clip between implausible jumps, with their contacts."""
     motion, contacts = clip.motion, clip.contacts
     turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5
     jump = (turn * motion.fps > _FASTEST_TURN).any(-1)
@@ -337,7 +337,7 @@ def _between_jumps(clip: MotionFile) -> list[MotionFile]:
 
 
 def _numbered(labels: Sequence[str]) -> Int[Tensor, " clips"]:
-    """Each label as its place among all of them."""
+    """The index of each label in the sorted list of labels."""
     places = {label: place for place, label in enumerate(sorted(set(labels)))}
     return torch.tensor([places[label] for label in labels])
 

@@ -1,4 +1,4 @@
-"""Legs brought to given ankles in closed form: the knee lies on a circle about hip-ankle."""
+"""Closed-form inverse kinematics of legs: the knee is on a circle about the line hip-ankle."""
 
 import math
 from dataclasses import dataclass
@@ -136,7 +136,7 @@ def may_bend(moments: Moments) -> Bool[Tensor, " windows"]:
 
 
 def bent(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with another path of the pelvis, and which of them a body could move so.
+    """Windows with another path of the pelvis, and which of them are plausible motions.
 
     Both feet stay exactly where they were, in contact or not, and so do their labels.
     """
@@ -202,7 +202,7 @@ def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
 
 
 def raised(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows in which one leg is raised, and which of them a body could move so.
+    """Windows with one leg raised, and which of them are plausible motions.
 
     The other foot stands on the ground all the time, and stays exactly where it is. The pelvis
     goes the other way by as much as keeps the centre of mass in its place.
@@ -295,7 +295,7 @@ def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
 
 
 def stepped(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with a part of a step, and which of them a body could move so.
+    """Windows with a part of a step added, and which of them are plausible motions.
 
     The foot that steps loses its contacts while it is in the air, the other one stays exactly
     where it is, and the pelvis goes half of the way.

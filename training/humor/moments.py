@@ -157,7 +157,7 @@ def possible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
 
 
 def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether no joint is nearer to the ground z = 0 than flesh allows, or than it ever was."""
+    """Whether every joint is as high above z = 0 as flesh requires, or as in the recording."""
     before, after = (_joints(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]
     allowed = torch.minimum(after.new_tensor(least), before.amin(1) - 1e-3)

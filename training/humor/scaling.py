@@ -92,7 +92,7 @@ class ScaledNetworks(nn.Module):
     def around(
         cls, plain: HumorNetworks, scaling: Scaling, noise: float = 0.0
     ) -> "ScaledNetworks":
-        """Networks that do what plain ones do."""
+        """Scaled networks that compute the same functions as plain ones."""
         core = HumorNetworks(plain.width)
         core.load_state_dict(plain.state_dict())
         made = cls(core, scaling, noise)
@@ -101,7 +101,7 @@ class ScaledNetworks(nn.Module):
 
     @property
     def scaling(self) -> Scaling:
-        """The numbers it scales by."""
+        """The means and standard deviations of the scaling."""
         return Scaling(
             self.state_mean, self.state, self.change_mean, self.change, self.raw_mean, self.raw
         )

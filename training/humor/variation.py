@@ -86,7 +86,7 @@ def may_move_arms(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_arms_moved(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with other arms, and which of them a body could move so."""
+    """Windows with changed arms, and which of them are plausible motions."""
     chance = Chance(random, moments.translation)
     rotations = moments.rotations.clone()
     for shoulder, elbow, side in ((16, 18, 1.0), (17, 19, -1.0)):
@@ -108,7 +108,7 @@ def with_arms_moved(
 
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether no elbow or wrist is nearer to the trunk than flesh allows, or than it ever was."""
+    """Whether elbows and wrists are as far from the trunk as flesh requires, or as recorded."""
     before, after = (_from_trunk(m.posed()[1]) for m in (old, new))
     allowed = before.amin(1, keepdim=True).clamp(max=_TRUNK) - 1e-3
     return (after > allowed).flatten(1).all(1)
@@ -187,7 +187,7 @@ def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
 
 
 def flown(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows in free flight, and which of them a body could move so; nothing is in contact."""
+    """Windows in free flight, without contacts, and which of them are plausible motions."""
     chance = Chance(random, moments.translation)
     seconds = moments.seconds
     last = seconds[:, -1].clamp(min=0.1)
@@ -217,7 +217,7 @@ def flown(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tens
 
 
 def edited(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
-    """Windows with the edits of legs and arms that their chances give them."""
+    """Windows with random edits of legs and arms."""
     legs = (
         (may_raise, raised, variation.raises),
         (may_step, stepped, variation.sidesteps),

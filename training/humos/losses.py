@@ -1,4 +1,4 @@
-"""Losses of the HUMOS prior: one motion, another body, and back."""
+"""Losses of the HUMOS prior: transfer of a motion to another body and back."""
 
 from dataclasses import dataclass
 

@@ -22,7 +22,7 @@ _HAIRLINE = 0.04
 
 
 def wardrobe(body: BodyModel, count: int, seed: int) -> list[BodyModel]:
-    """The body in different clothes and hair; the first wears nothing."""
+    """The body in different clothes and hair; the first is without both."""
     random = np.random.default_rng(seed)
     worn = [body]
     for _ in range(count - 1):
