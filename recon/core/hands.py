@@ -1,4 +1,4 @@
-"""Handedness of coordinates, told by where the body points under its names left and right."""
+"""Handedness of coordinates, found from where the body faces given its left and right labels."""
 
 from collections.abc import Sequence
 
@@ -32,7 +32,7 @@ def facing(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, " time"]:
-    """Agreement, from -1 to 1, of feet, knees, trunk and face with where left and right say front.
+    """Agreement (-1 to 1) of where feet, knees, trunk and face point with left-right labels.
 
     Each limb has an up of its own, u, and the hips or shoulders a right, r; u x r points forwards.
     It is that of right-handed coordinates: in mirrored ones knees bend backwards and toes point
@@ -85,7 +85,7 @@ def right_handed(
     visible: Bool[np.ndarray, "time points"],
     hand: Hand | None = None,
 ) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
-    """Factors of the axes that make coordinates right-handed, and what is said of it.
+    """Signs of the axes that make coordinates right-handed, and a note about the change.
 
     Args:
         names: as of `facing`.
