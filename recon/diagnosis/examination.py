@@ -27,7 +27,7 @@ _QUANTILES = (0.5, 0.9, 0.99)
 
 @dataclass(frozen=True)
 class ResidualSummary:
-    """How far one sensor's data are from the fitted body, in the sensor's own unit."""
+    """Residuals of one sensor after the fit, summarised in the sensor's unit."""
 
     name: str
     unit: Unit
@@ -151,7 +151,7 @@ class Examined(CheckedClip):
         return torch.from_numpy(self.observed[: self.motion.frames])
 
     def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
-        """What is known of the frames of the fitted motion resampled to another rate.
+        """Per-frame results (observed joints, contacts, deviations) at another frame rate.
 
         By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
         coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that

@@ -32,7 +32,7 @@ _HALF_WINDOW = 0.12
 
 
 def plausible(points: NamedPoints) -> NamedPoints:
-    """The points without those far from all others and those that jump off their own path."""
+    """The points without those far from all others and those that jump off their path."""
     away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
     return points.without(_far(points) | (np.nan_to_num(away) > _SPIKE))
 

@@ -150,7 +150,7 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
-    """Frames at which the whole body jumps, as where a tracker goes on with somebody else.
+    """Frames at which the whole body jumps, as when a tracker switches to another person.
 
     The middle of the points steps there unlike it does before and after: the median displacement
     of the points that are seen now and were seen at the last frame with any.
