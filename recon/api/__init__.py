@@ -1,1 +1,1 @@
-"""The front door: observations or files in, a result out. `import recon` has all its names."""
+"""The public functions: observations or files in, a result out; all are names of `recon`."""

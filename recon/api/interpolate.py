@@ -1,4 +1,4 @@
-"""`recon.interpolate`: the cycle of gait between those of two motions, its feet settled."""
+"""`recon.interpolate`: a gait cycle between the cycles of two motions, without sliding feet."""
 
 from dataclasses import asdict
 

@@ -36,7 +36,7 @@ class Made(MotionResult):
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motion; see `MotionResult.report`."""
+        """The JSON report saved beside the motion; see `MotionResult.report`."""
         return {**self.about, **told(inputs, settings)}
 
     def __repr__(self) -> str:
@@ -63,7 +63,7 @@ class MotionResults:
 
     @property
     def tables(self) -> Tables:
-        """What is known of each."""
+        """The tables of the report, one per motion."""
         rows = {f"{self.noun} {k}": one.about for k, one in enumerate(self.made)}
         return {repr(self).splitlines()[0]: rows}
 
@@ -85,7 +85,7 @@ class MotionResults:
         inputs: Mapping[str, str] | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """What is written beside them, in plain values.
+        """The JSON report saved beside the motions, in plain values.
 
         Args:
             out: where they are written, as `save` takes it.
