@@ -50,7 +50,7 @@ class BodyModel(TensorStruct):
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> "BodyModel":
-        """The bundled body, or a SMPL, SMPL-H or SMPL-X file of one's own (.npz or .pkl).
+        """Load the bundled body, or a SMPL, SMPL-H or SMPL-X file (.npz or .pkl).
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -58,7 +58,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled()
-        from recon.formats.smpl import load_smpl  # few give a body of their own
+        from recon.formats.smpl import load_smpl  # most fits use the bundled body
 
         path = Path(path)
         arrays = load_smpl(path).of_body()
@@ -70,7 +70,7 @@ class BodyModel(TensorStruct):
         return self.shape_directions.shape[-1]
 
     def same_as(self, other: "BodyModel") -> bool:
-        """Whether it is the other body, in the same precision and on the same device."""
+        """Whether both are the same body, in the same precision and on the same device."""
         own, its = self.template, other.template
         alike = self.checksum == other.checksum and self.shape_size == other.shape_size
         return alike and own.dtype == its.dtype and own.device == its.device
@@ -122,7 +122,7 @@ class BodyModel(TensorStruct):
 
 @dataclass(frozen=True)
 class PosedBody:
-    """A body in a motion; surface points are skinned when asked for."""
+    """A body model posed by a motion; vertices are computed on first use."""
 
     model: BodyModel
     shape: Float[Tensor, "*batch shape"]
@@ -135,7 +135,7 @@ class PosedBody:
 
     @cached_property
     def vertices(self) -> Float[Tensor, "*batch time vertices 3"]:
-        """The whole surface, metres; computed on first use and kept."""
+        """All vertices, metres; computed on first use and cached."""
         return self.points(torch.arange(len(self.model.template), device=self.joints.device))
 
     @property
