@@ -57,7 +57,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
             version="2.0", generator="recon", extras={"start_time": motion.start_time}
         ),
         scene=0,
-        # a skinned mesh belongs at the root: it is placed by its joints alone
+        # a skinned mesh must be a root node: only its joints place it
         scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],
         nodes=nodes,
         meshes=[mesh],

@@ -44,7 +44,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
     with replacing(path) as beside, TemporaryDirectory() as folder:
-        # the library tells the kind of file by its name, which it reads as UTF-8 with arguments
+        # the library finds the format by the file name, which it parses as UTF-8 with arguments
         staged = Path(folder) / f"motion{path.suffix.lower()}"
         _save(staged, motion, body)
         shutil.copyfile(staged, beside)

@@ -149,7 +149,7 @@ def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """What was written, and what the person at the terminal should see of it."""
+    """The written files, and the lines to print about them."""
 
     place: Path
     """The page."""

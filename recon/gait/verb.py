@@ -8,7 +8,7 @@ from recon.formats.outputs import Output
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # the room of pictures loads torch, which other verbs must not wait for
+    # recon.view loads torch, which other verbs must not wait for
     from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)
