@@ -13,7 +13,7 @@ from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 
 INFLUENCES = 4
 """Joints per vertex: more are legal, but many readers take the first four."""

@@ -18,7 +18,7 @@ from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 _COLOUR = (0.55, 0.65, 0.8)
