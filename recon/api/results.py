@@ -85,7 +85,7 @@ class MotionResult(ABC):
     body: BodyModel
     """The body that moves."""
     warnings: tuple[Finding, ...]
-    """What should be read before the result is used."""
+    """Findings that may make the result wrong."""
 
     @property
     def motion(self) -> Motion:

@@ -49,7 +49,7 @@ def fit_one(job: Job) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    # checksums before reading, so that the next run notices files that change from now on
+    # checksums are taken before reading, so that the next run notices later changes
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:

@@ -107,7 +107,7 @@ def calibrate_group(
     """
     recordings: list[SkeletonRecording] = []
     for content in contents(clips):
-        # one that has changed since it was surveyed is refused when it is converted
+        # a file that changed after the survey is refused at its conversion
         with contextlib.suppress(ValueError):
             pieces, _ = split(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
@@ -247,6 +247,6 @@ def _noted(path: Path) -> tuple[object, ...]:
     if not isinstance(row, dict):
         return ()
     if "checksum" not in row and {"collection", "clip", "settings"} <= row.keys():
-        # version 0.1.0 noted none
+        # records of version 0.1.0 have none
         return (file_checksum(path),)
     return row.get("checksum"), row.get("replaces")

@@ -83,7 +83,7 @@ def pinhole(
             T_recording_camera = camera_above(LEVEL_CAMERA)
         poses = np.linalg.inv(T_recording_camera)[None]
         if (path := arrays.path) is not None:
-            # its first pose as given; only its first place where up is known
+            # the first pose as given; where up is known, only its position
             first = path.T_world_camera[0]
             T = T_recording_camera @ np.linalg.inv(first)
             if path.level:
