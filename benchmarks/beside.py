@@ -30,16 +30,7 @@ import torch
 
 import recon
 from benchmarks.beside_cases import CASES, Case, Values, Window, cases_of
-from benchmarks.protocol import (
-    ROOT,
-    Cell,
-    Table,
-    corpus_source,
-    number,
-    parser,
-    spread,
-    tell,
-)
+from benchmarks.protocol import ROOT, Cell, Table, number, parser, spread, tell
 from benchmarks.strangers.compare import over_people, quotient
 from recon.benchmark.dataset import Part, Splits
 from recon.benchmark.windows import load_windows
@@ -80,8 +71,8 @@ def main() -> None:
                     print(json.dumps(pair), file=log)
     asked = [pair for pair in pairs if pair["row"] in given.cases]
     names = {pair["window"] for pair in asked}
-    source = corpus_source(given.corpus, [w.source for w in windows if w.name in names])
-    tell(out, 0, source, {"beside": table(asked, commits)})
+    read = [w.source for w in windows if w.name in names]
+    tell(out, 0, {"CORPUS": (given.corpus, read)}, {"beside": table(asked, commits)})
 
 
 def library_commit(tree: Path) -> str:

@@ -29,10 +29,9 @@ from benchmarks.protocol import (
     Table,
     cells,
     columns_of,
-    corpus_source,
     listed_windows,
     over_windows,
-    tell,
+    tell_of,
 )
 from recon import BodyModel, Camera, Keypoints2D, Motion
 from recon.benchmark.answers import Row
@@ -86,15 +85,14 @@ def main() -> None:
             name: [measured(windows, k, case, how, body) for k in range(len(windows.names))]
             for name, how in methods.items()
         }
-        tell(given.out, SEED, corpus_source(given.corpus, windows.files), shown(found, windows))
+        tell_of(given, SEED, shown(found, windows), windows.files)
 
 
 def shown(found: Mapping[str, Mapping[str, list[Row]]], windows: TrueWindows) -> dict[str, Table]:
     """A row for every case and method."""
     rows: list[list[Cell]] = []
     for case, methods in found.items():
-        values = {m: {k: [row[k] for row in own] for k in COLUMNS} for m, own in methods.items()}
-        rows.extend([f"{case}: {m}", *cells(v, windows, COLUMNS)] for m, v in values.items())
+        rows.extend([f"{case}: {m}", *cells(v, windows, COLUMNS)] for m, v in methods.items())
     return {"cameras": Table(columns_of("case", COLUMNS), rows)}
 
 

@@ -31,7 +31,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 import recon
-from benchmarks.cameras import PIXELS, corruption
+from benchmarks.cameras import PIXELS, corruption, in_true_world
 from benchmarks.protocol import (
     NINE_TENTHS,
     Cell,
@@ -39,10 +39,9 @@ from benchmarks.protocol import (
     Table,
     cells,
     columns_of,
-    corpus_source,
     evenly,
     over_windows,
-    tell,
+    tell_of,
 )
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import TrueWindows, load_windows
@@ -57,7 +56,7 @@ from recon.formats.observations import (
     PositionsFile,
     save_observation,
 )
-from recon.metrics.evaluation import evaluate, ground_errors
+from recon.metrics.evaluation import evaluate
 from recon.simulation.depth import Shown, Surface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption, joints3d
@@ -234,9 +233,8 @@ def main() -> None:
         rows.append(means(case, windows.take(chosen), found))
     headings = columns_of("case", COLUMNS)
     headings[1:1] = [("windows", 0), ("lost", 0), ("refused", 0)]
-    source = corpus_source(given.corpus)
     name = "depth-walks" if given.cases == ["walks"] else "depth"
-    tell(given.out, SEED, source, {name: Table(headings, rows)})
+    tell_of(given, SEED, {name: Table(headings, rows)})
 
 
 def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
@@ -261,23 +259,18 @@ def fitted(seen: Seen, case: str, prior: str) -> Row:
             print(f"refused: {error}", flush=True)
             return {}
     seconds = time.process_time() - began
-    motion, camera, body = result.motion, seen.camera.T_world_camera, seen.body
-    found = result.T_world_camera
-    if found is not None:
-        motion = motion.carried(camera @ found.inverse(), body.rest_joints(motion.shape)[0])
+    body = seen.body
+    motion, ground = in_true_world(result, seen.camera.T_world_camera, body)
     truth = seen.truth.window(0, motion.frames)
     visible = seen.visible_joints[: motion.frames]
     errors = evaluate(motion, truth, body, truth_visible=visible)
     row: Row = {
         "root_visible": errors["root_joints_visible"], "root_hidden": errors["root_joints_hidden"],
         "root_all": errors["root_joints_all"], "vertices": errors["vertices"],
-        "said": float(len(result.warnings) > 0), "seconds": seconds,
+        "said": float(len(result.warnings) > 0), "seconds": seconds, **ground,
     }  # fmt: skip
     row["lost"] = float((errors["root_joints_all"] or 0.0) > LOST)
-    if found is not None:
-        ground = ground_errors(found, camera)
-        row |= {"normal": math.degrees(ground["ground_normal"]), "height": ground["ground_height"]}
-    elif result.joint_std is not None:
+    if result.T_world_camera is None and result.joint_std is not None:
         away = (body.pose(motion).joints - body.pose(truth).joints).abs()
         within = (away <= NINE_TENTHS * result.joint_std[..., None]).float().mean(-1)
         row["covered_visible"] = float(within[visible].mean())
@@ -289,12 +282,8 @@ def means(case: str, windows: TrueWindows, rows: Sequence[Row]) -> list[Cell]:
     """A row of the table: how many were lost and refused, and means over subjects of the rest."""
     there = [k for k, row in enumerate(rows) if row]
     lost = sum(bool(rows[k]["lost"]) for k in there)
-    kept = [rows[k] for k in there]
-    values = {key: [row.get(key) for row in kept] for key in COLUMNS}
     counts: list[Cell] = [case, len(rows), lost, len(rows) - len(there)]
-    return counts + (
-        cells(values, windows.take(there), COLUMNS) if there else [None] * len(COLUMNS)
-    )
+    return counts + cells([rows[k] for k in there], windows.take(there), COLUMNS)
 
 
 if __name__ == "__main__":

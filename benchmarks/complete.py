@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 import recon
-from benchmarks.protocol import Cell, Table, corpus_source, number, over_windows, tell
+from benchmarks.protocol import Cell, Table, number, over_windows, tell_of
 from benchmarks.scans import (
     FPS,
     ScannedCycle,
@@ -100,7 +100,7 @@ def main() -> None:
             : given.only
         ]
         tables["completion"] = cycles(some, given.weights, splits.apart, body)
-    tell(given.out, SEED, corpus_source(given.corpus), tables)
+    tell_of(given, SEED, tables)
 
 
 def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Table:

@@ -4,7 +4,7 @@
 
 Ten seconds of the listed clips, with 15 mm of noise, are settled as `recon.fit` settles files;
 nothing is fitted. Good recordings have z up, metres and right-handed axes, and those of points are
-counted twice, once with the legs hidden.
+counted twice, once with the legs hidden. Three calibrated views of what is mirrored tell of it.
 """
 
 import tempfile
@@ -16,8 +16,10 @@ from typing import get_args
 import numpy as np
 import torch
 
-from benchmarks.protocol import Cell, Table, corpus_source, over_windows, tell
+from benchmarks.cameras import PIXELS
+from benchmarks.protocol import Cell, Table, over_windows, tell_of
 from observations.correspondences import BodyPoints
+from observations.keypoints2d import Keypoints2D
 from recon import BodyModel, Motion
 from recon.api.estimates import estimate_given
 from recon.benchmark.dataset import Splits
@@ -25,27 +27,32 @@ from recon.benchmark.windows import FPS, load_windows
 from recon.body.landmarks import landmark
 from recon.body.marker_labels import match_markers
 from recon.core import rotations as so3
+from recon.core.camera import full_hd_camera
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import ReconError
 from recon.core.hands import right_handed
 from recon.core.layouts import keypoint_names
 from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Up, to_z_up
+from recon.diagnosis.keypoints import screen_views
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile
 from recon.keypoints3d.records import Points3D
 from recon.mocap.recording import MarkerRecording, settle_markers
 from recon.reading.keypoints3d import settled
 from recon.reading.points import points_settled
+from recon.simulation.images import dome
 from recon.simulation.points import Corruption, scan_points
 
 SEED, FRAMES, LEGS = 0, 300, ("knee", "ankle", "foot", "toe", "heel", "KNE", "ANK", "HEE", "TOE")
 SIDED = ("FHD", "BHD", "SHO", "ELB", "WRA", "WRB", "ASI", "PSI", "KNE", "ANK", "HEE", "TOE")
 LABELS = ("C7", "T10", "CLAV", "STRN", *(f"{side}{label}" for side in "LR" for label in SIDED))
-NAMES = {"joints": JOINTS, "keypoints in space": keypoint_names("openpose25"), "markers": LABELS}
+VIEWS, SPACE = "calibrated views", keypoint_names("openpose25")
+NAMES = {"joints": JOINTS, "keypoints in space": SPACE, VIEWS: SPACE, "markers": LABELS}
 COLUMNS: list[tuple[str, int | None]] = [
-    ("sensor", None), ("mirrored", 0), ("mirrored back", 0), ("silent", 0), ("axes x units", 0),
-    ("right", 0), ("asked", 0), ("silently wrong", 0), ("good", 0), ("false alarms", 0),
+    ("sensor", None), ("mirrored", 0), ("mirrored back", 0), ("told", 0), ("silent", 0),
+    ("axes x units", 0), ("right", 0), ("asked", 0), ("silently wrong", 0), ("good", 0),
+    ("false alarms", 0),
 ]  # fmt: skip
 Settle = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Positions in any coordinates, and what is seen of them, to positions in ours."""
@@ -63,15 +70,16 @@ def main() -> None:
         truth = motion.at(times + motion.start_time, FPS)
         for name, points, settle in sensors(truth, body, number):
             noisy = points + (name != "estimates") * rng.normal(0, 0.015, points.shape)
-            count(counts[name], noisy, settle, NAMES.get(name, ()))
+            count(counts[name], noisy, settle, name)
     rows: list[list[Cell]] = []
-    keys = ("mirrored right", "mirrored wrong", "axes right", "axes asked", "axes wrong", "false")
     for name, found in counts.items():
-        right, wrong, *axes, false = (found[key] for key in keys)
-        mirrored = found["mirrored asked"] + right + wrong
-        rows.append([name, mirrored, right, wrong, sum(axes), *axes, found["good"], false])
-    sources = corpus_source(given.corpus, windows.files)
-    tell(given.out, SEED, sources, {"coordinates": Table(COLUMNS, rows)})
+        mirrored, axes = (
+            [found[f"{what} {how}"] for how in ("right", "asked", "wrong")]
+            for what in ("mirrored", "axes")
+        )
+        ends = (found["good"], found["false"])
+        rows.append([name, sum(mirrored), *mirrored, sum(axes), *axes, *ends])
+    tell_of(given, SEED, {"coordinates": Table(COLUMNS, rows)}, windows.files)
 
 
 def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np.ndarray, Settle]]:
@@ -79,7 +87,8 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
     posed = body.pose(truth)
     places, _ = match_markers(LABELS)
     skin = posed.points(torch.tensor([landmark(places[label]) for label in LABELS]))
-    layout = BodyPoints.of_layout("openpose25", body).of(posed)
+    of_body = BodyPoints.of_layout("openpose25", body)
+    layout = of_body.of(posed)
 
     def joints(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         file = PositionsFile("joints3d", points * seen[..., None], seen, tuple(JOINTS), FPS)
@@ -87,9 +96,19 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
     def keypoints(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         shown = np.where(seen[..., None], points, np.nan)
-        return settled(
-            Points3D("points", shown, NAMES["keypoints in space"], fps=FPS), body
-        ).positions
+        return settled(Points3D("points", shown, SPACE, fps=FPS), body).positions
+
+    def views(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        there = torch.from_numpy(points - points.mean((0, 1))) + layout.mean((0, 1))
+        filmed: list[Keypoints2D] = []
+        for k, camera in enumerate(dome(truth, body, full_hd_camera(), 3)):
+            noise = PIXELS * np.random.default_rng(3 * seed + k).normal(size=(*seen.shape, 2))
+            pixels = camera.project(there.float()).pixels.double().numpy() + noise
+            filmed.append(Keypoints2D(pixels[None], seen[None] * 1.0, of_body, camera, FPS))
+        findings = screen_views(filmed, ["0", "1", "2"], body)[1]
+        if any(one.code == "sides exchanged" for one in (*findings.repairs, *findings.warnings)):
+            raise ReconError("left and right are exchanged")
+        return points
 
     def markers(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
         raw = MarkerRecording("markers", LABELS, points, seen, FPS, ())
@@ -117,6 +136,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
     yield "joints", posed.joints.double().numpy(), joints
     yield "keypoints in space", layout.double().numpy(), keypoints
+    yield VIEWS, layout.double().numpy(), views
     yield "markers", skin.double().numpy(), markers
     clouds = scan_points(truth, body, Corruption(), seed, points=500).points
     yield "scans", clouds.reshape(truth.frames, 500, 3)[::5].astype(float), scans
@@ -137,20 +157,18 @@ def outcome(points: np.ndarray, A: np.ndarray, seen: np.ndarray, settle: Settle)
     return "right" if close and B[2, 2] > 0.99 and np.linalg.det(B) > 0 else "wrong"
 
 
-def count(
-    counts: Counter[str], points: np.ndarray, settle: Settle, names: tuple[str, ...]
-) -> None:
+def count(counts: Counter[str], points: np.ndarray, settle: Settle, name: str) -> None:
     """Settle points as they are, with legs hidden, mirrored, and in other axes and units."""
-    seen = np.ones(points.shape[:2], dtype=bool)
+    seen, names = np.ones(points.shape[:2], dtype=bool), NAMES.get(name, ())
     if names:
         flipped = outcome(points, np.diag([-1.0, 1.0, 1.0]), seen, settle)
         counts[f"mirrored {flipped}"] += 1
-        hidden = seen & ~np.array([any(leg in name for leg in LEGS) for name in names])
+        hidden = seen & ~np.array([any(leg in one for leg in LEGS) for one in names])
         counts["good"] += 1
         counts["false"] += outcome(points, np.eye(3), hidden, settle) != "right"
     counts["good"] += 1
     counts["false"] += outcome(points, np.eye(3), seen, settle) != "right"
-    for up in get_args(Up):
+    for up in () if name == VIEWS else get_args(Up):
         for unit in ("m", "cm", "mm"):
             found = outcome(points, to_z_up(up).T / METRES[unit], seen, settle)
             counts[f"axes {found}"] += 1

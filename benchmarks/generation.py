@@ -22,11 +22,10 @@ from benchmarks.protocol import (
     Table,
     cells,
     columns_of,
-    corpus_source,
     listed_windows,
     number,
     over_windows,
-    tell,
+    tell_of,
 )
 from recon.benchmark.answers import Row
 from recon.benchmark.dataset import clip_files
@@ -82,12 +81,11 @@ def main() -> None:
     guess = [Joints(sliding(recorded[k], windows, k, body), torch.ones(1).bool())
              for k in range(len(recorded))]  # fmt: skip
     rows.append(["constant velocity", *_means(guess, windows, body)[:4], *[None] * 5])
-    values = {"speed": [speed(joints) for joints in truth]}
-    rows.append(["truth", *cells(values, windows, COLUMNS), None, None])
+    speeds = [{"speed": speed(joints)} for joints in truth]
+    rows.append(["truth", *cells(speeds, windows, COLUMNS), None, None])
     columns = [*columns_of("cm", COLUMNS), ("on their feet from the mixture %", 0),
                ("their mean speed m/s", 2)]  # fmt: skip
-    source = corpus_source(given.corpus, windows.files)
-    tell(given.out, SEED, source, {"generation": Table(columns, rows)})
+    tell_of(given, SEED, {"generation": Table(columns, rows)}, windows.files)
 
 
 def continued(
@@ -125,7 +123,7 @@ def sliding(
 def _means(found: Sequence[Joints], windows: TrueWindows, body: recon.BodyModel) -> list[Cell]:
     truth = body.pose(windows.truth).joints
     rows = [predicted(one, joints) for one, joints in zip(found, truth, strict=True)]
-    return cells({key: [row[key] for row in rows] for key in COLUMNS}, windows, COLUMNS)
+    return cells(rows, windows, COLUMNS)
 
 
 def predicted(found: Joints, truth: Float[Tensor, "time 22 3"]) -> Row:

@@ -19,11 +19,10 @@ from benchmarks.protocol import (
     Metrics,
     Table,
     columns_of,
-    corpus_source,
     number,
     over_windows,
     spread,
-    tell,
+    tell_of,
 )
 from recon.benchmark.dataset import clip_files
 from recon.benchmark.methods import BenchMethod, method_named
@@ -97,7 +96,7 @@ def main() -> None:
                "windows": counted(next(iter(found.values())))}  # fmt: skip
     if MAIN.keys() <= found.keys():
         tables["kinds"] = kinds(found, {clip: described(files[clip]) for clip in clips})
-    tell(given.out, 0, corpus_source(given.corpus, [files[clip] for clip in clips]), tables)
+    tell_of(given, 0, tables, [files[clip] for clip in clips])
 
 
 def under_weights(weights: Path) -> BenchMethod:

@@ -28,10 +28,9 @@ from benchmarks.protocol import (
     Table,
     cells,
     columns_of,
-    corpus_source,
     listed_windows,
     over_windows,
-    tell,
+    tell_of,
 )
 from priors.labels.looking import CloudLabeller, PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, Regions
@@ -81,10 +80,9 @@ def main() -> None:
                 errors(labeller, clouds_of(windows, row, body, people, who, case))
                 for row in range(len(windows.names))
             ]
-            columns = {key: [value[key] for value in values] for key in COLUMNS}
-            rows.append([f"{who}, {case}", *cells(columns, windows, COLUMNS)])
-    source = corpus_source(given.corpus, windows.files)
-    tell(given.out, SEED, source, {"labels": Table(columns_of("person, cloud", COLUMNS), rows)})
+            rows.append([f"{who}, {case}", *cells(values, windows, COLUMNS)])
+    table = Table(columns_of("person, cloud", COLUMNS), rows)
+    tell_of(given, SEED, {"labels": table}, windows.files)
 
 
 def clouds_of(

@@ -2,8 +2,9 @@
 
 import ast
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 _COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
@@ -69,24 +70,17 @@ def mutant(source: str, place: tuple[int, str]) -> Mutant:
 def _places(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
     """Statements and expressions that may be changed."""
     for child in ast.iter_child_nodes(tree):
-        if isinstance(child, ast.Raise | ast.Import | ast.ImportFrom | ast.JoinedStr):
+        if isinstance(child, ast.Raise | ast.Import | ast.ImportFrom | ast.JoinedStr | ast.arg):
             continue
+        inside: Sequence[Any] | None = None
         if isinstance(child, ast.AnnAssign):
-            if child.value is not None:
-                yield child.value
-                yield from _places(child.value)
-            continue
-        if isinstance(child, ast.FunctionDef):
-            for default in (*child.args.defaults, *child.args.kw_defaults):
-                if default is not None:
-                    yield default
-                    yield from _places(default)
-            yield from _places(ast.Module(child.body, []))
-            continue
-        if isinstance(child, ast.arg):
-            continue
-        if isinstance(child, ast.ClassDef):  # without its decorators
-            yield from _places(ast.Module(child.body, []))
+            inside = [child.value]
+        elif isinstance(child, ast.FunctionDef):
+            inside = [*child.args.defaults, *child.args.kw_defaults, *child.body]
+        elif isinstance(child, ast.ClassDef):  # without its decorators
+            inside = child.body
+        if inside is not None:
+            yield from _places(ast.Module([one for one in inside if one is not None], []))
             continue
         if isinstance(child, ast.expr | ast.stmt):
             yield child

@@ -128,17 +128,17 @@ def spread(found: Interval | None, factor: float = 1.0) -> Cell:
 
 
 def cells(
-    values: Mapping[str, Sequence[float | None]], windows: TrueWindows, metrics: Metrics
+    rows: Sequence[Mapping[str, float | None]], windows: TrueWindows, metrics: Metrics
 ) -> list[Cell]:
     """Means over subjects with their intervals, a cell for every metric.
 
     Args:
-        values: of every window, by metric, SI units.
+        rows: of every window, SI units by metric.
         windows: where they were measured; subjects apart count in no mean.
         metrics: columns.
     """
     return [
-        spread(mean_of(values[key], windows), factor) if key in values else None
+        spread(mean_of([row.get(key) for row in rows], windows), factor)
         for key, (_, factor, _) in metrics.items()
     ]
 
@@ -221,9 +221,12 @@ def demo_clip(frames: int) -> Motion:
     return recon.load_motion(demo).motion.resample(30.0).window(0, frames)
 
 
-def corpus_source(folder: Path, files: Iterable[Path] | None = None) -> Sources:
-    """A converted corpus, of which some files were read; None is all of its motions."""
-    return {"CORPUS": (folder, folder.rglob("*.npz") if files is None else files)}
+def tell_of(
+    given: argparse.Namespace, seed: int, tables: Mapping[str, Table], files: Iterable[Path] = ()
+) -> None:
+    """`tell` of a corpus, of which some files were read; default: all of its motions."""
+    read = tuple(files) or given.corpus.rglob("*.npz")
+    tell(given.out, seed, {"CORPUS": (given.corpus, read)}, tables)
 
 
 def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:

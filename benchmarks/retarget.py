@@ -21,16 +21,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from benchmarks.protocol import (
-    Cell,
-    Metrics,
-    Table,
-    columns_of,
-    corpus_source,
-    number,
-    over_windows,
-    tell,
-)
+from benchmarks.protocol import Cell, Metrics, Table, columns_of, number, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Part, Splits, clip_files
 from recon.body.motion_files import copied, with_shape
@@ -96,7 +87,7 @@ def main() -> None:
     methods = METHODS | {f"{own} weights": network(own) for own in given.weights}
     samples = {name: [measured(method, job, body) for job in jobs]
                for name, method in methods.items()}  # fmt: skip
-    tell(given.out, SEED, corpus_source(given.corpus), tables(samples, jobs, splits.apart))
+    tell_of(given, SEED, tables(samples, jobs, splits.apart))
 
 
 def network(weights: str) -> Retargeter:

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 import recon
-from benchmarks.protocol import Cell, Table, corpus_source, demo_clip, number, over_windows, tell
+from benchmarks.protocol import Cell, Table, demo_clip, number, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Splits, clip_files
 from recon.benchmark.protocols import noisy_joints
@@ -70,8 +70,7 @@ def main() -> None:
     if "batch" in given.parts:
         truth = load_windows(given.corpus, splits, given.part, BodyModel.load(), SEED).truth
         tables |= batches(truth, given.clips, given.processes)
-    source = corpus_source(given.corpus, [files[clip] for clip in longest])
-    tell(given.out, SEED, source, tables)
+    tell_of(given, SEED, tables, [files[clip] for clip in longest])
 
 
 def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[str]:

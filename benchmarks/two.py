@@ -15,7 +15,7 @@ import torch
 
 import recon
 from benchmarks.cameras import PIXELS, in_true_world
-from benchmarks.protocol import Cell, Table, corpus_source, over_windows, tell
+from benchmarks.protocol import Cell, Table, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import load_windows
@@ -51,8 +51,7 @@ def main() -> None:
         within = (together <= 1.1 * alone, abs(size - 1) <= 0.05, of_truth, 100 * soles)
         each = (100 * alone, 100 * together, *within, soles <= 0.05)
         rows.append([prior, len(found) // 2, *(float(one.mean()) for one in each)])
-    sources = corpus_source(given.corpus, windows.files)
-    tell(given.out, SEED, sources, {"two-people": Table(COLUMNS, rows)})
+    tell_of(given, SEED, {"two-people": Table(COLUMNS, rows)}, windows.files)
 
 
 def crossing(truth: Motion, k: int, body: BodyModel) -> Motion:

@@ -25,16 +25,7 @@ from torch import Tensor
 import recon
 from benchmarks.cameras import in_true_world
 from benchmarks.clouds import Seen, write_files
-from benchmarks.protocol import (
-    NINE_TENTHS,
-    Cell,
-    Table,
-    corpus_source,
-    evenly,
-    number,
-    over_windows,
-    tell,
-)
+from benchmarks.protocol import NINE_TENTHS, Cell, Table, evenly, number, over_windows, tell_of
 from benchmarks.slips.recordings import Sensor, recording_of
 from recon import BodyModel
 from recon.benchmark.dataset import Splits
@@ -90,7 +81,7 @@ def main() -> None:
     for prior in given.prior:
         for name in given.protocols:
             found[f"{name}; {prior}"] = [judged(windows, k, name, prior, body) for k in clips]
-    tell(given.out, 0, corpus_source(given.corpus, windows.files), tables(found))
+    tell_of(given, 0, tables(found), windows.files)
 
 
 def judged(windows: TrueWindows, clip: int, name: str, prior: str, body: BodyModel) -> Judged:

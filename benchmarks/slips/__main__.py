@@ -18,16 +18,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import recon
-from benchmarks.protocol import (
-    Cell,
-    Table,
-    corpus_source,
-    evenly,
-    number,
-    parser,
-    recordings_source,
-    tell,
-)
+from benchmarks.protocol import Cell, Table, evenly, number, parser, recordings_source, tell
 from benchmarks.slips.good import GoodWindow, GoodWindows, alarms, listed, some_of
 from benchmarks.slips.judging import Verdict, slipped
 from benchmarks.slips.kinds import SLIPS, Slip
@@ -71,8 +62,8 @@ def main() -> None:
             print(f"{window.name}: {finding.code}: {finding.message}", flush=True)
     tables |= {"false-alarms": of_good(said)} if said else {}
     real = [window.source for window in chosen if not window.variant]
-    sources = dict(corpus_source(given.corpus, windows.files))
-    sources |= recordings_source(given.observations, real) if real else {}
+    more = recordings_source(given.observations, real) if real else {}
+    sources = {"CORPUS": (given.corpus, windows.files), **more}
     tell(given.out, 0, sources, tables)
 
 

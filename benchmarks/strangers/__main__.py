@@ -21,7 +21,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.protocol import ROOT, commit, corpus_source, parser, tell
+from benchmarks.protocol import ROOT, commit, parser, tell
 from benchmarks.strangers.choice import FRAMES, RUN_FRAMES, chosen
 from benchmarks.strangers.compare import tables
 from benchmarks.strangers.fits import RUNS, SEED, WHOLE, fits
@@ -53,7 +53,7 @@ def main() -> None:
             "windows from scratch.")  # fmt: skip
     for fold in corpus_folds(corpus, splits, body, given.only):
         found[fold.name] = measured(fold, corpus, given.folds, schedule, given.windows, body)
-        tell(given.out, SEED, corpus_source(corpus, read), tables(found, note))
+        tell(given.out, SEED, {"CORPUS": (corpus, read)}, tables(found, note))
 
 
 def measured(

@@ -31,12 +31,12 @@ def facing(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
-) -> float:
+) -> Float[np.ndarray, " time"]:
     """Agreement, from -1 to 1, of feet, knees, trunk and face with where left and right say front.
 
     Each limb has an up of its own, u, and the hips or shoulders a right, r; u x r points forwards.
     It is that of right-handed coordinates: in mirrored ones knees bend backwards and toes point
-    there. 0 where nothing of this is seen, and half as much where one kind of limb is alone.
+    there. 0 in frames that show nothing of this, and half as much where one kind of limb is alone.
 
     Args:
         names: joints, keypoints or landmarks of the body.
@@ -62,7 +62,7 @@ def facing(
     right = np.zeros((len(positions), 3))
     for parts in (("*_hip", "*_asis", "*_psis", "*_trochanter"), ("*_shoulder", "*_acromion")):
         right += np.nan_to_num(towards(at("right", *parts) - at("left", *parts)))
-    found: list[float] = []
+    kinds: list[np.ndarray] = []
     for part in (*_FORWARDS, None):
         cosines = []
         for side in ("left", "right"):
@@ -74,9 +74,9 @@ def facing(
                 ahead, reach = front - back, _REACH
             forwards = np.cross(towards(top - bottom), towards(right))
             cosines.append(((ahead * forwards).sum(-1) / reach).clip(-1, 1))
-        if (known := np.isfinite(cosines)).any():
-            found.append(float(np.mean(cosines, where=known)))
-    return sum(found) / max(len(found), 2)
+        known = np.isfinite(cosines)
+        kinds.append(np.nan_to_num(cosines).sum(0) / np.where(known.any(0), known.sum(0), np.nan))
+    return np.nan_to_num(kinds).sum(0) / np.isfinite(kinds).sum(0).clip(2)
 
 
 def right_handed(
@@ -93,7 +93,9 @@ def right_handed(
         visible: whether each is seen.
         hand: handedness, given by the user; None to tell it from the body.
     """
-    if hand == "right" or (hand is None and facing(names, positions, visible) > _MIRRORED):
+    agreement = facing(names, positions, visible)
+    known = agreement[agreement != 0]
+    if hand == "right" or (hand is None and (known.size == 0 or known.mean() > _MIRRORED)):
         return np.ones(3), ()
     said = "left-handed coordinates: given; they were mirrored back (x negated)"
     if hand is None:

@@ -8,67 +8,17 @@ with exchanged names begins or ends; the bones of the limb show which part is wr
 make one of them longer than it is.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
+from recon.core.hands import facing
 from recon.diagnosis.findings import Finding, Findings, spans, stretches
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
-
-_MIN_FORWARD_M = 0.02
-"""Metres by which something must stick out forwards for its direction to count."""
-_BENT = 0.06
-"""Metres by which a knee must stand before the line from hip to ankle to show the front."""
-
-
-def handedness(
-    positions: Float[np.ndarray, "moments points 3"],
-    exists: Bool[np.ndarray, "moments points"],
-    names: Sequence[str],
-) -> Float[np.ndarray, " moments"]:
-    """1 where the body's right is to the right of where it faces, -1 where to the left.
-
-    The trunk has an up and a right, whose product points forwards; noses, toes and bent knees
-    point forwards themselves. The value is the mean cosine between both; 0 where nothing is seen.
-    """
-    shown = np.moveaxis(np.where(exists[..., None], positions, np.nan), 1, 0)
-    places, nowhere = dict(zip(names, shown, strict=True)), np.full((len(positions), 3), np.nan)
-
-    def at(side: str, *parts: str) -> np.ndarray:
-        """The first of these keypoints that the layout has."""
-        return next((places[k] for part in parts if (k := f"{side}{part}") in places), nowhere)
-
-    hips, shoulders, ears = (
-        (at("left_", *parts), at("right_", *parts))
-        for parts in (("hip",), ("shoulder",), ("ear", "shoulder"))
-    )
-    up = _unit(shoulders[0] + shoulders[1] - hips[0] - hips[1])
-    across = [np.nan_to_num(_unit(right - left)) for left, right in (hips, shoulders)]
-    forwards = _unit(np.cross(up, _unit(across[0] + across[1])))
-    ahead = [(at("", "nose") - (ears[0] + ears[1]) / 2, _MIN_FORWARD_M)]
-    for side in ("left_", "right_"):
-        foot = at(side, "big_toe", "foot", "small_toe") - at(side, "heel", "ankle")
-        knee = at(side, "knee") - (at(side, "hip") + at(side, "ankle")) / 2
-        ahead += [(foot, _MIN_FORWARD_M), (knee, _BENT)]
-    cosines = [
-        np.where(
-            np.linalg.norm(way, axis=-1) > least,
-            (_unit(way - (way * up).sum(-1, keepdims=True) * up) * forwards).sum(-1),
-            np.nan,
-        )
-        for way, least in ahead
-    ]
-    return np.nan_to_num(cosines).sum(0) / np.maximum(np.isfinite(cosines).sum(0), 1)
-
-
-def _unit(way: np.ndarray) -> np.ndarray:
-    return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
-
 
 _MISS = 0.04
 """Metres by which rays of good views miss each other; real detections do by 0.01 to 0.03."""
@@ -192,7 +142,7 @@ def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.nda
     miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     cost += counted[:, named.sided].sum(-1)
-    return cost - _BACKWARDS_COST * handedness(points, exists, images.points)
+    return cost - _BACKWARDS_COST * facing(images.points, points, exists)
 
 
 def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:

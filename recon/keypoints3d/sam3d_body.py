@@ -41,8 +41,8 @@ _DEPTH_COUNTS = 0.25
 """How much depths, which single images tell badly, count in following people."""
 _WIDTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 """Standard deviations in frames of Gaussians that smooth depths."""
-_ENDS = 24
-"""Frames by which depths are continued at both ends, three of the widest standard deviations."""
+_REACH = 24
+"""Frames to either side that count in smoothing, three of the widest standard deviations."""
 _LEAST = 8
 """Frames from which on depths are smoothed."""
 _CHANGES = 0.01
@@ -185,11 +185,8 @@ def _steadied(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[st
 
     A body told too large is told too far away, as its image is what is seen: then a scale about
     the camera mends both. Where this makes depths less even, it is one about the hips. Jitter is
-    what the widest Gaussian takes away that takes no more than white noise by third differences,
-    whose variance is 20 times that of the noise.
+    what lines through the frames around each do not go on with.
     """
-    from scipy.ndimage import gaussian_filter1d
-
     sizes = np.linalg.norm(points[:, _BONES[:, 0]] - points[:, _BONES[:, 1]], axis=-1).sum(-1)
     scale = np.median(sizes) / sizes
     hips = points[:, _HIPS].mean(1)
@@ -198,19 +195,35 @@ def _steadied(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[st
     body = (points - hips[:, None]) * scale[:, None, None]
     every = np.arange(seen[0], seen[-1] + 1)
     depth = np.interp(every, seen, np.log(hips_now[:, 2]))
-    noise, smooth = _noise(depth), depth
-    ends = min(len(depth) - 1, _ENDS)
-    longer = np.pad(depth, ends, mode="reflect", reflect_type="odd")  # goes on as it ends
-    for width in _WIDTHS:
-        wider = gaussian_filter1d(longer, width)[ends : ends + len(depth)]
-        if len(depth) < _LEAST or np.std(wider - depth) > noise:
-            break
-        smooth = wider
+    smooth = _smoothed(depth) if len(depth) >= _LEAST else depth
     said = [
         f"size held over the clip; it varied by {np.std(sizes) / np.mean(sizes):.1%}",
         f"jitter along the ray of {np.std(smooth - depth):.1%} of the depth was smoothed",
     ]
     return body + (hips_now * np.exp(smooth - depth)[seen - seen[0], None])[:, None], said
+
+
+def _smoothed(values: np.ndarray) -> np.ndarray:
+    """Lines through the values around each frame, weighed by a Gaussian, at that frame.
+
+    It is the widest that tells frames from the others as well as any, within one standard error
+    of squared errors. At the ends, too, a line goes on.
+    """
+    from scipy.ndimage import convolve1d
+
+    frame = np.arange(len(values)) - len(values) / 2
+    rows = np.stack((frame**0, frame, frame**2, values, values * frame))
+
+    def line(weights: np.ndarray) -> np.ndarray:
+        one, x, xx, y, xy = convolve1d(rows, weights, mode="constant")
+        return ((y * xx - x * xy) + (one * xy - x * y) * frame) / (one * xx - x * x)
+
+    away = np.arange(-_REACH, _REACH + 1)
+    gaussians = [np.exp(-((away / width) ** 2) / 2) for width in _WIDTHS]
+    errors = np.square([line(one * (away != 0)) - values for one in gaussians])
+    more = errors - errors[errors.mean(1).argmin()]
+    alike = more.mean(1) <= more.std(1) / np.sqrt(len(values))
+    return line(gaussians[np.flatnonzero(alike)[-1]])
 
 
 def _noise(values: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from argparse import Namespace
 from pathlib import Path
 
 from benchmarks.protocol import (
@@ -9,15 +10,14 @@ from benchmarks.protocol import (
     Table,
     command_line,
     commit,
-    corpus_source,
     recordings_source,
-    tell,
+    tell_of,
 )
 
 
 def test_commands_name_their_data_and_not_the_paths_of_a_machine(tmp_path: Path) -> None:
     """Result files said no arguments at all."""
-    sources = corpus_source(tmp_path / "corpus", [])
+    sources = {"CORPUS": (tmp_path / "corpus", [])}
     weights = str(ROOT / "weights-nc" / "humor.safetensors")
     argv = ["x.py", str(tmp_path / "corpus"), "--only", "24", "--nc", weights]
     argv += ["--out", str(tmp_path / "tables")]
@@ -56,7 +56,8 @@ def test_the_checksum_is_that_of_the_files_that_were_read(tmp_path: Path) -> Non
     (corpus / "b.npz").write_bytes(b"2")
 
     def checksum(files: list[Path] | None) -> str:
-        tell(tmp_path, 0, corpus_source(corpus, files), {"r": table})
+        given = Namespace(out=tmp_path, corpus=corpus)
+        tell_of(given, 0, {"r": table}, files or ())
         said = json.loads((tmp_path / "r.json").read_text())["about"][0]["data"]["CORPUS"]
         assert said["files"] == (2 if files is None else len(files))
         return said["checksum"]

@@ -118,7 +118,10 @@ def test_means_are_over_the_subjects_who_are_not_apart() -> None:
     """Test subject 16 walks like a training subject, and was averaged with the others."""
     windows = three_windows()
     metrics = {"joints_all": ("joints cm", 100, 1), "gone": ("?", 1, 1)}
-    assert cells({"joints_all": [1.0, 10.0, 3.0]}, windows, metrics) == [200.0, None]
+    assert cells([{"joints_all": one} for one in (1.0, 10.0, 3.0)], windows, metrics) == [
+        200.0,
+        None,
+    ]
     alone = mean_of([10.0], windows.take([1]))
     assert alone is not None
     assert alone.mean == 10.0
