@@ -30,7 +30,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.protocol import ROOT
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
 
 COUNT = 24
 SEED = 20_26

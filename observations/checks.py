@@ -1,4 +1,4 @@
-"""Checks of an observation's arrays when it is built, so that fits need not repeat them.
+"""Checks of an observation's arrays when it is constructed; fits do not repeat them.
 
 Arrays become tensors, what is not visible becomes zero, and what cannot be an observation is
 refused by name. Nothing here runs while a fit minimises: records that the library derives from
@@ -39,7 +39,7 @@ _MOMENTS, _POINTS = 64, 256
 def checked_positions(
     kind: str, name: str, positions: Any, mask_name: str, mask: Any
 ) -> tuple[Float[Tensor, "*batch moments points 3"], Bool[Tensor, "*batch moments points"]]:
-    """Positions in metres, zero where not visible, and the mask of what is visible.
+    """Positions in metres (zero where not visible) and the mask of visible points.
 
     Args:
         kind: the observation's class, for messages.
@@ -132,7 +132,7 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
 
 
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
-    """The camera, given the leading axes of its keypoints; a camera without them is fixed.
+    """The camera, given the leading axes of the keypoints if it has none; it is then fixed.
 
     Raises:
         ValueError: when it has a distorting lens, or belongs to another number of clips.

@@ -101,7 +101,7 @@ class PointCloud(Sensor):
         labels: PointLabels | None = None,
         std: Numbers | None = None,
     ) -> None:
-        """Arrays of numpy become tensors in single precision; what is not present becomes zero.
+        """Converts numpy arrays to float32 tensors and sets points that are not present to zero.
 
         A camera without leading axes stands still. Without `present`, the points are one cloud
         per moment, of any sizes: arrays (N, 3), or clouds and meshes of Open3D. Without
@@ -168,7 +168,7 @@ class PointCloud(Sensor):
         return found
 
     def matched(self, estimate: Estimate) -> "PointCloud":
-        """The energy with correspondences and kernel scale of the estimate held fixed: smooth."""
+        """A smooth energy with correspondences and scale fixed at the given estimate."""
         with torch.no_grad():
             middles, normals, seen = self._surface(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)

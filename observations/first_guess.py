@@ -12,17 +12,17 @@ from recon.method.sensor import Sensor, views_of
 
 @dataclass(frozen=True)
 class FirstGuess:
-    """A motion to begin with."""
+    """The motion that the fit starts from, and what is known about it."""
 
     motion: Motion
     distance_known: bool
-    """Whether it is told where the body is, or only, by one camera, in which direction.
+    """Whether the body's position is known; one camera tells only its direction.
 
-    Placing the rest body better, stage 1, helps the first and spoils the second: it would trade
-    stretched limbs against distance.
+    Stage 1 places the rest body better. Where only a direction is known it must be left out, as
+    it would explain bent limbs by a larger distance.
     """
     posed: bool = False
-    """Whether it is a fit already, so that placing it anew by the data alone would spoil it."""
+    """Whether the motion was already fitted, so that placing it again would make it worse."""
 
 
 def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
@@ -71,11 +71,10 @@ def _moved_like(posed: Motion, placed: Motion) -> Motion:
 
 
 def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations, clouds with labels added.
+    """The observations, with labels added to clouds.
 
-    Without them where another sensor has named points in space.
-
-    Those tell the posture better than labels do.
+    Where another sensor has named 3D points no labels are added: named points determine the
+    posture better.
     """
     if any(one.named for one in observations):
         return tuple(observations)

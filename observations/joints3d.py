@@ -38,7 +38,7 @@ class Joints3D(TrackedPoints):
         offset_rows: tuple[int, int] | None = None,
         std: Numbers | float | None = None,
     ) -> None:
-        """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
 
         `std` may have any shape that broadcasts to (moments, points).
 

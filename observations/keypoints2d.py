@@ -95,7 +95,7 @@ class Keypoints2D(PointsOfBody):
         level: bool = False,
         unit_known: bool = True,
     ) -> None:
-        """Arrays of numpy become tensors in single precision; what is not seen becomes zero.
+        """Converts numpy arrays to float32 tensors and sets points that are not seen to zero.
 
         A camera without leading axes stands still.
 

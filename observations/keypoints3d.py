@@ -50,7 +50,7 @@ class Keypoints3D(TrackedPoints):
         level: bool = True,
         placed: bool = True,
     ) -> None:
-        """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
 
         `points` may be the name of a layout (`recon.core.layouts.LAYOUTS`) or the names of the
         keypoints in their order, which are then points of the bundled body. `std` may have any

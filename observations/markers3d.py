@@ -54,7 +54,7 @@ class Markers3D(TrackedPoints):
         offsets: Numbers | None = None,
         labels: Sequence[str] | None = None,
     ) -> None:
-        """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+        """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
 
         `std` may have any shape that broadcasts to (moments, points); `offsets` have the shape
         (points, 3).

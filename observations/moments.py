@@ -74,7 +74,7 @@ def filled(sensor: Tracker, array: Numbers) -> Tracker:
 
 
 def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
-    """Some frames of a sensor by their numbers; `start_time` is kept."""
+    """Some frames of a sensor, selected by index; `start_time` does not change."""
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 

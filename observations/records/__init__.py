@@ -1,1 +1,1 @@
-"""Kept for plug-ins of version 0.2.0, which import the base class of sensors from here."""
+"""Compatibility: plug-ins written for version 0.2.0 import the base class of sensors from here."""

@@ -235,7 +235,7 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
         diagonal = own.diagonal(dim1=1, dim2=2)
         diagonal[:, 6:] += 1
         diagonal += 1e-3 * diagonal + 1.0
-        # a row without a finite gradient keeps its pose and does not affect the others
+        # frames without a solution keep their pose and do not affect the others
         lost = ~gradient.isfinite().all(-1)
         gradient[lost], own[lost] = 0.0, torch.eye(own.shape[-1])
         inner = own[:, None]

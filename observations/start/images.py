@@ -61,7 +61,7 @@ def image_start(
     (Viterbi's algorithm). The distance is that of `bone_distance`. Frames that show too little
     take the place of the nearest one that does not.
     """
-    # where arms are says nothing about the place of the torso, where legs are says a little
+    # the rest pose predicts the torso's place well, the legs less, the arms not at all
     trust = [1.0 if b in TORSO else _LEG_WEIGHT if b in _LEGS else 0.0 for b in points.bones]
     weight = confidence.square() * (torch.tensor(trust) * points.known).to(confidence)
     placed = (weight > 0).sum(-1) >= _LEAST_POINTS

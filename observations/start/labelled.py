@@ -199,7 +199,7 @@ class _Tracker:
         )
 
     def _posed(self, targets: BoneTargets) -> BonePoses:
-        """Poses of all frames under all hypotheses, each frame on its own."""
+        """Poses of all frames under all hypotheses, each frame solved independently."""
         region = torch.tensor(REGION_OF_JOINT)[targets.bone]
         trunk = torch.isin(region, torch.tensor(sorted(_TRUNK)))
         place, turn = placed_rigidly(targets, self.solver.rest, trunk, _RIGID)
@@ -299,7 +299,7 @@ def _changes(
 def _between(
     found: BonePoses, number: Int[Tensor, " rows"], count: int
 ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
-    """Translations and rotations interpolated to all moments; constant beyond the ends."""
+    """Interpolate translations and rotations between some frames; constant beyond the ends."""
     place = torch.arange(count)
     after = torch.searchsorted(number, place).clamp(max=len(number) - 1)
     before = (after - (number[after] > place).long()).clamp(min=0)

@@ -82,7 +82,7 @@ def _filled(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
 
 
 def _averaged(path: Float[np.ndarray, "time 3"], width: int) -> Float[np.ndarray, "time 3"]:
-    """A moving mean of odd width; the ends are held."""
+    """A moving mean of odd width; the first and last values are repeated at the ends."""
     half = width // 2
     padded = np.pad(path, ((half, half), (0, 0)), mode="edge")
     kernel = np.full(width, 1 / width)

@@ -160,7 +160,7 @@ def evidence(
     present: Bool[Tensor, "rows points"],
     eye: Float[Tensor, "rows 3"] | None,
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, " rows"]]:
-    """Evidence against every frame of a motion: two shares from 0 to 1.
+    """Two measures of how badly every frame of a motion fits, each from 0 to 1.
 
     Args:
         motion: one clip, whose frames are the rows.

@@ -65,7 +65,7 @@ class Anchors(TensorStruct):
         return Motion.create(self.translation, self.full_rotations, shape, fps)
 
     def pack(self) -> Float[Tensor, "*batch anchors 124"]:
-        """The rows chi: 6D rotations less those of the identity, translation (m), time (s)."""
+        """The rows chi: 6D rotations minus the identity's, translation (m), time (s)."""
         columns = so3.to_6d(self.rotations)
         pose = (columns - columns.new_tensor(_IDENTITY)).flatten(-2)
         return torch.cat((pose, self.translation, self.times[..., None]), -1)

@@ -114,7 +114,7 @@ class Collocation(Prior[PoseVariables]):
         return self.poses.turns(variables, clip)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
-        """Add the Hessian of the pose density, the mean Hessian of steps, or that of held feet."""
+        """Add the Gauss-Newton Hessian of a term: pose density, steps (mean) or held feet."""
         if term.energy is contact_velocity:
             contacts = clip.estimate.decoded.contacts
             assert contacts is not None

@@ -36,7 +36,7 @@ _ABOVE = 0.02
 
 @dataclass(frozen=True)
 class Footing:
-    """Strength with which sampled motions are kept on the ground; chosen on validation people."""
+    """Settings that keep sampled motions on the ground; chosen on validation people."""
 
     draws: int = 8
     """Next states of each motion, of which one is kept."""
@@ -54,7 +54,7 @@ class Footing:
         touching: Float[Tensor, "all 4"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
-        """Of every `draws` random draws, the index of the one that is kept.
+        """Index of the selected sample in each group of `draws` samples.
 
         Args:
             before: states in the world, each repeated for its draws.
@@ -72,7 +72,7 @@ class Footing:
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
     def grounded(self, before: State, after: State, touching: Float[Tensor, "clips 4"]) -> State:
-        """The states moved towards the ground; arguments as in `kept`, without `draws`."""
+        """The states, moved towards the ground; arguments as of `kept`, without `draws`."""
         lower = (after.joints[:, FEET, 2] - touching).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
         lowered = self.lowered * _share(before, after) * (lower - _ABOVE).clamp(min=0)
@@ -126,7 +126,7 @@ _FOOTING = Footing()
 
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
-    """The body moved onto the mean of the predicted joints; its own joints become the state's.
+    """Move the body to the mean of the predicted joints; the state takes the body's joints.
 
     The network knows best by its joints how high a body is.
     """

@@ -66,7 +66,7 @@ class LikelyStates(TensorStruct):
     """Joints that nobody saw (`priors.humor.limbs`); clips without any have no energy."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
-        """Σ_t ρ(r(x_t)) over the states x_t in their own canonical frames; nats.
+        """Σ_t ρ(r(x_t)) over the states x_t, each in its canonical frame; nats.
 
         r is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
         do what nobody of the corpus did.

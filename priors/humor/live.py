@@ -74,7 +74,7 @@ class LiveSteps:
         humor, weights = self.humor, self.weights
         states = posed_states(motion, joints)
         found = explain(humor.networks, states, humor.pelvis(motion.shape))
-        # the first held frame has no velocity, as the frame before it has left the window
+        # the first frame has no velocity, as the frame before it was dropped
         steps = slice(min(held, 1), None)
         error = 0.5 * (found.error[0, steps] @ humor.error_whitening).square().sum(-1)
         surprise = found.surprise[0, steps]
@@ -99,7 +99,7 @@ class LiveSteps:
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
-        """Add the mean Hessian of the steps, and that of held feet by the joints' coordinates.
+        """Add the mean Hessian of the steps, and the Hessian of held feet by joint coordinates.
 
         Args:
             motion: of the window, without a batch axis.

@@ -226,7 +226,7 @@ def unroll_given(
     start: Float[Tensor, "batch 337"],
     added: Float[Tensor, "steps batch all_outputs"],
 ) -> Unrolled:
-    """Steps from a canonical state, given what is added to all layers; differentiable once."""
+    """Roll out steps from a canonical state with given biases of layers; differentiable once."""
     return Unrolled(*_Unroll.apply(start, added, decoder))
 
 

@@ -36,7 +36,7 @@ class GroupNorm(nn.GroupNorm):
         return torch.addcmul(self.bias, normal, self.weight)
 
     def rectified(self, x: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
-        """ReLU of the result of `forward`; faster when weights are not trained."""
+        """The normalised input after a ReLU; faster when weights need no gradient."""
         if self.weight.requires_grad:
             return self(x).relu()
         return _Rectified.apply(x, self.weight, self.bias, self.num_groups, self.eps)

@@ -42,7 +42,7 @@ class Rollout(TensorStruct):
     """Unit vector (rx, ry) to the right of the body there."""
 
     def frames(self, first: Frame) -> Frame:
-        """The canonical frame of every step in the world, given that of the first.
+        """The canonical frame of every step in the world, given the frame of the first step.
 
         Headings add up, and each step's horizontal move, turned by the headings before it.
         """

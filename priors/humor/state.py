@@ -72,7 +72,7 @@ class Frame(TensorStruct):
 
     @classmethod
     def of(cls, state: State) -> "Frame":
-        """The canonical frame of a state: by its own heading and horizontal translation."""
+        """The canonical frame of a state: its heading and horizontal translation."""
         level = state.translation.new_tensor([1.0, 1.0, 0.0])
         return cls(so3.heading(state.root), state.translation * level)
 
@@ -119,7 +119,7 @@ def rest_pelvis(state: State) -> Float[Tensor, "*batch 3"]:
 
 
 def canonical(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-    """The state in its own canonical frame."""
+    """The state expressed in its canonical frame."""
     return Frame.of(state).enter(state, pelvis)
 
 

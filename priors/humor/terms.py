@@ -15,14 +15,14 @@ _TOUCHING = 0.08
 
 
 def joint_consistency(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |p - p̂|² between the body's joints p and the network's own p̂; metres²."""
+    """½ Σ |p - p̂|² between the body's joints p and the predicted joints p̂; metres²."""
     away = estimate.body.joints - _predicted(estimate)
     squared = away.square().sum((-1, -2))
     return 0.5 * squared.where(estimate.motion.valid, 0.0).sum(-1)
 
 
 def bone_length(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ (l_t - l_(t-1))² of the lengths between the network's own joints; metres²."""
+    """½ Σ (l_t - l_(t-1))² of the bone lengths of the predicted joints; metres²."""
     joints = _predicted(estimate)
     lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1)
     change = lengths.diff(dim=-2).square().sum(-1)

@@ -119,7 +119,7 @@ class BodyFrames(TensorStruct):
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
-        """The inverse of `pack`; rotations and directions are normalised."""
+        """The inverse of `pack`; approximate rotations and directions are made exact."""
         rows = rows / _worth().to(rows)
         angle = rows[..., -5:-3]
         length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()

@@ -1,4 +1,4 @@
-"""Networks of the HUMOS prior: transformers over windows of motion, given the body's shape.
+"""Networks of the HUMOS prior: transformers over windows of motion, conditioned on the shape.
 
 A motion is a row of coefficients per window (`LappedBasis`), and every window has a code. The
 networks start as the linear map of the basis and learn the rest; encoder and decoder are told the

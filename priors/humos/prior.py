@@ -69,7 +69,7 @@ class HumosVariables(TensorStruct):
     start_time: float
 
     def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "HumosVariables":
-        """Variables of the same motion after a rigid transform that keeps the vertical."""
+        """Variables of the motion after a rigid transform that keeps the vertical axis."""
         del body
         ahead = torch.nn.functional.pad(self.place, (0, 1))
         place = (T[..., :3, :3] @ ahead[..., None])[..., :2, 0]
@@ -88,7 +88,7 @@ class Humos(Prior[HumosVariables]):
 
     @classmethod
     def load(cls, weights: str = "open", body: BodyModel | None = None) -> "Humos":
-        """The bundled weights (`open`), those of a source checkout (`nc`), or a file.
+        """Load the bundled weights (`open`), the `nc` weights of a source checkout, or a file.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -110,7 +110,7 @@ class Humos(Prior[HumosVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """The stages of a fit, as in `priors.humos.collocation`.
+        """The stages that fit the whole motion (`priors.humos.collocation`).
 
         Raises:
             WeightsError: when the body is not on the processor.
@@ -148,7 +148,7 @@ class Humos(Prior[HumosVariables]):
         return self._with_details(plain, motion)
 
     def decode(self, variables: HumosVariables) -> Decoded:
-        """The motion at the clip's own rate, and -log p in parts.
+        """The motion at the clip's frame rate, and the parts of -log p.
 
         `latent` is that of codes following each other, `shape` and `details` are half squared
         Mahalanobis distances.

@@ -61,7 +61,7 @@ class Regions(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "Regions":
-        """The regions of a body; made once for each body and kept."""
+        """The regions of a body; computed once per body and cached."""
         if body.template not in _KNOWN:
             region = torch.tensor(REGION_OF_JOINT, device=body.template.device)
             belonging = torch.nn.functional.one_hot(region, len(REGIONS)).to(body.weights)

@@ -1,1 +1,1 @@
-"""The public functions, from observations or files to results; `import recon` has them all."""
+"""The public functions: observations or files in, a result out; all are names of `recon`."""

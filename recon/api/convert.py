@@ -78,7 +78,7 @@ _NEAR = 0.005
 
 
 def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> Made:
-    """Bring a motion onto another body, whose surface lies where that of the first one does.
+    """Transfer a motion to another body so that the two surfaces coincide.
 
     Shape and poses are fitted to the first body's surface, so the shape of the result means what
     it means on the target: betas of a SMPL file are SMPL's. The person and the motion stay the

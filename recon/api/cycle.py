@@ -1,4 +1,4 @@
-"""Numbers and warnings in the report of a completed gait cycle."""
+"""The report on a completed gait cycle, with warnings for motions that are not one."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +24,7 @@ _FEW_MOMENTS = 4
 def cycle_report(
     found: ClipFit, medians: Sequence[float | None]
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Numbers about the first clip's cycle; warns if it is no gait cycle or little was seen.
+    """Numbers of the first clip's cycle; warnings if it is not gait or was hardly seen.
 
     The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once
@@ -79,7 +79,7 @@ def cycle_report(
 
 
 def swing_difference(motion: Motion) -> float | None:
-    """How far the hips' swing is from that of one cycle of gait; None where they do not return."""
+    """Distance of the hips' flexion from textbook gait; None if the hips do not return."""
     least = _COVERED * (motion.frames - 1) / motion.fps
     costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= least]
     return min(costs, default=None)

@@ -34,7 +34,7 @@ def estimate_given(
     hand: Hand | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
-    """The estimate on our body in a world with z up, the mask of its frames, and what was assumed.
+    """The estimate on our body with z up, the mask of its frames, and notes on assumptions.
 
     Args:
         motion: as of `recon.refine`, and so are the others.
@@ -111,7 +111,7 @@ def _unmirrored(
 
 
 def _of_this_body(path: Path, body: BodyModel) -> bool:
-    """Whether a file names this body as the one that its shape coefficients belong to."""
+    """Whether a file declares that its shape coefficients belong to this body."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
     arrays = load_arrays(path)

@@ -35,7 +35,7 @@ BodyLike = BodyModel | Path | str | None
 
 @dataclass(frozen=True)
 class GivenMotion:
-    """A motion of one clip of a known body, with its name, contacts and ground."""
+    """A motion of one clip with its body and what its file says besides."""
 
     file: MotionFile
     name: str
@@ -133,7 +133,7 @@ ShapeLike = Numbers | MotionLike
 
 @dataclass(frozen=True)
 class Shape:
-    """What is known of a person's shape without being certain: a prior that the data may correct.
+    """Uncertain knowledge of a person's shape: a prior that the data may correct.
 
     Something must be given. `recon.fit(..., shape=1.75)` is short for `Shape(height=1.75)`.
     """

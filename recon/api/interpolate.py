@@ -1,4 +1,4 @@
-"""`recon.interpolate`: a gait cycle between two others, with feet corrected to stand still."""
+"""`recon.interpolate`: a gait cycle between the cycles of two motions, without sliding feet."""
 
 from dataclasses import asdict
 

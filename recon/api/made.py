@@ -18,13 +18,13 @@ class Made(MotionResult):
     """A motion made from other motions, by a prior, or from a recording."""
 
     about: Mapping[str, Any]
-    """What the function knows about it, in plain values, as its report has it."""
+    """Numbers and settings of this motion, in plain values, as in its report."""
     summary: tuple[str, ...] = ()
     """A summary in a few lines for the person at the terminal."""
     repairs: tuple[Finding, ...] = ()
-    """What was wrong with a recording and was put right."""
+    """Faults of the recording that were repaired."""
     diagnosis: tuple[Finding, ...] = ()
-    """What is worth knowing but is no fault."""
+    """Findings that are no faults."""
     shown: Tables = field(default_factory=dict)
     """Numbers for the person at the terminal."""
 
@@ -36,7 +36,7 @@ class Made(MotionResult):
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motion; see `MotionResult.report`."""
+        """The JSON report saved beside the motion; see `MotionResult.report`."""
         return {**self.about, **told(inputs, settings)}
 
     def __repr__(self) -> str:
@@ -55,15 +55,15 @@ class MotionResults:
     noun: str
     """What one of them is called, in names of files: "sample"."""
     warnings: tuple[Finding, ...] = ()
-    """What should be read before they are used."""
+    """Findings that may make the motions wrong."""
     about: Mapping[str, Any] = field(default_factory=dict)
-    """What is known of all of them, in plain values."""
+    """Numbers common to all motions, in plain values."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """What was taken for settings that the caller left open."""
+    """The values used for settings that the caller left open."""
 
     @property
     def tables(self) -> Tables:
-        """A table with a row for every motion."""
+        """The tables of the report, one per motion."""
         rows = {f"{self.noun} {k}": one.about for k, one in enumerate(self.made)}
         return {repr(self).splitlines()[0]: rows}
 
@@ -85,7 +85,7 @@ class MotionResults:
         inputs: Mapping[str, str] | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """The content of the report, in plain values.
+        """The JSON report saved beside the motions, in plain values.
 
         Args:
             out: where they are written, as `save` takes it.

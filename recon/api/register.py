@@ -58,7 +58,7 @@ class DepthRig:
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside them; see `MotionResult.report`."""
+        """The JSON report saved beside the poses; see `MotionResult.report`."""
         poses = {name: np.linalg.inv(_pose(file)).tolist() for name, file in self.files.items()}
         found = {"T_world_camera": poses, "shared": dict(self.shared)}
         return {**found, "decisions": list(self.decisions), **told(inputs, settings)}
@@ -164,7 +164,7 @@ def register(
 def _read(
     path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
 ) -> PointsFile:
-    """The observation of one camera; in the camera's frame where it has no pose."""
+    """The points that one camera measured; in the camera's frame if its pose is unknown."""
     if path.is_dir() and any(path.glob("*.png")):
         if camera is None or frame_rate is None:
             raise ObservationError(f"{path}: depth images need --camera and --frame-rate")
@@ -191,7 +191,7 @@ def _alone(file: PointsFile) -> PointsFile:
 
 
 def _lens(file: PointsFile) -> CameraArrays:
-    """The camera of a cloud; for clouds without one, a placeholder at the origin."""
+    """The camera of the cloud; a default one at the origin if the cloud has none."""
     if file.camera is not None:
         return file.camera
     usual = depth_camera()
@@ -207,7 +207,7 @@ def _pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The nearest pose that keeps z up and the ground."""
+    """The nearest pose that keeps z vertical and the ground at z = 0."""
     turn = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
     out = np.eye(4)
     out[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]

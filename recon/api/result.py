@@ -168,7 +168,7 @@ class Result(MotionResult):
 
     @property
     def residuals(self) -> tuple[ResidualSummary, ...]:
-        """Summary of every observation's residuals from the fitted body, in its own unit."""
+        """Summary of every observation's residuals after the fit, in the observation's unit."""
         return self.examined.residuals
 
     @property
@@ -183,7 +183,7 @@ class Result(MotionResult):
 
     @property
     def repairs(self) -> tuple[Finding, ...]:
-        """What was wrong with the data and was repaired before the fit."""
+        """Faults of the data that were repaired before the fit."""
         return self.examined.repairs
 
     @property
@@ -194,7 +194,7 @@ class Result(MotionResult):
 
     @property
     def root_std(self) -> Float[Tensor, " time"] | None:
-        """Standard deviation of the rotation of the root, radians, at the fit's own frames."""
+        """Standard deviation of the root's rotation in radians, at the frames of the fit."""
         found = self.examined.deviations
         return None if found is None else found.root.float()
 
@@ -302,7 +302,7 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach().to(device="cpu")
     first = clip.observations[0]
-    # with only a few scans per second, the result has the frame rate of the fit instead
+    # a few scans per second are too few for a result, so it has the frame rate of the fit
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
     T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
@@ -320,7 +320,7 @@ def result_of(
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = None
     if completes and not found.stretches:
-        # imported here: only results of one gait cycle need it
+        # other motions have no numbers of a gait cycle
         from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
@@ -332,7 +332,7 @@ def result_of(
         motion = in_room(motion, examined.belt)
     known = examined.described_at(motion)
     if belt is not None:
-        # on a treadmill the prior's ground is the belt, not the floor of the room
+        # on a treadmill the prior's contacts are with the belt, not with the floor of the room
         known["contact_probability"] = None
     return Result(
         file=described(motion, body, ground, T_world_camera, belt=belt, **known),
@@ -364,7 +364,7 @@ class Stopper:
         """The reason why the fit was stopped; None while it was not."""
 
     def __call__(self, stage: str, progress: Progress) -> bool:
-        """Whether to stop; the callback is asked until it says so."""
+        """Whether to stop; once true, the callback is not called again."""
         if self.reason is None:
             self.reason = self._why(stage, progress)
         return self.reason is not None

@@ -31,7 +31,7 @@ WIDEST = 96
 
 
 def in_ten_lines(first: str, known: Sequence[str], found: Sequence[str]) -> str:
-    """A headline, what is known, and what was found.
+    """At most ten lines: a headline, the known facts, and the findings.
 
     Args:
         first: the headline.
@@ -85,7 +85,7 @@ class MotionResult(ABC):
     body: BodyModel
     """The body that moves."""
     warnings: tuple[Finding, ...]
-    """What should be read before the result is used."""
+    """Findings that may make the result wrong."""
 
     @property
     def motion(self) -> Motion:
@@ -105,7 +105,7 @@ class MotionResult(ABC):
 
     @property
     def contacts(self) -> Float[Tensor, "time 22"]:
-        """1 where a joint stands on the ground of the room, 0 elsewhere.
+        """1 where a joint is in contact with the ground of the room, else 0.
 
         Feet on the belt of a treadmill move in the room: where they are told by no belt's speed,
         all are 0, and so they are where there is no ground.
@@ -153,7 +153,7 @@ class MotionResult(ABC):
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motion, in plain values.
+        """The JSON report saved beside the motion, in plain values.
 
         Args:
             inputs: SHA-256 of the files that were read, by path; none by default.

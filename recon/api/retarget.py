@@ -147,7 +147,7 @@ def retarget(
 
 
 def ground_height(given: GivenMotion, asked: float | None) -> float:
-    """Height of a motion's ground: as the caller gives it, else as in the file, else zero.
+    """Height of a motion's level ground: as the caller gave it, else from the file, else zero.
 
     Raises:
         ReconError: when the file says that it is not level.
@@ -173,7 +173,7 @@ def raised(motion: Motion, metres: float) -> Motion:
 
 
 def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Finding]:
-    """Warnings about a low frame rate, or about speeds that nobody reaches."""
+    """Warnings about a low frame rate or about impossible speeds."""
     if source.fps < RATE:
         yield Finding(
             "rate",

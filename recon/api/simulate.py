@@ -68,7 +68,7 @@ class Simulated:
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside them; see `MotionResult.report`."""
+        """The JSON report saved beside the files; see `MotionResult.report`."""
         return {"kind": self.kind, **told(inputs, settings)}
 
     def save(

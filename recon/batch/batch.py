@@ -49,7 +49,7 @@ def fit_one(job: Job) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    # checksums before reading, so that the next run notices files that change from now on
+    # checksums are taken before reading, so that the next run notices later changes
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:
@@ -142,7 +142,7 @@ def shapes_of_subjects(
     return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
-FIT_VERSION = 14
+FIT_VERSION = 15
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 

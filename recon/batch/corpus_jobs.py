@@ -107,7 +107,7 @@ def calibrate_group(
     """
     recordings: list[SkeletonRecording] = []
     for content in contents(clips):
-        # files that changed after the survey are refused later, at their conversion
+        # a file that changed after the survey is refused at its conversion
         with contextlib.suppress(ValueError):
             pieces, _ = split(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
@@ -247,6 +247,6 @@ def _noted(path: Path) -> tuple[object, ...]:
     if not isinstance(row, dict):
         return ()
     if "checksum" not in row and {"collection", "clip", "settings"} <= row.keys():
-        # reports of version 0.1.0 hold no checksums
+        # records of version 0.1.0 have none
         return (file_checksum(path),)
     return row.get("checksum"), row.get("replaces")

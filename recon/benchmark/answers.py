@@ -43,7 +43,7 @@ def stance_height(
 
 
 def feet_balanced(windows: TrueWindows, said: Bool[Tensor, "clips time 22"]) -> float | None:
-    """Balanced accuracy of the contacts of ankles and toes, mean over the subjects who count.
+    """Balanced accuracy of ankle and toe contacts, averaged over the counted subjects.
 
     Each subject's is taken over all windows together.
     """
@@ -158,7 +158,7 @@ def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answ
 
 
 def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
-    """The metrics of an answer over the frames that a protocol evaluates, in SI units."""
+    """The metrics of a method's answer over the evaluated frames, in SI units."""
     part = slice(*protocol.judged)
     truth = window.truth.window(*protocol.judged)
     touching = window.touching[part]

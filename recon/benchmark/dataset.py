@@ -141,13 +141,13 @@ def notes(motion: Path) -> dict[str, Any]:
 
 
 def _name(motion: Path) -> str:
-    """A clip's name as the conversion noted it, folders included; else that of its file."""
+    """A clip's name: its path as the conversion noted it, else the name of its file."""
     name = notes(motion).get("clip")
     return name if isinstance(name, str) else motion.stem
 
 
 def is_flat(path: Path) -> bool:
-    """Whether the notes of the conversion beside a clip say flat ground; without notes, yes."""
+    """Whether the notes beside a clip say that the ground is flat; true without notes."""
     return bool(notes(path).get("flat", True))
 
 

@@ -1,4 +1,4 @@
-"""`recon.bench`: methods evaluated on the same windows of freely licensed motions."""
+"""`recon.bench`: evaluates methods on the same windows of freely available motions."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +35,7 @@ def bench(
     only: int | None = None,
     callback: Callable[[str, str], None] | None = None,
 ) -> BenchTable:
-    """Judge methods on the same windows, with the same noise, as everybody else's.
+    """Evaluate methods on the windows and the noise of a published protocol.
 
     Args:
         protocol: what is seen: `noisy-joints`, `hidden-points`, `gap` or `upper-body`.

@@ -115,7 +115,7 @@ def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> Be
 
 
 def _linear(seen: PositionsFile) -> np.ndarray:
-    """Joints as they were seen, on straight lines across what was not seen."""
+    """The measured joints, with linear interpolation across gaps."""
     if seen.names != tuple(JOINTS):
         raise ReconError(
             "linear knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
@@ -131,7 +131,7 @@ def _linear(seen: PositionsFile) -> np.ndarray:
 
 
 def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMethod:
-    """A smoother of every coordinate, after straight lines across what was not seen."""
+    """A smoothing filter for every coordinate, after linear interpolation across gaps."""
 
     def given_back(seen: PositionsFile) -> np.ndarray:
         return smooth(torch.from_numpy(_linear(seen))[None], seen.fps)[0].numpy()

@@ -34,7 +34,7 @@ def noisy_joints(
     noise: float = 0.04,
     joints: tuple[int, ...] = tuple(range(len(JOINTS))),
 ) -> Joints3D:
-    """Joints (by default all 22) with Gaussian noise of `noise` metres per coordinate."""
+    """Joints (by default all 22) with Gaussian noise of the given metres per coordinate."""
     positions = body.pose(truth).joints
     random = torch.Generator().manual_seed(seed)
     errors = torch.randn(positions.shape, generator=random, dtype=torch.float64)
@@ -98,7 +98,7 @@ _GAPS: Columns = {"root_joints_all": ("pose cm", 100.0), **_FEET}
 
 @dataclass(frozen=True)
 class BenchProtocol:
-    """A protocol: how true motions are observed, and how reconstructions are judged."""
+    """A protocol: how observations are simulated from true motions, and how results are scored."""
 
     name: str
     about: str
@@ -231,5 +231,5 @@ def _seen_window(
 
 
 def noise_of(seen: PositionsFile) -> float:
-    """Standard deviation of what is seen, metres; zero where the record says nothing of it."""
+    """Standard deviation of the simulated data, metres; zero where the record has none."""
     return 0.0 if seen.std is None else float(torch.from_numpy(seen.std[seen.visible]).median())

@@ -120,7 +120,7 @@ class BenchTable:
     """SHA-256 of the motion files that were read, with their names."""
 
     def mean(self, method: str, metric: str) -> Interval | None:
-        """The mean over the subjects who count of their means, with its 95 % interval.
+        """The mean of the counted subjects' means, with its 95 % interval.
 
         Whole clips are drawn again within each subject (`recon.benchmark.table`). None where no
         window has a value.
@@ -171,7 +171,7 @@ class BenchTable:
         return min(counts) > 1
 
     def as_json(self) -> dict[str, Any]:
-        """All numbers: what was measured on what, means with intervals, values by window."""
+        """All numbers: the setting, the means with intervals, and the values of every window."""
         return {
             "protocol": self.protocol.name,
             "about": self.protocol.about,

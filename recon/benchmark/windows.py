@@ -53,7 +53,7 @@ class TrueWindows:
 
     @property
     def counted(self) -> list[str]:
-        """The subjects that count in means: those not listed as apart, or all if none is left."""
+        """The subjects to average over: those not set apart, or all if there are no others."""
         every = sorted(set(self.subjects))
         return [subject for subject in every if subject not in self.apart] or every
 
@@ -141,7 +141,7 @@ def load_windows(
 def contacts_at(
     recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
 ) -> Bool[Tensor, "time 22"]:
-    """Contact labels nearest in time; computed from the motion where the recording has none."""
+    """The recording's contact labels, nearest in time; computed from the motion if it has none."""
     motion, labels = recorded.motion, recorded.contacts
     if labels is None:
         heights = rest_heights(body, motion.shape)
@@ -183,7 +183,7 @@ def bench_source(
     only: int | None,
     body: BodyModel,
 ) -> tuple[TrueWindows, str, str]:
-    """The windows of a part in a folder of motions, or those of the bundled clip.
+    """The windows of a split in a folder of motions, or of the bundled clip.
 
     Returns the windows, which they are for people, and the SHA-256 of the motion files that were
     read, with their names.

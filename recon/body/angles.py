@@ -102,7 +102,7 @@ ISB_ANGLES: tuple[str, ...] = tuple(
 
 
 def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, " time"]]:
-    """Joint angles of one clip in degrees, by name; `_l` and `_r` end those of a side.
+    """Joint angles of one clip in degrees, by name; names of left and right end in `_l`, `_r`.
 
     A name says what a positive angle is, on either side. The pelvis is relative to the world,
     whose x axis points forwards at a left rotation of zero. Where the arm hangs, the plane of
@@ -157,7 +157,7 @@ _STEP = 1e-4
 
 
 def _axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 3 3"]]:
-    """Axes of the segments in every frame, and those of the ground."""
+    """Axes of the segments in every frame, and the axes of the ground."""
     axes = carried(isb_axes(body, motion.shape), body, motion)
     return axes | {"ground": np.broadcast_to(to_z_up("y"), axes["pelvis"].shape)}
 

@@ -145,7 +145,7 @@ def _standardised(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "
 
 
 def _minima(cost: Float[np.ndarray, " frames"], threshold: float) -> list[int]:
-    """Frames whose cost is below the threshold and not above that of either neighbour."""
+    """Frames that are local minima of the cost below the threshold."""
     padded = np.concatenate([[np.inf], cost, [np.inf]])
     lowest: Bool[np.ndarray, " frames"] = (cost < padded[:-2]) & (cost <= padded[2:])
     return np.flatnonzero(lowest & (cost <= threshold)).tolist()

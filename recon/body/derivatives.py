@@ -113,7 +113,7 @@ class CarriedPoints:
         orientations: Float[Tensor, "time 22 3 3"],
         joints: Float[Tensor, "time 22 3 shape"],
     ) -> Float[Tensor, "time points 3 shape"]:
-        """Derivatives by the coefficients of the shape from those of the joints, metres."""
+        """Derivatives by shape coefficients, from the derivatives of the joints; metres."""
         # (time, 3, 22·3) @ (points, 22·3, shape)
         turned = orientations.transpose(1, 2).flatten(2)[:, None]
         parts = turned @ self.place_by_shape.permute(1, 2, 3, 0).flatten(1, 2)

@@ -56,7 +56,7 @@ Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
 
 @dataclass(frozen=True)
 class _Wishes:
-    """What a description asks for: below or above average, a number (m, kg), or None."""
+    """The wanted measures: below or above average, a number (m, kg), or None."""
 
     sex: Lean | None = None
     """More is a man."""
@@ -65,7 +65,7 @@ class _Wishes:
 
 
 def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
-    """Shape coefficients of the body that somebody asked for; see `FORMS`.
+    """Shape coefficients for a description of a person; see `FORMS`.
 
     Measures alone are those of the shape nearest to the average with them (|shape| least); beside
     `man` or `woman`, nearest to the average of that sex among shapes that differ from it in
@@ -114,7 +114,7 @@ def nearest_shape(
     asked: Sequence[float],
     free: Float[Tensor, "shape shape"],
 ) -> Float[Tensor, " shape"]:
-    """The shape nearest to `base` whose measures are those asked for.
+    """The shape nearest to `base` that has the wanted measures.
 
     min |s - s0|² with c(s) = c, by s ← s0 + Jᵀ (J Jᵀ)⁻¹ (c - c(s) + J (s - s0)): heights are
     linear in the shape and volumes nearly so.
@@ -202,7 +202,7 @@ def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
         values, slopes = _linear(base, (tall,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, Lean):
-        # "heavy" and "slim" are relative to people of this height
+        # heavy and slim are relative to people of this height
         goal = float(tall(base)) if metres is None else metres
         shape = nearest_shape(base, (tall,), (goal,), free)
         _, slopes = _linear(shape, (tall, heavy), free)

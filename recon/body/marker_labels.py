@@ -1,4 +1,4 @@
-"""Landmarks that marker labels mean: those of the common protocols, and a user's own mapping.
+"""The landmark of each marker label, by the common protocols or a mapping of the user's.
 
 Labels map to landmarks through `assets/markers.toml`; a marker's own distance from the skin is not
 part of it.
@@ -31,7 +31,7 @@ def normalised(label: str) -> str:
 
 
 def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Landmark of every known label, and the labels nobody knows, in their order.
+    """Landmark of every known label, and the unknown labels in their order.
 
     Labels keep the spelling they came with. Two labels may share a landmark. A recording that
     uses one label for several markers must be told apart before: equal labels are one entry. A
@@ -73,7 +73,7 @@ def _without_beginning(labels: Sequence[str]) -> dict[str, str] | None:
 
 
 def load_marker_map(path: str | Path) -> dict[str, int | None]:
-    """A user's own mapping, marker label -> vertex number on the bundled body.
+    """Read a user's mapping from marker labels to vertex numbers of the bundled body.
 
     The file is JSON or TOML with one entry per marker: `"Subject:LASI": "left_asis"` (a landmark's
     name) or `"C7": 1234` (a vertex number); an empty text leaves a marker out and gives None.
@@ -100,7 +100,7 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
 
 
 def mapping_to_write(labels: Sequence[str]) -> str:
-    """The beginning of a mapping file for labels that nobody knows, for messages."""
+    """The beginning of a mapping file for unknown labels, for messages."""
     shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
     more = ", ..." if len(labels) > 3 else ""
     return (
@@ -155,7 +155,7 @@ def _synonyms() -> Mapping[str, str]:
 
 @cache
 def _centres() -> Mapping[str, str]:
-    """Normalised label of a computed joint centre -> that of the marker beside it."""
+    """Normalised label of a computed joint centre -> label of the marker beside it."""
     pairs = cast("dict[str, str]", _sections()["centres"])
     return MappingProxyType(
         {

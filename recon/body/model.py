@@ -50,7 +50,7 @@ class BodyModel(TensorStruct):
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> "BodyModel":
-        """The bundled body, or a SMPL, SMPL-H or SMPL-X file of one's own (.npz or .pkl).
+        """Load the bundled body, or a SMPL, SMPL-H or SMPL-X file (.npz or .pkl).
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -58,7 +58,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled()
-        from recon.formats.smpl import load_smpl  # imported here: few users load their own body
+        from recon.formats.smpl import load_smpl  # most fits use the bundled body
 
         path = Path(path)
         arrays = load_smpl(path).of_body()
@@ -122,7 +122,7 @@ class BodyModel(TensorStruct):
 
 @dataclass(frozen=True)
 class PosedBody:
-    """A body in a motion; surface points are skinned when asked for."""
+    """A body model posed by a motion; vertices are computed on first use."""
 
     model: BodyModel
     shape: Float[Tensor, "*batch shape"]
@@ -135,7 +135,7 @@ class PosedBody:
 
     @cached_property
     def vertices(self) -> Float[Tensor, "*batch time vertices 3"]:
-        """The whole surface, metres; computed on first use and kept."""
+        """All vertices, metres; computed on first use and cached."""
         return self.points(torch.arange(len(self.model.template), device=self.joints.device))
 
     @property

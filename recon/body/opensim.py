@@ -94,7 +94,7 @@ round leaves less than a tenth of the error."""
 def opensim_coordinates(
     motion: Motion, body: BodyModel, model: OpenSimModel
 ) -> dict[str, Float[np.ndarray, " time"]]:
-    """Coordinates of a model by name in its own order: degrees, the pelvis's place in metres.
+    """Coordinates of an OpenSim model by name, in the model's order; degrees, pelvis metres.
 
     The ground of OpenSim has y up; the turn from our world is that of `to_z_up("y")`, undone.
     Joints of a model that turn about fewer axes than ours get the angles with which the model

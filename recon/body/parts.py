@@ -36,7 +36,7 @@ class Parts(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "Parts":
-        """Parts of a body; made once for each body and kept.
+        """Parts of a body; computed once per body and cached.
 
         Raises:
             ValueError: when a part has no face, so that it has no volume.

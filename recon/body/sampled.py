@@ -24,7 +24,7 @@ _SOLE = 0.015
 
 @dataclass(frozen=True)
 class SampledSurface(TensorStruct):
-    """Chosen vertices, those of a part in one run, and the skin around each."""
+    """Sampled vertices, grouped by body part, with the area of skin that each stands for."""
 
     vertices: Int[Tensor, " points"]
     areas: Float[Tensor, " points"]
@@ -35,7 +35,7 @@ class SampledSurface(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "SampledSurface":
-        """The points of a body; chosen once for each body and kept."""
+        """The sampled points of a body; chosen once per body and cached."""
         if body.template not in _KNOWN:
             _KNOWN[body.template] = _sampled(body)
         return _KNOWN[body.template]

@@ -1,4 +1,4 @@
-"""Axes of the body's segments: x forwards, y up, z to the right of the person who stands.
+"""Axes of the body's segments; on a standing person x is forwards, y up, z to the right.
 
 The axes are built once on the unposed body, from its joints and bony landmarks, and then carried
 by the bones. `isb_axes` follows the International Society of Biomechanics (Wu et al. 2002,

@@ -76,7 +76,7 @@ def run_command(command: Callable[[], object]) -> int:
 
 
 def _version() -> str:
-    """Versions for bug reports; that of torch is found without importing it."""
+    """Versions for bug reports; torch's is read without importing torch."""
     from importlib.metadata import version
 
     return f"recon {__version__}, torch {version('torch')}, Python {platform.python_version()}"

@@ -20,7 +20,7 @@ _DIM, _YELLOW, _PLAIN = "\x1b[2m", "\x1b[33m", "\x1b[0m"
 
 @contextmanager
 def quietly(is_quiet: bool) -> Iterator[None]:
-    """Suppress all output but that of `last`, `complain`, `answer` and `facts`, if asked to."""
+    """If asked to, suppress all output except by `last`, `complain`, `answer` and `facts`."""
     before, log = _quiet.set(is_quiet), logging.getLogger()
     level = log.level
     log.setLevel(logging.ERROR if is_quiet else level)
@@ -38,7 +38,7 @@ def say(message: str) -> None:
 
 
 def note(message: str) -> None:
-    """Print a line about an assumption that may explain a surprising result."""
+    """Print an assumption, which may explain a surprising result."""
     if not _quiet.get():
         _line(message, _DIM)
 

@@ -17,7 +17,7 @@ from recon.method.plugins import VERBS, registered
 
 
 def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
-    """Whether an input is one file, or a folder of scans or of several cameras."""
+    """The output: one file, or a folder for scans and for several (calibrated) cameras."""
     several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
     return (Output(out, Kind.FOLDER if several and out.suffix != ".npz" else Kind.FILE),)
 
@@ -58,7 +58,7 @@ WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
 
 
 def names() -> tuple[str, ...]:
-    """Names of all verbs: those of the core, then those of optional packages that exist."""
+    """Every verb: the core's, then the registered ones whose package is installed."""
     return (*CORE, *sorted(name for name, place in registered(VERBS).items() if _is_there(place)))
 
 

@@ -45,7 +45,7 @@ def look_at(given: Mapping[str, Any]) -> None:
 
 
 def refuse_foreign(paths: Sequence[Path]) -> None:
-    """Refuse files that cannot be fitted, judging by program, suffix and first bytes.
+    """Refuse files that cannot be fitted, recognised by producer, suffix and first bytes.
 
     Raises:
         ValueError: says what was seen and what would fit.
@@ -67,7 +67,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
 
 
 def _wrong(path: Path, head: bytes, *, known: bool) -> str | None:
-    """The reason to refuse a file, by its suffix and first bytes; None if there is none."""
+    """The fault of a file, by its ending and first bytes; None if it has none."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
     first = repr(text.strip().splitlines()[0][:60]) if text.strip() else "nothing"

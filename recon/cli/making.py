@@ -65,7 +65,7 @@ class Verb:
 
 
 def command(name: str, verb: Verb) -> Callable[..., None]:
-    """The function behind a command line: it checks arguments, computes, writes and reports."""
+    """The function behind a verb: it checks, computes, writes and reports."""
     node = _function(verb.place)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
     own = [one for one in _parameters(node) if one.name not in taken]

@@ -1,4 +1,4 @@
-"""The verb and arguments of a command line, or the message of what is wrong with it."""
+"""Parses a command line to a verb and its arguments, or to an error message."""
 
 import functools
 import inspect
@@ -42,7 +42,7 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
 
 
 def _of_all(words: list[str]) -> list[str]:
-    """Turn `VERB --all` into the verb `VERB-all`, which another package defines."""
+    """`VERB --all` is the verb `VERB-all`, which another package registers."""
     option = listing.WHOLE.get(words[0], ()) if words else ()
     for k in range(len(words)):
         for spelt in (list(option), ["=".join(option)]):
@@ -100,7 +100,7 @@ def options_of(verb: Callable[..., None]) -> set[str]:
 
 
 def _options(name: str, hint: Any, default: Any) -> set[str]:
-    """The options of one parameter; of settings, those of all their fields."""
+    """The options of one parameter; a record of settings has one option per field."""
     from tyro.conf import Positional
 
     if is_dataclass(default):

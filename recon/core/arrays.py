@@ -40,7 +40,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
 
 
 def geometries_given(given: Any) -> tuple[Any, ...]:
-    """Geometries of Open3D, one per frame, known by what they have; else none.
+    """Geometries of Open3D, one per frame, recognised by their attributes; empty if it is none.
 
     Depth images are pairs (image, lens).
     """

@@ -118,7 +118,7 @@ class Camera(TensorStruct):
         return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
 
     def at(self, moments: range) -> "Camera":
-        """The camera at some moments of its own clock; beyond its poses it stands still.
+        """The camera at given frames of its clock; outside its poses it stands still.
 
         Its poses have an axis of frames, of length one for a fixed camera.
         """
@@ -184,7 +184,7 @@ class Camera(TensorStruct):
 
 
 def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: str = "") -> None:
-    """Refuse impossible intrinsics of a camera.
+    """Refuse intrinsics that no real camera has.
 
     Args:
         matrix: (3, 3), pixels.

@@ -1,4 +1,4 @@
-"""Point clouds as arrays, and their unit and up axis, inferred from the person in them."""
+"""Clouds of points: as arrays, and their unit and up axis, found from the person in them."""
 
 from typing import Any, get_args
 
@@ -82,7 +82,7 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
 def up_of_clouds(
     clouds: list[Float[np.ndarray, "_ 3"]], name: str, *, told: bool
 ) -> tuple[Up, tuple[str, ...]]:
-    """The up direction of scans of a person alone, and a note if it is not z.
+    """The up direction of scans of one person, and a note where it is not z.
 
     The longest axis is up, or down: the lower end stays on the floor, is wider, as feet stand
     apart, and has less of the body near it. Scans that show a room have z up, and those of

@@ -1,4 +1,4 @@
-"""Unit and up axis of a recording, inferred from the size and posture of the body in it."""
+"""Unit and up axis of a recording, found from the size and the posture of the body in it."""
 
 import re
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ _STILL = 0.02
 
 
 def unit_from_bones(length: float, name: str) -> tuple[str, str]:
-    """Unit in which a head-to-foot bone path is as long as that of a person, and the reason.
+    """Unit that gives a head-to-foot path of bones human length, and the reason for the choice.
 
     Raises:
         ValueError: when no unit fits.
@@ -115,7 +115,7 @@ def unit_of_path(
     up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
-    """Unit of a body's path for which a foot stands still, and the reason if it is not metres.
+    """Unit of the body's path in which feet in contact stand still; the reason if not metres.
 
     Of somebody who hardly goes anywhere it is that in which the feet are at height zero.
 
@@ -281,7 +281,7 @@ def axis_of_floor(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> tuple[Up, str] | None:
-    """The direction that is up by the plane of movement, for somebody who crouches or bends.
+    """The up direction as the normal of the plane of movement, for people who crouch or bend.
 
     Along it, the lowest point that moves stays where the floor is. None where that is not clear.
 
@@ -322,7 +322,7 @@ def surely_up(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Up | None:
-    """The direction of the body if it clearly contradicts the declared up axis, else None.
+    """The body's upright direction if it clearly contradicts the declared up axis, else None.
 
     None otherwise.
 

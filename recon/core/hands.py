@@ -1,4 +1,4 @@
-"""Left- or right-handed coordinates, inferred from the names left and right of body points."""
+"""Handedness of coordinates, found from where the body faces given its left and right labels."""
 
 from collections.abc import Sequence
 
@@ -32,7 +32,7 @@ def facing(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, " time"]:
-    """Whether feet, knees, trunk and face point to the front that left and right imply, -1 to 1.
+    """Agreement (-1 to 1) of where feet, knees, trunk and face point with left-right labels.
 
     Each limb has an up of its own, u, and the hips or shoulders a right, r; u x r points forwards.
     It is that of right-handed coordinates: in mirrored ones knees bend backwards and toes point
@@ -85,7 +85,7 @@ def right_handed(
     visible: Bool[np.ndarray, "time points"],
     hand: Hand | None = None,
 ) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
-    """Factors (1 or -1) of the axes that make coordinates right-handed, and a note about it.
+    """Signs of the axes that make coordinates right-handed, and a note about the change.
 
     Args:
         names: as of `facing`.

@@ -1,4 +1,4 @@
-"""Names of a package whose modules are imported on first use."""
+"""Names of a package that are imported only when they are first used."""
 
 import sys
 from collections.abc import Callable, Mapping

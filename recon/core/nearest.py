@@ -91,7 +91,7 @@ def nearest_alike(
     for some in moments.split(_AT_ONCE):
         open_ = allowed[some]
         most = int(open_.sum(-1).max())
-        # sort allowed points to the front, keeping their order
+        # indices of the allowed points before those of all others, each group in its order
         pick = torch.argsort(~open_, dim=-1, stable=True)[:, :most]
         there = surface[some].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
         middle = there.mean(1, keepdim=True)  # centred, to keep rounding errors small

@@ -214,7 +214,7 @@ def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]
 
 
 def _axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3 3"]:
-    """Principal axes as columns, that of the least extent first."""
+    """Principal axes as columns, by increasing extent."""
     centred = points - points.mean(0)
     return np.linalg.eigh(centred.T @ centred)[1]
 
@@ -352,6 +352,6 @@ def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " poin
     normal = design.transpose(0, 2, 1) @ design + 1e-6 * np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = inverse @ (design.transpose(0, 2, 1) @ far[near][..., None])
-    # add the error of the fitted plane, which comes from the noise of the neighbours
+    # the fitted plane is uncertain too, because its points are noisy
     spread = np.sqrt(1 + inverse[:, 0, 0])
     return np.abs(far - plane[:, 0, 0]) / spread

@@ -31,7 +31,7 @@ class Raster:
 
     @cached_property
     def covered(self) -> Bool[np.ndarray, "height width"]:
-        """Mask of pixels that show a face."""
+        """Mask of the pixels that show a face of the mesh."""
         return np.isfinite(self.depth)
 
 

@@ -53,7 +53,7 @@ class UnknownGround(TensorStruct):
 
     @classmethod
     def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
-        """The ground at the recording's own z = 0, to begin with."""
+        """An initial scene whose ground is z = 0 of the recording."""
         return cls(torch.zeros_like(pivot[..., :2]), torch.zeros_like(pivot[..., 0]), pivot)
 
     @property
@@ -76,7 +76,7 @@ class UnknownGround(TensorStruct):
 
 @dataclass(frozen=True)
 class UnknownLens(TensorStruct):
-    """The focal length of a camera that nobody calibrated and whose pose is not known.
+    """The unknown focal length of an uncalibrated camera of unknown pose.
 
     A camera farther away with a longer lens shows almost the same. So the camera moves back along
     its viewing axis while its focal length grows (a dolly zoom): the person keeps the size in the

@@ -52,13 +52,13 @@ class TensorStruct:
         return cast(Any, self).map(lambda tensor: tensor[index])
 
     def replace(self: _S, **fields: Any) -> _S:
-        """The record with some fields exchanged; it is checked as a new one is."""
+        """The record with some fields replaced, checked like a new one."""
         return dataclasses.replace(cast(Any, self), **fields)
 
     def derived(self: _S, **fields: Any) -> _S:
-        """The record with some fields exchanged by values that follow from its own.
+        """The record with some fields replaced by values that were computed from it.
 
-        It is not checked again, as `replace` does: records are derived in every evaluation.
+        Unlike `replace` it checks nothing, for speed: records are derived in every evaluation.
         """
         record = object.__new__(type(self))
         for field in dataclasses.fields(cast(Any, self)):
@@ -88,12 +88,12 @@ S = TypeVar("S", bound=TensorStruct)
 
 
 def concatenate(records: list[S], dim: int = 0) -> S:
-    """Join equal records along one axis of every tensor; settings are those of the first."""
+    """Concatenate records of one structure along one axis; other fields come from the first."""
     paths = records[0].tensors()
     joined = iter([torch.cat([r.tensors()[path] for r in records], dim) for path in paths])
     return records[0].map(lambda _: next(joined))
 
 
 def stack(records: list[S]) -> S:
-    """Join equal records along a new leading batch axis; settings are those of the first."""
+    """Stack records of one structure along a new batch axis; other fields come from the first."""
     return concatenate([record.map(lambda tensor: tensor[None]) for record in records])

@@ -1,4 +1,4 @@
-"""Checks of cameras by the fitted person: distance, focal length, size, undeclared motion.
+"""What a fitted person reveals about cameras: distance, focal length, scale and movement.
 
 Whoever stands, walks or dances has some part of a foot at rest on the ground most of the time. In
 the image of a fixed camera its keypoints then stay where they are. In that of a phone in the hand,
@@ -50,7 +50,7 @@ _LEAST, _MOST = 0.5, 2.0
 
 
 def lens_findings(name: str, found: ClipFit) -> Findings:
-    """A finding with the estimated focal length of a camera without calibration.
+    """A finding with the fitted focal length of the uncalibrated camera; none if all are known.
 
     A warning where it is none of a phone's main camera.
 
@@ -236,7 +236,7 @@ def _slowest(images: Images, lag: float) -> tuple[Float[np.ndarray, " moments"],
 
 
 def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
-    """A warning when the clip's only camera moves although it is declared fixed.
+    """A finding if the only camera of a clip moves although it is declared fixed.
 
     Args:
         name: of the camera, for the message.

@@ -1,4 +1,4 @@
-"""A camera that turns though it is declared fixed: standing feet all turn about one axis.
+"""Detects a camera that turns although declared fixed: all standing feet turn about one axis.
 
 In the frame of a camera that is carried around a person, or panned, the whole room turns the other
 way. Feet that stand in the room then move as points of one rigid plate, all of them at one rate
@@ -108,7 +108,7 @@ def carried_finding(
     *,
     rests: bool = False,
 ) -> Finding | None:
-    """A warning when the clip's only camera turned although it is declared fixed.
+    """A finding if the only camera of a motion turned although it is declared fixed.
 
     Args:
         name: of the camera, for the message.

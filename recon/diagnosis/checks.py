@@ -69,7 +69,7 @@ def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 @before_fit("named")
 def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
-    """Points on a treadmill are carried along with its belt, unless a sensor stays in the room."""
+    """Detect a treadmill and move points with its belt, unless a sensor is fixed to the room."""
     if clip.belt is None:
         return clip, NOTHING
     tracked = [one.named for one in clip.observations if one.named]
@@ -88,7 +88,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
-    """Report the estimated focal length of a camera without calibration."""
+    """Report the fitted focal length of an uncalibrated camera."""
     from recon.diagnosis.cameras import lens_findings
 
     return clip, lens_findings(clip.names[0], clip.fit)
@@ -118,7 +118,7 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
 
 
 def _broken(clip: Examined) -> bool:
-    """Whether other faults make the motion's speed useless as evidence of the frame rate."""
+    """Whether other faults make the speed useless for judging the frame rate."""
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
@@ -255,7 +255,7 @@ def body_findings(found: ClipFit) -> Findings:
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
-    """Warn of images that agree better when mirrored, unless that was reported before."""
+    """Warn of images that agree better when mirrored, unless the checks before the fit did."""
     from recon.diagnosis.keypoints import together
     from recon.diagnosis.odds import mirror_warnings
 
@@ -291,7 +291,7 @@ first guesses leave smaller differences to the fit that follows."""
 
 @after_fit()
 def other_motions(clip: Examined) -> tuple[Examined, Findings]:
-    """Warn of the likeliest other motion, where it explains the data nearly as well."""
+    """Warn of the likeliest alternative motion if it explains the data nearly as well."""
     close = [
         one
         for one in clip.alternatives

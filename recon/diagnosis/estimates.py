@@ -133,7 +133,7 @@ def _share_of_usual(
     body: BodyModel,
     points: Float[Tensor, "time points 3"],
 ) -> float:
-    """The estimate's errors as a share of those of a usual network on video, from _LEAST to 1.
+    """Errors of the estimate relative to a usual network's on video, clamped to [_LEAST, 1].
 
     Two things tell that an estimate is noisy: points jitter about the path, and no foot ever
     stands. Where too few frames are known to see it, the share is 1.
@@ -153,7 +153,7 @@ def _share_of_usual(
 
 
 def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """The motion with left and right exchanged back where needed, and a note about it."""
+    """The motion with left and right limbs exchanged back, and the repairs."""
     rotations, repairs = motion.rotations.clone(), list[Finding]()
     for limb, parts in _LIMBS.items():
         joints = tuple(

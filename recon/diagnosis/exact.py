@@ -67,7 +67,7 @@ def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
 
 
 def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """Mark frames as unseen in which all points repeat the previous frame bit for bit."""
+    """Mark frames as unseen in which every point equals the previous frame bit for bit."""
     same = unchanged(points.positions, points.visible)
     whole = (same | ~points.visible).all(1) & (same.sum(1) >= 2)
     if not whole.any() or whole[1:].all():
@@ -93,7 +93,7 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
     computed = temporal_noise(points) < _NOISELESS
     for point, bone in enumerate(points.bones):
-        # root-relative data keep the zeros of their root; all other zeros were removed before
+        # root-relative points keep their root at zero: other zeros were removed above
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
         for first, last in stretches(same[:, point], _REPEATS - 1):
@@ -135,7 +135,7 @@ _FEWEST_FEET = 0.3
 
 
 def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
-    """Height of the ground below a quick fit, metres; zero where it is at z = 0 or unknown.
+    """Height of the ground under a quick fit, metres; zero if it agrees with z = 0 or is unknown.
 
     It is unknown where feet hid, and where none that is seen ever stands: the hidden feet of a
     handstand say nothing about the floor. Nor does a quick fit whose soles are far from the points
@@ -160,7 +160,7 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
 
 
 def floor_finding(height: float) -> Finding:
-    """The finding for a ground that was moved."""
+    """The finding that the ground was moved to another height."""
     return Finding(
         "floor",
         f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "

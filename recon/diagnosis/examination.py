@@ -27,7 +27,7 @@ _QUANTILES = (0.5, 0.9, 0.99)
 
 @dataclass(frozen=True)
 class ResidualSummary:
-    """How far one sensor's data are from the fitted body, in the sensor's own unit."""
+    """Residuals of one sensor after the fit, summarised in the sensor's unit."""
 
     name: str
     unit: Unit
@@ -151,7 +151,7 @@ class Examined(CheckedClip):
         return torch.from_numpy(self.observed[: self.motion.frames])
 
     def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
-        """What is known of the frames of the fitted motion resampled to another rate.
+        """Per-frame results (observed joints, contacts, deviations) at another frame rate.
 
         By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
         coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that
@@ -182,16 +182,16 @@ class Examined(CheckedClip):
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
 AfterFit = Callable[[Examined], tuple[Examined, Findings]]
 Check = BeforeFit | AfterFit
-"""One thing that is looked for: the clip, put right where that is sure, and what was found."""
+"""Looks for one fault: takes the clip, returns it (repaired where certain) with the findings."""
 
 
 Clip = TypeVar("Clip", bound=CheckedClip)
 
 
 def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
-    """The clip after some checks, one after the other, with all that they found.
+    """Run the checks one after the other; the returned clip has all their findings.
 
-    A check that names what it `sees` is not asked about clips without such sensors.
+    A check with `sees` is skipped for clips without such sensors.
     """
     kinds = ("named", "view", "cloud")
     there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
@@ -205,8 +205,8 @@ def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
     """Decorator of a check of the data before the fit; it may repair them.
 
     Args:
-        sees: properties of the sensors that it speaks of, `named`, `view` or `cloud`; the check is
-            not asked about clips without such. None of them: it speaks of any sensor.
+        sees: kinds of sensors that it needs, `named`, `view` or `cloud`; clips without
+            them skip the check. Without any, it runs for every clip.
     """
     return partial(_marked, sees=sees, comes_before_fit=True)
 

@@ -1,4 +1,4 @@
-"""Hypotheses of what is wrong with one camera of several, and the error after correction."""
+"""Hypotheses for an error of one camera among several, and the error after correction."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

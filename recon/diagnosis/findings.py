@@ -19,27 +19,27 @@ Code = Literal[
     "rate",  # the number of frames per second is wrong by a factor
     "frame order",  # frames are not in the order of time
     "repeated frames",  # frames occur more than once
-    "floor",  # the ground is not at the height that the recording says
+    "floor",  # the ground is not at the height that the recording states
     "scale",  # everything is larger or smaller than a person by one factor
     "mirrored",  # the recording is a mirror image
     "outliers",  # many points are far from any body
     "camera moves",  # a camera that is declared fixed moves
     "view at odds",  # one camera contradicts the others, by its pose or by what it shows
     "views out of step",  # one camera's clock is shifted against the others'
-    "wrong basin",  # a fit to depth has locked on to the wrong posture or heading
-    "unseen",  # frames or limbs that nothing was seen of; they are inferred
+    "wrong basin",  # a fit to depth converged to a wrong posture or heading
+    "unseen",  # frames or limbs without data; the prior infers them
     "guessed",  # a large part of the body was not seen, and its standard deviation is large
     "undecided",  # another motion explains the data nearly as well
     "treadmill",  # all standing feet are carried along at one velocity
     "uneven ground",  # feet stand at several heights, or the person sits
-    "residual",  # the body stays away from the data for a reason that is not known
-    "body size",  # the fitted person is smaller, larger or odder than people are
+    "residual",  # residuals are larger than the noise explains, for an unknown reason
+    "body size",  # the fitted height or shape is outside the human range
     "body surface",  # the skins of two bodies do not agree, between which a motion is carried
     "distance",  # a camera would be nearer or farther than people are filmed
     "gap",  # a stretch of frames without data
     "jump",  # the body moves faster between two frames than the data does
     "joint centres",  # points that are called markers lie inside the body
-    "focal",  # nobody measured the focal length of the camera; it was found with the motion
+    "focal",  # the camera is not calibrated; its focal length was fitted with the motion
     "stopped",  # the caller ended the fit before it was done
 ]
 """The likeliest cause of a finding."""
@@ -47,7 +47,7 @@ Code = Literal[
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: a sentence and its numbers."""
+    """A repair, warning or diagnosis: its kind, its message and the numbers behind it."""
 
     code: Code
     message: str
@@ -62,7 +62,7 @@ class Finding:
     """Names of the sensors that it speaks of; empty means all."""
 
     def of(self, sensor: str) -> "Finding":
-        """The finding as that of one sensor, whose name begins the message."""
+        """The finding attributed to one sensor: its message begins with the sensor's name."""
         return replace(self, message=f"{sensor}: {self.message}", sensors=(sensor,))
 
     def report(self) -> dict[str, Any]:
@@ -90,7 +90,7 @@ class Findings:
         )
 
     def of(self, sensor: str) -> "Findings":
-        """The findings as those of one sensor, whose name begins the messages."""
+        """The findings attributed to one sensor: their messages begin with the sensor's name."""
         every = (self.repairs, self.warnings, self.diagnosis)
         return Findings(*(tuple(one.of(sensor) for one in some) for some in every))
 

@@ -67,7 +67,7 @@ def rates_by_falls(movement: Movement) -> Bounds:
 
 
 def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.ndarray:
-    """Downward acceleration over g of every piece, zero where it is no parabola."""
+    """Downward acceleration in g of every piece; zero if the piece is not a parabola."""
     time = (np.arange(pieces.shape[1]) - (pieces.shape[1] - 1) / 2) / fps
     basis = np.stack((np.ones_like(time), time, time**2), -1)
     solution = pieces @ np.linalg.pinv(basis).T
@@ -147,7 +147,7 @@ def _imbalance(movement: Movement, factor: float) -> float:
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
-    # the standing foot's corners replace those of the foot in the air, and so count twice
+    # corners of a raised foot are replaced by the standing foot's: the hull stays the same
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
     return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
 
@@ -268,7 +268,7 @@ def rate_range(
     low = max((bound[0] for bound in limits.values()), default=math.inf)
     high = min((bound[1] for bound in limits.values()), default=0.0)
     if low > high:
-        # no law of movement applies, or they contradict each other: not only the rate is wrong
+        # no test applies, or the tests contradict each other: the rate is not the only fault
         return None
     against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
     return RateRange(low, high, against or tuple(limits))
@@ -277,7 +277,7 @@ def rate_range(
 def rate_finding(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> Finding | None:
-    """A warning that the frame rate is wrong by a factor, or None where it can be true."""
+    """A warning that the frame rate is wrong by a factor; None if it is plausible."""
     found = rate_range(motion, body, observed)
     if found is None or found.holds:
         return None
@@ -286,8 +286,8 @@ def rate_finding(
     bounds = f"at most {found.high:.2g}" if found.high < 1 else f"at least {found.low:.2g}"
     return Finding(
         "rate",
-        f"at {motion.fps:g} frames per second the person moves too {way}: "
-        f"{' and '.join(found.evidence)} asks for {bounds} times that rate. Check the frame rate; "
-        f"it is likely about {motion.fps * factor:.3g}",
+        f"the person moves too {way}: {' and '.join(found.evidence)} asks for {bounds} times the "
+        f"frame rate that was given. Check it; the true one is likely about {factor:.2g} times "
+        "as high",
         value=factor,
     )

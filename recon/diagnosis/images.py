@@ -85,7 +85,7 @@ class Images:
 
     @property
     def sensors(self) -> list[Keypoints2D]:
-        """The views as sensors again, with their keypoints and poses replaced by these.
+        """The views with these keypoints and camera poses instead of the given ones.
 
         Views of which nothing changed are the very same objects.
         """
@@ -114,14 +114,14 @@ class Images:
 
     @property
     def noise(self) -> Float[np.ndarray, " views"]:
-        """Standard deviation of a pixel coordinate in every view; infinite where nobody knows."""
+        """Standard deviation of a pixel coordinate in every view; infinite if unknown."""
         pixels, seen = torch.from_numpy(self.pixels), torch.from_numpy(self.seen)
         each = zip(pixels, seen, strict=True)
         return np.array([estimate_noise(*view, (0.0, np.inf)) for view in each])
 
     @cached_property
     def counterparts(self) -> Int[np.ndarray, " points"]:
-        """Index of every keypoint's counterpart on the other side; its own in the middle."""
+        """Index of every keypoint's left-right counterpart; its own index if it has none."""
         sides = {"left": "right", "right": "left"}
         parts = [name.partition("_") for name in self.points]
         others = ["".join((sides.get(side, side), *rest)) for side, *rest in parts]

@@ -1,4 +1,4 @@
-"""2D keypoints before a fit: zeros, copies, held places, outliers, jumps and lost order.
+"""Checks of 2D keypoints: zeros, repeated frames, frozen points, outliers, jumps, frame order.
 
 Detectors are noisy, so no keypoint has the same coordinates twice in a row; software that fills
 what it has lost writes zeros, the last place, or the whole last frame again.
@@ -119,7 +119,7 @@ def hidden(
     keypoints: Bool[np.ndarray, "views moments points"],
     said: Callable[[int, Seen], Finding],
 ) -> tuple[Images, Findings]:
-    """The images with some keypoints marked as unseen, and a finding per view concerned."""
+    """The images with some keypoints marked as unseen, and a finding for each such view."""
     rows = [v for v, here in enumerate(keypoints) if here.any()]
     repairs = tuple(said(v, keypoints[v]).of(images.names[v]) for v in rows)
     return images.without(keypoints), Findings(repairs)
@@ -294,7 +294,7 @@ def screen_views(
 
 
 def screened(images: Images) -> tuple[Images, Findings]:
-    """The views of one clock and layout after all repairs, and what was found."""
+    """The views (same clock and layout) after all repairs, with the findings."""
     images, found = in_turn(images, (repaired_zeros, repaired_copies, repaired_held))
     # frames in a wrong order would look like outliers
     if not (disorder := order_findings(images)):

@@ -57,7 +57,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if any(ends in ((a, b), (b, a)) for ends in touched):
             continue
         own = sum(float(misfit[ends][ends[1]]) for ends in touched)
-        if own <= max(best, _SAVED):  # no exchange can save more
+        if own <= max(best, _SAVED):  # no exchange lowers the cost further
             continue
         new = sum(float(misfit[ends][b if ends[1] == a else a]) for ends in touched)
         if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
@@ -129,7 +129,7 @@ def exchanged_pairs(points: NamedPoints) -> Exchanges:
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _flips(points, [pair])
-        # after an odd number of exchanges it is unknown which side was first
+        # an odd number of exchanges leaves open whether the first frame was right
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
@@ -163,7 +163,7 @@ def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray
 
 
 def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Mask of frames after an odd number of exchanges; empty where there are implausibly many."""
+    """Frames after an odd number of exchanges; none if there are implausibly many exchanges."""
     odd = np.cumsum(flips) % 2 == 1
     return odd if flips.sum() <= max(2, len(flips) // 8) else np.zeros_like(odd)
 

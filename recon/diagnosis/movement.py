@@ -287,14 +287,14 @@ def _near(
 
 
 def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
-    """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
+    """Points given in the room's frame, moved to the frame of the belt (m/s, horizontal)."""
     path = _path(points.positions.shape[-3], points.fps, points.start_time, belt)
     moved = points.positions - path.to(points.positions)[:, None]
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
 
 def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
-    """A motion in the frame that moves with the belt, in the room; with -belt the other way."""
+    """A motion given in the belt's frame, moved to the room's; with -belt the inverse."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
 
 

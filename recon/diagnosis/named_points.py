@@ -63,7 +63,7 @@ class NamedPoints:
 
     @property
     def observation(self) -> TrackedPoints:
-        """The observation with these positions instead of its own, zero where not visible."""
+        """A copy of the observation with these positions; zero where not visible."""
         positions = self.positions * self.visible[..., None]
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
         return self.given.replace(
@@ -98,7 +98,7 @@ class NamedPoints:
 
     @property
     def counterparts(self) -> tuple[int, ...]:
-        """Index of every point's mirror image on the body; its own index where there is none.
+        """Index of every point's left-right counterpart; its own index if it has none.
 
         Joints and landmarks of the bundled body come in pairs; the rest pose is symmetric.
         """
@@ -200,7 +200,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             spread = float(np.median(np.abs(seen - middle)))
             for one in (a, b):
                 wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
-    # a point is right if it also ends another bone, and all its other bones have the right length
+    # a point is wrong if all of its bones are: a bone of right length vouches for both ends
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
 
 

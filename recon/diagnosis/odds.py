@@ -80,14 +80,14 @@ def all_mirrored(images: Images) -> tuple[Images, Findings]:
 
 
 def mirror_warnings(images: Images) -> tuple[Finding, ...]:
-    """A warning about images that agree better when mirrored, which are not changed."""
+    """Warnings about images that agree better when mirrored but were not changed."""
     said = mirrored_together(images)[1]
     todo = "mirror the videos back before keypoints are detected"
     return () if said is None else (replace(said, message=f"{said.message}; {todo}"),)
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """The mirrored images, a finding if they agree better, and whether the agreement is full.
+    """The mirrored images, the findings if they agree better, and whether they agree fully.
 
     One view is not enough: it shows what the mirrored person would have done.
     """
@@ -104,7 +104,7 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
 
 
 def another_image(images: Images) -> tuple[Images, Findings]:
-    """Correct one view that agrees with the others only when it is mirrored or scaled.
+    """A finding about one view that agrees with the others only when mirrored or scaled.
 
     Looked for before names are, as wrong pixels make names look wrong.
     """
@@ -181,7 +181,7 @@ _CAUSES: dict[Cause, tuple[Code, str, str]] = {
 
 
 def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
-    """Leave out a view that contradicts the others where these agree; otherwise warn."""
+    """Leave out a contradicting view (or stretches of it) if the others agree, else warn."""
     views = range(len(images.names))
     rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))

@@ -1,4 +1,4 @@
-"""Checks of 3D points before a fit; faults that are certain are repaired."""
+"""Checks of 3D points before a fit: finds faults and repairs those that are certain."""
 
 from dataclasses import replace
 from functools import partial
@@ -134,7 +134,7 @@ def _exchanged(
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
-        # first let the fit try to reach the points before it calls them wrong
+        # first fit again towards the suspicious points: if the body reaches them they are right
         fitted = pursued(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
@@ -148,7 +148,7 @@ def _exchanged(
 def _exchanged_back(
     named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
 ) -> tuple[NamedPoints, Findings]:
-    """The points with the names of a pair exchanged back at some moments, and the finding."""
+    """The points with a pair's labels exchanged in some frames, and the finding about it."""
     names = (named.names[pair[0]], named.names[pair[1]])
     frames = () if moments.all() else stretches(moments)
     when = f" ({spans(frames)})" if frames else ""
@@ -165,7 +165,7 @@ def _exchanged_back(
 def _against_a_body(
     named: NamedPoints, fitted: QuickFit, body: BodyModel, *, grounded: bool
 ) -> Screened:
-    """Check single points, ground and noise by a quick robust fit."""
+    """Use a quick robust fit to find misplaced points, the height of the ground and the noise."""
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)
@@ -176,7 +176,7 @@ def _against_a_body(
         # to be left behind by a body that was fitted wrong
         return named.observation, NOTHING, None, None
     kept, wild = outliers(replace(predicted, points=kept), noise)
-    # points left out in all frames are inferred by the fit, so a warning says so
+    # points left out in all frames are inferred, which deserves a warning
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given
     if wild is not None:
@@ -188,7 +188,7 @@ def _against_a_body(
     belt = None
     if grounded and given.placed:  # root-relative points have neither heights nor paths
         height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
-        if height != 0:  # the estimated height is exact to two centimetres
+        if height != 0:  # zero: nothing contradicts the ground
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)

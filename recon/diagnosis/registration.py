@@ -191,7 +191,7 @@ class Alignment(Problem[_View]):
 
     @property
     def doubted(self) -> bool:
-        """Whether a correction could improve the view; a fast test without a search."""
+        """Whether the given pose of a view might be improved: a cheap test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
             return self.trusted
@@ -237,7 +237,7 @@ class Alignment(Problem[_View]):
     def _equations(
         self, x: _View, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Hessian, gradient step and inflation of residuals, including the prior of a shift."""
+        """Hessian, descent direction and inflation of the residuals, with the prior on a shift."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._shift(x[1]) / SHIFT**2

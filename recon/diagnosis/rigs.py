@@ -276,7 +276,7 @@ def _finding(images: Images, found: Registration) -> Finding:
 
 
 def _said(found: Registration, fps: float) -> str:
-    """A sentence about the fault of a view, with standard deviations."""
+    """The sentence that describes a view's error, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []
     if found.late:

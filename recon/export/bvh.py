@@ -1,4 +1,4 @@
-"""Writing BVH: a recording, or our own body in motion."""
+"""Writing BVH: a recording, or a motion of the body model."""
 
 import warnings
 from pathlib import Path

@@ -13,7 +13,7 @@ from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 
 INFLUENCES = 4
 """Joints per vertex: more are legal, but many readers take the first four."""
@@ -57,7 +57,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
             version="2.0", generator="recon", extras={"start_time": motion.start_time}
         ),
         scene=0,
-        # glTF ignores the node of a skinned mesh: its joints alone place it, so it is at the root
+        # a skinned mesh must be a root node: only its joints place it
         scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],
         nodes=nodes,
         meshes=[mesh],

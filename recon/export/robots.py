@@ -13,7 +13,7 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.export.skeleton import one_clip
-from recon.formats.opening import save_arrays
+from recon.formats.replacing import save_arrays
 from recon.formats.smpl import load_smpl
 from recon.ingest.transfer import Transferred, align, carried, transfer
 

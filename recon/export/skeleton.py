@@ -52,7 +52,7 @@ def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "t
     """
     vector = so3.log(rotations)
     half = vector.norm(dim=-1, keepdim=True) / 2
-    # torch.sinc also handles sin(x)/x at zero
+    # near zero sin(x)/x comes from its Taylor series
     q = torch.cat((vector * torch.sinc(half / torch.pi) / 2, half.cos()), -1)
     signs = (q[1:] * q[:-1]).sum(-1).sign()
     signs = torch.where(signs == 0, 1.0, signs).cumprod(0)

@@ -24,7 +24,7 @@ from recon.mocap.recording import MarkerRecording
 
 
 def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) -> None:
-    """Write the coordinates of an OpenSim model: degrees, metres, on the motion's own clock.
+    """Write the coordinates of an OpenSim model in degrees and metres, at the motion's times.
 
     Args:
         path: file to write.
@@ -93,7 +93,7 @@ MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "bsm"]
 def markers_of(
     motion: Motion, body: BodyModel, markers: MarkerSetName, name: str
 ) -> MarkerRecording:
-    """The markers of a set on a moving body, always seen, on the motion's own clock.
+    """Positions of a marker set on the moving body, never hidden, at the motion's times.
 
     They lie on the skin; real markers stand about a centimetre off it.
 

@@ -18,7 +18,7 @@ from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 _COLOUR = (0.55, 0.65, 0.8)
@@ -44,7 +44,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
     with replacing(path) as beside, TemporaryDirectory() as folder:
-        # USD infers the format from the file's name and parses that name: a plain one is used
+        # the library finds the format by the file name, which it parses as UTF-8 with arguments
         staged = Path(folder) / f"motion{path.suffix.lower()}"
         _save(staged, motion, body)
         shutil.copyfile(staged, beside)

@@ -42,8 +42,8 @@ LONG = 10.0
 _MOST = 1.5
 """Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
 KEYPOINT_OFFSET_DEVIATION = 0.005
-"""Metres by which a detector's idea of a joint differs between people, as one frame would tell it.
-It differs by a centimetre or two, but frames repeat each other."""
+"""Standard deviation between people of where a detector places a joint, metres, for one frame.
+The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames are correlated."""
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
@@ -65,16 +65,16 @@ def fit_clip(
 
     Where the ground is not known, the pose prior alone finds a first motion, the way people stand
     a first ground, and the method moves both further. Recordings longer than `LONG` keep the
-    ground that their first seconds tell. Without any ground (`options.grounded`) the method
+    ground found in their first seconds. Without any ground (`options.grounded`) the method
     alone is fitted, in the frame of the observations.
 
     Args:
         observations: of the clips.
         options: how to fit.
         body: whose motion it is.
-        watch: told about every iteration.
+        watch: called after every iteration.
         start: a first guess in the frame of the observations, axes (clips, time), instead of what
-            the data tell.
+            a guess from the data.
 
     Raises:
         ValueError: when some observations know the ground and others do not, or the start does

@@ -26,19 +26,16 @@ def guessed(
             f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
             "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
         )
-    if start is not None:
+    if start is None:
+        seen = labelled(observations)
+        guess = first_guess(seen, body)
+    else:
         seen = tuple(observations)
-        return seen, _of_shape(FirstGuess(checked_start(start, seen, body), True), options)
-    seen = labelled(observations)
-    return seen, _of_shape(first_guess(seen, body), options)
-
-
-def _of_shape(guess: FirstGuess, options: FitOptions) -> FirstGuess:
-    """The guess with the shape that is held or expected, if one is."""
+        guess = FirstGuess(checked_start(start, seen, body), True)
     known = options.shape
     if known is None and options.shape_prior is not None:
         known = options.shape_prior.mean
     if known is None:
-        return guess
+        return seen, guess
     shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
-    return replace(guess, motion=guess.motion.replace(shape=shape))
+    return seen, replace(guess, motion=guess.motion.replace(shape=shape))

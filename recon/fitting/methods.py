@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # imported for type checkers only: most fits are given no shape
+else:  # the shape of most people is unknown
     from typing import Any as ShapePrior
 
 

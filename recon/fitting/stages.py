@@ -33,7 +33,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     prior = loaded(options.prior, options.weights, body)
     physics: tuple[Term, ...] = ()
     if options.physics != 0:
-        # imported here: few fits use physical energies
+        # few fits need it
         from recon.physics.energies import physics_terms
 
         physics = physics_terms(noise, options.physics)
@@ -146,7 +146,7 @@ def with_physics(
     about twice as long with a part of the skin to compute, and because feet that stand wrongly in
     a first guess would be held there.
     """
-    # L-BFGS without a preconditioner: that of the other terms would make it stop too early
+    # these terms have no Hessian; L-BFGS preconditioned by the others' stops too early
     last = replace(stages[-1], name="physics", second_order=None, proposals=None)
     minimiser = replace(last.minimiser, max_iterations=iterations, scale=0.0)
     own = {term.name for term in terms}

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from recon.core.skeleton import JOINTS
 from recon.formats.motions import MotionFile
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit
 from recon.core.motion import Motion
 from recon.core.units import snapped_rate
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
 
 FORMAT_VERSION = 1
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
@@ -188,6 +188,8 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     Raises:
         ValueError: when it has a batch axis, no frames, or NaN or infinity in it.
     """
+    from recon.formats.replacing import save_arrays  # fits and readers write no files
+
     path = Path(path)
     file = MotionFile(file) if isinstance(file, Motion) else file
     motion = file.motion

@@ -14,7 +14,8 @@ from recon.core.limits import Limit
 from recon.core.units import METRES, check_override, to_z_up
 from recon.formats.cameras import CameraArrays as CameraArrays
 from recon.formats.cameras import CameraFields, settle_camera
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
 from recon.formats.scan_times import PointClock, settled_clock
 
 _POSITIONS = ("positions", "visible", "names", "fps", "up_axis")

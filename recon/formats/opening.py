@@ -1,4 +1,4 @@
-"""Arrays in files: opening archives that may be damaged, and writing them in one step."""
+"""Reading arrays from archives that may be damaged."""
 
 import lzma
 import tokenize
@@ -11,8 +11,6 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MASKS, PAYLOAD, Limit
-from recon.formats.replacing import clear_leftovers
-from recon.formats.replacing import replacing as replacing
 
 DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, KeyError, OSError, ValueError,
@@ -167,10 +165,3 @@ def load_array(path: Path) -> np.ndarray:
             f"{path}: expected an .npy file with a plain array, but it cannot be read "
             f"({error!s:.{_SAID}})"
         ) from error
-
-
-def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write an .npz file; readers see the old file or the whole new one."""
-    clear_leftovers(path)
-    with replacing(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]

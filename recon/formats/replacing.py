@@ -1,4 +1,4 @@
-"""Atomic replacement of files, and removal of what killed processes left."""
+"""Atomic writing of files and arrays, and removal of files that killed processes left."""
 
 import contextlib
 import glob
@@ -11,6 +11,8 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 
 @contextlib.contextmanager
@@ -67,6 +69,13 @@ def clear_leftovers(path: Path) -> None:
             shutil.rmtree(leftover, ignore_errors=True)
         else:
             leftover.unlink(missing_ok=True)
+
+
+def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write an .npz file; readers see the old file or the whole new one."""
+    clear_leftovers(path)
+    with replacing(path) as beside, beside.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
 def _runs(process: int) -> bool:

@@ -46,7 +46,7 @@ def joint_angles(
     convention: Literal["isb", "rajagopal2016", "gait2392"] = "isb",
     body: BodyLike = None,
 ) -> JointAngles:
-    """Joint angles of a motion, in degrees, on the motion's own clock.
+    """Joint angles of a motion in degrees, at the motion's times.
 
     They have no standard deviations: those of joints are known without the correlations that an
     angle depends on.

@@ -100,7 +100,7 @@ class Feet:
 
 
 def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.ndarray, "time ..."]:
-    """Values low-pass filtered at 12 Hz: second-order Butterworth, forwards and backwards.
+    """Low-pass at 12 Hz: a second-order Butterworth filter, applied forwards and backwards.
 
     Values at too low a rate to hold anything faster, or too few, are returned as they are.
     """

@@ -259,7 +259,7 @@ def _folded(summary: str, inside: str) -> str:
 
 
 def _scrolled(inside: str) -> str:
-    """A drawing or table that keeps legible on a phone, where it is wider than the page."""
+    """A drawing or table that scrolls sideways where it is wider than the page, as on phones."""
     return f'<div class="scroll">{inside}</div>'
 
 

@@ -50,7 +50,7 @@ MAX_POINTS = 60
 
 
 def matplotlib() -> Any:
-    """The library; refused where it is missing, saying what to install.
+    """Import matplotlib, or raise an error that says how to install it.
 
     Raises:
         ReconError: when it is not installed.

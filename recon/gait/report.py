@@ -149,7 +149,7 @@ def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """The written files, and the summary to print."""
+    """The written files, and the lines to print about them."""
 
     place: Path
     """The page."""

@@ -1,4 +1,4 @@
-"""The table of a laboratory report: every number in a row of its own."""
+"""The table of a laboratory report, one number per row."""
 
 import csv
 import io

@@ -8,7 +8,7 @@ from recon.formats.outputs import Output
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # imported late: this module loads torch, which would delay all other verbs
+    # recon.view loads torch, which other verbs must not wait for
     from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)

@@ -34,7 +34,7 @@ _FINGERS = ("finger", "thumb", "index", "mid", "ring", "pinky")
 
 @dataclass(frozen=True)
 class Conversion:
-    """A recording on our body, standing on z = 0, at its own rate unless another was asked for."""
+    """A recording fitted with the body model, on the ground z = 0, at the wanted frame rate."""
 
     motion: Motion
     joints: Float[Tensor, "time 22 3"]

@@ -178,7 +178,7 @@ def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
 def _relabelled(
     recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
 ) -> tuple[MarkerRecording, Finding] | None:
-    """The recording under labels that fit a body better, and what they are; None if none do."""
+    """The recording with corrected labels that fit a body better, and a note; None if none do."""
     labels = recording.marker_names
     pairs = exchanged_throughout(
         labels, recording.positions, recording.visible, nominal_places(fit, markers, body).numpy()

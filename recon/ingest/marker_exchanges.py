@@ -162,7 +162,7 @@ _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
 
 
 def mirrored(label: str) -> str | None:
-    """The label of the same place on the other side, LASI -> RASI; None where it names no side."""
+    """The label of the opposite side, LASI -> RASI; None if it names no side."""
     for one, other in _SIDES.items():
         if one in label:
             return label.replace(one, other, 1)

@@ -181,7 +181,7 @@ def _calibrated(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
 def nominal_places(
     fit: MarkerFit, markers: MarkerSet, body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
-    """Places of markers that sit exactly where their names say on a fitted body, metres."""
+    """Positions of markers placed exactly at their landmarks on a fitted body, metres."""
     with torch.no_grad():
         return _predicted(fit.motion, markers.nominal, torch.tensor(markers.vertices), body)
 

@@ -194,7 +194,7 @@ def mended(
     for _ in range(_ROUNDS):
         jumps, far = unmade(motion), residuals(motion)
         suspects = _suspects(jumps, far, motion.fps)
-        # frames whose solution did not improve are not solved again
+        # frames that another solve did not improve are not solved again
         suspects = _stretches_where(suspects, partial(_not_all, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
@@ -282,7 +282,7 @@ def _fits_better(
 def jump_findings(
     unmade: Bool[Tensor, "steps 22"], changed: Bool[Tensor, " time"]
 ) -> tuple[list[Finding], list[Finding]]:
-    """What was repaired, and what remains for the user to look at."""
+    """Findings about repaired jumps, and about jumps that the user should look at."""
     repairs: list[Finding] = []
     warnings: list[Finding] = []
     frames = changed.numpy()

@@ -48,7 +48,7 @@ def placed_frames(
 def trimmed(
     recording: MarkerRecording, bones: tuple[int, ...]
 ) -> tuple[MarkerRecording, tuple[str, ...]]:
-    """The recording from the first to the last frame that places a body, and what was left out.
+    """The recording between the first and last frame with enough markers, and a note of the cut.
 
     Args:
         recording: whose clock goes on.
@@ -164,7 +164,7 @@ def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
 
 
 def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]:
-    """Findings about frames without any marker, and limbs not seen for a while."""
+    """Findings about frames without any marker and about limbs hidden for a while."""
     found: list[Finding] = []
     empty = ~observed.any(-1).numpy()
     if empty.any():

@@ -68,7 +68,7 @@ def joined_in_time(
     keys: Int[Tensor, " keys"],
     about: Bool[Tensor, " time"],
 ) -> tuple[PoseEnergies, Tensor, Motion, Int[Tensor, " frames"]]:
-    """Poses about gaps, each from its own markers and from the frames around it.
+    """Poses in and around gaps, each from its frame's markers and the neighbouring frames.
 
     Returns the energies of all frames, drawn to the poses that neighbours in time suggest about
     gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.

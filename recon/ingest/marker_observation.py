@@ -33,7 +33,7 @@ def seen_markers(
     robust: float | None = None,
     hand: Hand | None = None,
 ) -> tuple[Markers3D, tuple[str, ...]]:
-    """The known markers of a recording as a sensor, and notes about decisions.
+    """The known markers of a recording as an observation, and the decisions made.
 
     Their offsets from the skin are those of the body that meets them best, and their standard
     deviations its residuals, at least a centimetre: below that, the body errs more than markers.

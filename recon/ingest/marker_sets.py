@@ -166,7 +166,7 @@ def full_body_markers(
 def right_handed_markers(
     recording: MarkerRecording, markers: MarkerSet, hand: Hand | None
 ) -> MarkerRecording:
-    """The recording in right-handed axes, with what is said of it (`coordinates.right_handed`)."""
+    """The recording in right-handed axes, and a note if they were mirrored."""
     chosen = recording.select(markers.labels)
     meant = meant_keypoints(markers.labels) if markers.inside else ()
     places = {landmark(name): name for name in landmarks()}
@@ -207,7 +207,7 @@ def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
     return MarkerSet(
         labels=known,
         vertices=vertices,
-        # joints of detectors are some centimetres away from those of the body model
+        # detectors place joints some centimetres away from the body model's joints
         loose=(True,) * len(known),
         nominal=nominal,
         bones=_bones(vertices, body),

@@ -1,4 +1,4 @@
-"""One recording of any kind, on its own."""
+"""Conversion of a single recording of any kind."""
 
 from dataclasses import replace
 from pathlib import Path

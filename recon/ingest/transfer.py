@@ -66,7 +66,7 @@ class Aligned:
 
     @property
     def orientations(self) -> Float[Tensor, "22 3 3"]:
-        """Rotations of the bones from the body's own rest pose to the other's."""
+        """Rotations of the bones from one body's rest pose to the other's."""
         local = so3.exp(self.turns)[None]
         return forward_kinematics(local, local.new_zeros(len(JOINTS), 3))[0][0]
 
@@ -224,7 +224,7 @@ _JUDGED = 20
 
 @dataclass(frozen=True)
 class Transferred:
-    """A motion on another body, and how near it is."""
+    """A motion on another body, and the distance between the two surfaces."""
 
     motion: Motion
     distances: Float[np.ndarray, "frames vertices"]
@@ -233,7 +233,7 @@ class Transferred:
 
 
 def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
-    """A motion of one body as a motion of another one, with the other's own shape coefficients.
+    """Convert a motion of one body to another body, with shape coefficients of that body.
 
     Shape and rest pose are fitted to the first body's surface; then every frame's pose brings
     points of the target's skin to those points of the first one's on which they lie at rest.
@@ -292,7 +292,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
 def carried(
     motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
-    """Bones turned as those of the first body are, from the pose in which the two agree."""
+    """Bone rotations of the first body applied to the other, from the pose where both agree."""
     posed = body.pose(motion)
     world = posed.orientations @ rest.orientations
     local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)

@@ -80,7 +80,7 @@ def _world(value: Any, name: str, person: int | None) -> Points3D:
     image = [_people(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
-        known = [  # also in the image: landmarks relative to the hips have no place
+        known = [  # the place in the image, which hip-relative landmarks lack
             [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
             for a, b in zip(found, image, strict=True)
         ]

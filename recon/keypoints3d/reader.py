@@ -73,7 +73,7 @@ def read_session(folder: Path) -> Points3D:
     try:
         frames, times = numbers(rows, columns, stamps.name, most=len(header)).T
     except FormatError:
-        return points  # an error asks for the missing frame rate later
+        return points  # the caller then asks for the rate
     first = np.unique(frames, return_index=True)[1]
     return points.timed(times[first], stamps.name)
 
@@ -99,7 +99,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         if holds_detections(path):
             return False
         arrays = load_arrays(path)
-        # motion files also have an array `joints`, but it is a result and not an observation
+        # motion files also have `joints`, but those are results, not observations
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
     if ending == ".csv" and not holds_markers(path):
@@ -134,7 +134,7 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if holds_sam3d_body(path):
-        from recon.keypoints3d.sam3d_body import read_sam3d_body  # rarely needed
+        from recon.keypoints3d.sam3d_body import read_sam3d_body  # few files have this format
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""How a fit is assembled and run; own priors and sensors import from here.
+"""How a fit is assembled and run; priors and sensors of plug-ins import from here.
 
 A `Prior` changes variables into a motion with energies (`Decoded`), and is fitted by stages: each
 `Stage` minimises the sum of weighted energies (`Term`) of an `Estimate`.

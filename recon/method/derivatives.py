@@ -152,7 +152,7 @@ class Neighbourhood:
 
     @cached_property
     def here(self) -> Estimate:
-        """The motion as it is, for correspondences, which hold for all motions near it."""
+        """The unperturbed estimate, which fixes correspondences for all motions near it."""
         return Estimate(Decoded(self.motion), self.body.pose(self.motion), self.scene)
 
     @cached_property

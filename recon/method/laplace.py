@@ -164,7 +164,7 @@ def _of_window(
     found = factor.inverse()
     marginals = _marginals(found, near.seen(), shapes)
     if measure is not None:
-        # only the rotations affect the measurements
+        # the measured quantity depends on the rotations only
         slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))
         variance = _variances(found, slopes)
         marginals = replace(marginals, measures=variance.sqrt())

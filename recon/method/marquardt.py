@@ -101,6 +101,6 @@ class _Up(torch.autograd.Function):
 def _mapped(
     functions: Sequence[Callable[[Tensor], Tensor]], flat: Float[Tensor, "rows n"], bordered: int
 ) -> Float[Tensor, "rows n"]:
-    """Each row through the function of its clip; what is of neither frames nor shape stays."""
+    """Apply each clip's function to its row; parts of neither frames nor shape do not change."""
     rows = [f(row[:bordered]) for f, row in zip(functions, flat, strict=True)]
     return torch.cat((torch.stack(rows), flat[:, bordered:]), 1)

@@ -67,7 +67,7 @@ def is_pointwise(energy: Any) -> bool:
 
 
 def _add(term: Term, model: ClipModel) -> bool:
-    """Add the Hessian of a term that is not of the prior; returns whether it is known."""
+    """Add the Hessian of a term that is not the prior's; False if the term has none."""
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS
     if is_pointwise(energy):
@@ -107,7 +107,7 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
         curvature = turn @ curvature @ turn.mT
     joints, isotropic = carried.own_joints, _isotropic(curvature)
     if joints is not None and isotropic is not None and not bool((share > 0).any()):
-        # the other terms need the Jacobian of the joints, too
+        # the other terms share the Jacobian of the joints
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
         own = every.index_add(0, before, isotropic)
         model.joints[:, 0].unflatten(-1, (-1, 3)).index_add_(
@@ -199,7 +199,7 @@ class Local(Problem[Unknowns[Any]]):
 
     @property
     def of_scene(self) -> list[tuple[str, torch.Size]]:
-        """Paths of what is moved of the scene, and its shape for one clip."""
+        """Names of the free parts of the scene, each with its size for one clip."""
         every = zip(self.layout.paths, self.layout.shapes, strict=True)
         return [(path[6:], shape) for path, shape in every if path.startswith("scene.")]
 

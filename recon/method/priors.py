@@ -72,7 +72,7 @@ class Prior(ABC, Generic[S]):
 
     @classmethod
     def load(cls, weights: str, body: BodyModel, /) -> "Prior[S]":
-        """The prior with weights, where it is given by its name or place.
+        """Load the prior with its weights, when it is given by name or import path.
 
         Args:
             weights: `open`, or what the user wrote: a file, for example.
@@ -212,7 +212,7 @@ _POWERS = ("encode", "decode", "level", "methods", "reach", "from_steps", "turns
 
 
 class _FormerPrior(Prior[TensorStruct]):
-    """An object of version 0.2's form, with what it has of the powers of a prior."""
+    """Wraps a prior written for version 0.2 and forwards the methods that it has."""
 
     def __init__(self, given: Any) -> None:
         powers = {name: getattr(given, name) for name in _POWERS if hasattr(given, name)}

@@ -72,7 +72,7 @@ class ClipModel:
 
     @property
     def body(self) -> BodyModel:
-        """The body whose motion it is."""
+        """The body model of the motion."""
         return self.estimate.body.model
 
     def hessian(self) -> Banded:

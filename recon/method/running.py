@@ -96,7 +96,7 @@ class Hypotheses(Generic[S]):
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> Compared:
-        """A record of the compared hypotheses, with their values and which were kept."""
+        """A record of the compared hypotheses: their objectives and which of them go on."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
@@ -162,7 +162,7 @@ def run_hypotheses(
 def rank(
     stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
 ) -> Float[Tensor, " rows"]:
-    """The objective by which a stage compares hypotheses, its `ranking` or its own terms."""
+    """The objective by which a stage compares hypotheses: its `ranking`, or else its terms."""
     ranked = hypotheses.of(replace(stage, terms=stage.ranking or stage.terms))
     with torch.no_grad():
         estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)

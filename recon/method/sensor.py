@@ -111,7 +111,7 @@ class Sensor(TensorStruct):
         )
 
     def check(self) -> None:
-        """Refuse a sensor of one's own whose fields do not fit each other.
+        """Refuse a plug-in's sensor whose fields contradict each other.
 
         Raises:
             ObservationError: naming what is missing, or the shapes.
@@ -216,7 +216,7 @@ class Sensor(TensorStruct):
 
     @property
     def unposed(self) -> bool:
-        """Whether its fixed camera's pose is the identity, as it is where nobody gave one.
+        """Whether its fixed camera has the identity as pose, which stands for an unknown pose.
 
         A camera cannot stand so in the world: it would lie on the ground and look straight up.
         """
@@ -252,7 +252,7 @@ class Sensor(TensorStruct):
         return Noise(own, metres) if given is None else Noise(given, given * metres / own)
 
     def start(self, body: BodyModel) -> Motion:
-        """A first guess on the data's clock: a person who stands at the origin."""
+        """A first guess at the times of the data: a person standing at the origin."""
         return standing(body, self.clips, self.moments, fps=self.fps, start_time=self.start_time)
 
     def settled(self: R, scene: Scene) -> R:
@@ -261,7 +261,7 @@ class Sensor(TensorStruct):
         return self
 
     def window(self: R, start: float, stop: float) -> R:
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        """The data from `start` to `stop`, both included, seconds; times do not change."""
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         numbers = moment_numbers(**clock)
         first: dict[str, Any] = {"start_time": self.start_time + numbers.start / self.fps}
@@ -300,7 +300,7 @@ class Sensor(TensorStruct):
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
         """The data after a rigid transform of the frame that they are given in, metres."""
-        if self.sees is None and type(self).predict is Sensor.predict:  # own residuals
+        if self.sees is None and type(self).predict is Sensor.predict:  # it overrides `residuals`
             raise ObservationError(
                 f"{type(self).__name__} cannot be given in another frame: write a method "
                 "transformed(T_new_old), or fit it with a ground that is known"
@@ -320,7 +320,7 @@ class Sensor(TensorStruct):
         return self
 
     def some_frames(self, numbers: range) -> dict[str, Any]:
-        """What has an axis of frames at some of them; zero where there are none."""
+        """The fields with an axis of frames, at the given frames; zero outside the data."""
         axis = len(self.clips)
         number = torch.tensor(numbers, dtype=torch.long)
         exists = (number >= 0) & (number < self.moments)

@@ -78,7 +78,7 @@ class Stage(Generic[S]):
         return any(hasattr(term.energy, "matched") for term in self.terms)
 
     def matched(self, estimate: Estimate) -> "Stage[S]":
-        """The stage with the correspondences of an estimate, fixed while it is minimised."""
+        """The stage with correspondences fixed at an estimate while it is minimised."""
 
         def held(term: Term) -> Term:
             matched = getattr(term.energy, "matched", None)
@@ -123,7 +123,7 @@ class StageReport:
     """The hypotheses among which the stage chose; None where it left none out."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
-        """The report for some clips of the batch; what was compared stays whole."""
+        """The report of some clips of the batch; `compared` is not cut."""
         return replace(self, solution=self.solution.rows(index))
 
 

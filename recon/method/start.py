@@ -60,7 +60,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 
 
 def _covers(start: Motion, seen: Sensor) -> bool:
-    """Whether a motion begins with an observation and lasts as long, to within its own frame."""
+    """Whether a motion begins with an observation and lasts as long, to within one frame."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps
     spare = length - (start.frames - 1)

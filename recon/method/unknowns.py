@@ -39,7 +39,7 @@ class Unknowns(TensorStruct, Generic[S]):
     def of_world(
         cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel
     ) -> "Unknowns[S]":
-        """The unknowns of a motion in the world, that of an `Estimate`."""
+        """The unknowns of an `Estimate`'s motion, which is in the world."""
         return cls.of(prior, _in_recording(motion, scene, body), scene, body)
 
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:

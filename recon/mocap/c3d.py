@@ -203,7 +203,7 @@ def _read_header(data: bytes, path: Path) -> _Header:
         raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
     words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
     scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
-    empty = words[0] == 0  # without points the scale means nothing
+    empty = words[0] == 0  # the scale means nothing if there are no points
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
     return _Header(processor, words[0], words[1], words[2], words[3], scale, words[7], rate)
@@ -278,7 +278,7 @@ def _read_points(
     SAMPLES.check(frames * header.points, path, "header")
     kind = header.order + ("f4" if real else "i2")
     table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)
-    # the analog samples of a frame follow its points
+    # in every frame, analog samples follow the points
     table = np.ascontiguousarray(table[:, : 4 * header.points])
     values = _floats(table.tobytes(), header.processor) if real else table.astype(np.float64)
     values = values.reshape(frames, -1, 4)

@@ -137,7 +137,7 @@ def _plane(
         normal, above, factors = parts(x)
         out = [x[3:] / _SIZE]
         for spots, up, factor in zip(places, ups, factors, strict=True):
-            # take each person's own distance: fitted together, all would shrink towards the ground
+            # divided by each person's scale factor: otherwise all would shrink towards the ground
             out.append((spots @ normal + above / factor) / _ON_GROUND / np.sqrt(len(spots)))
             out.append((up - normal) / _UPRIGHT)
         return np.concatenate(out)

@@ -161,7 +161,7 @@ def _surface_samples(
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
-    # after the last frame repeat it; steps to the repeated frame are not counted
+    # the last frame is repeated once; steps to the copy do not count
     following = torch.arange(own.start + 1, own.stop + 1).clamp(max=len(skin) - 1)
     steps = (skin[following, :, :2] - skin[own, :, :2]).norm(dim=-1)
     sunk = (skin[own, :, 2] <= 0) & (skin[following, :, 2] <= 0)

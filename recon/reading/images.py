@@ -83,7 +83,7 @@ def pinhole(
             T_recording_camera = camera_above(LEVEL_CAMERA)
         poses = np.linalg.inv(T_recording_camera)[None]
         if (path := arrays.path) is not None:
-            # where up is known, only the position of the first pose is removed; else all of it
+            # the first pose as given; where up is known, only its position
             first = path.T_world_camera[0]
             T = T_recording_camera @ np.linalg.inv(first)
             if path.level:

@@ -157,7 +157,7 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
     if settings.shape is None:
-        del plain["shape"]  # older versions had no `shape`: same checksum
+        del plain["shape"]  # results older than the option `shape` keep their checksums
     contents: dict[str, Any] = {
         "weights": _weights(settings),
         "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),

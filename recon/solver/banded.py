@@ -51,7 +51,7 @@ class Banded:
     def add_frames(
         self, frame: Int[Tensor, " some"], curvature: Float[Tensor, "some n_and_m n_and_m"]
     ) -> None:
-        """Add curvatures by the variables of single frames together with those of the border."""
+        """Add second derivatives by the variables of one frame and of the border jointly."""
         n = self.inner.shape[-1]
         self.inner[:, 0].index_add_(0, frame, curvature[:, :n, :n])
         self.border.index_add_(0, frame, curvature[:, :n, n:])

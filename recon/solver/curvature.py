@@ -109,7 +109,7 @@ class Curvature:
     def _complete(
         self, rows: Int64[Tensor, " rows"], products: Float64[Tensor, "rows used 2"]
     ) -> None:
-        """Enter the products of the newest y with every s and y, and judge the new pair.
+        """Enter the products of the newest y with every s and y, and accept or drop the new pair.
 
         The newest y is the change of the gradient since `self.products`, so its products are the
         change of those: the pairs need not be read again.

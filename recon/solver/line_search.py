@@ -21,7 +21,7 @@ MARGIN = 0.1
 # A bracket that kept more than this fraction of its width over two trials is bisected
 # (Moré & Thuente 1994, section 4).
 SHRINK = 0.66
-# After a trial that was not finite, the fraction of the way to it that is tried next.
+# After a trial with a non-finite value, the next trial is at this fraction of its step.
 RETREAT = 0.25
 
 
@@ -96,7 +96,7 @@ class LineSearches:
     def begin(
         self, rows: Bool[np.ndarray, " active"], value: Float64[np.ndarray, " active"]
     ) -> None:
-        """Start anew, at the full step, where `rows` says so."""
+        """Restart the searches of the rows in `rows` at the full step."""
         self.step[rows] = 1.0
         self.origin[rows] = value[rows]
         self.low[0, rows] = 0.0

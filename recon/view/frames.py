@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 from recon.view.images import FRAME, Region, clip_region, close_ups, paint_view
 from recon.view.lettering import (
     PAPER,
@@ -101,7 +101,7 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
         rows = [join(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
         text = text_size((width, 3 * width // 4))
         whole = with_legend(join(rows, axis=0), show.legend, text)
-        # H.264 stores colours at half resolution, so width and height must be even
+        # H.264 stores colours at half resolution, so sides must be even
         even = [(0, side % 2) for side in whole.shape[:2]]
         return np.pad(whole, (*even, (0, 0)), constant_values=PAPER)
 
@@ -118,7 +118,7 @@ def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
     ):
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.pix_fmt = "yuv420p"
-        # Compared with "medium" at 19: half the time, equal file size, 0.5 dB less quality.
+        # Compared with "medium" at 19: half the time, the same file size, 0.5 dB worse.
         stream.options = {"crf": "18", "preset": "veryfast"}
         for picture in pictures:
             if stream.width != picture.shape[1]:

@@ -19,7 +19,7 @@ from viser import SceneApi, ViserServer
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.visible import visible
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 from recon.view.painter import Plane
 from recon.view.scene import (
     CAMERA,
@@ -292,7 +292,7 @@ def _legend(show: Show) -> str:
         _row(one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown)
         for one in show.layers
     ]
-    follows = len(show.cameras) == 0  # do not follow the body when cameras are drawn
+    follows = len(show.cameras) == 0  # cameras stand still
     rows.append(_row("follow the person", FAINT, "data-follow", follows))
     assets = resources.files("recon") / "assets"
     style = (assets / "layers.css").read_text(encoding="utf-8")

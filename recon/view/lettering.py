@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from recon.core.visible import visible
-from recon.formats.opening import replacing
+from recon.formats.replacing import replacing
 from recon.view.scene import FAINT, INK, Colour
 
 Picture = UInt8[np.ndarray, "_ _ 3"]

@@ -126,7 +126,7 @@ def _camera(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> C
         raise ValueError(f"{path}: {error}") from error
     if arrays.T_camera_world is None:
         known = camera.replace(T_camera_world=_known_poses(file, path))
-        poses = known.T_world_camera  # inverse of the stored poses
+        poses = known.T_world_camera  # the inverse of the stored pose
     else:
         poses = torch.from_numpy(arrays.T_camera_world).float()
         if len(poses) > 1:

@@ -166,7 +166,7 @@ def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height 
     surfaces += [*_spheres(show, frame, view), *_pyramids(show, frame, view)]
     left, top, right, bottom = _around(np.concatenate([s.vertices for s in surfaces]), view)
     if right > left and bottom > top:
-        # only drawings on the floor need the higher resolution
+        # only drawings on the floor need the finer pixels
         fine = view.part(left, top, right, bottom).scaled(SUPERSAMPLING)
         beneath = picture[top:bottom, left:right]
         image = cv2.resize(beneath, fine.size, interpolation=cv2.INTER_NEAREST)

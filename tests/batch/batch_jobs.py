@@ -15,8 +15,8 @@ from recon.batch.batch import Job, fit_all, fit_one, is_done
 from recon.batch.workers import attempt
 from recon.batch.worklog import Record, read_manifest
 from recon.fitting.settings import FitSettings
-from recon.formats.opening import load_arrays, save_arrays
-from recon.formats.replacing import file_checksum
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import file_checksum, save_arrays
 from recon.reading.inputs import clip_checksum
 
 

@@ -14,7 +14,8 @@ from recon.batch.worklog import BatchClip, read_manifest, shard
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
 from tests.api.test_front_door import noisy
 from tests.batch.batch_jobs import WAYS, here, sum_one
 

@@ -20,7 +20,7 @@ from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.formats.opening import save_arrays
+from recon.formats.replacing import save_arrays
 from tests.batch.batch_jobs import WAYS
 
 ROOT = Path(__file__).parents[2]

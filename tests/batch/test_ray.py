@@ -15,7 +15,8 @@ from recon.cli import BAD_INPUT, run
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
 from tests.api.test_front_door import noisy
 
 ROOT = Path(__file__).parents[2]

@@ -7,8 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from recon.formats.opening import save_arrays
-from recon.formats.replacing import clear_leftovers, part_of, replacing
+from recon.formats.replacing import clear_leftovers, part_of, replacing, save_arrays
 
 
 @pytest.fixture(scope="module")

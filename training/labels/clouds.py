@@ -11,7 +11,8 @@ from torch import Generator, Tensor
 from priors.labels.regions import MIRRORED_REGIONS, REGIONS
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct, concatenate
-from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
 
 POINTS = 768
 """Most points of a moment in a file."""
