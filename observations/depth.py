@@ -342,12 +342,12 @@ class PointCloud(Sensor):
             return self
         level = self.ground_known or self.ground_seen
         eye = self.eye(range(self.moments))
-        found = _labeller()(self.points, self.present, self.fps, eye, level=level)
+        found = _bundled_labeller()(self.points, self.present, self.fps, eye, level=level)
         return self.derived(labels=found.to(dtype=self.points.dtype))
 
 
 @cache
-def _labeller() -> CloudLabeller:
+def _bundled_labeller() -> CloudLabeller:
     """The bundled labelling network, loaded once, when the first cloud needs it."""
     return CloudLabeller.load()
 

@@ -84,7 +84,7 @@ def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
     motion = file.motion
     count = max(1, round(motion.frames / motion.fps))
     edges = [min(round(k * motion.fps), motion.frames) for k in range(count)] + [motion.frames]
-    against = _against(file, source, body, edges)
+    against = _contradicting(file, source, body, edges)
     spans = [
         _span(first, stop, why, source)
         for (first, stop), why in zip(pairwise(edges), against, strict=True)
@@ -115,7 +115,7 @@ def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
     )  # fmt: skip
 
 
-def _against(
+def _contradicting(
     file: MotionFile, source: Source, body: BodyModel, edges: list[int]
 ) -> list[tuple[str, ...]]:
     """What speaks against every second, as words of `_SPOILS`."""

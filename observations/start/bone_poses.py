@@ -280,15 +280,15 @@ def placed_rigidly(
     few = ((targets.weight > 0) & trunk).sum(-1) < 3
     weight = targets.weight * (trunk | few[:, None])
     model = rest[targets.bone] + targets.place - rest[0]
-    place, turn = _laid(targets.points, model, weight)
+    place, turn = _aligned_rigidly(targets.points, model, weight)
     for sigma in sigmas:
         away = model @ turn.mT + place[:, None] - targets.points
         share = (sigma**2 / (sigma**2 + away.square().sum(-1))).square()
-        place, turn = _laid(targets.points, model, weight * share)
+        place, turn = _aligned_rigidly(targets.points, model, weight * share)
     return place, turn
 
 
-def _laid(
+def _aligned_rigidly(
     points: Float[Tensor, "rows points 3"],
     model: Float[Tensor, "rows points 3"],
     weight: Float[Tensor, "rows points"],

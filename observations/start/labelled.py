@@ -159,7 +159,7 @@ class _Tracker:
     ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
         """Translations and rotations of one clip at every moment."""
         count = len(points)
-        moments = _chosen(points, present, labels, eye, fps)
+        moments = _frames_to_pose(points, present, labels, eye, fps)
         if moments is None:
             turn = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
             upright = torch.cat((turn[None], torch.eye(3).expand(21, 3, 3)))
@@ -167,7 +167,7 @@ class _Tracker:
         readings = [self._targets(moments, signs) for signs in _READINGS]
         targets = concatenate(readings)
         eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
-        read = [_read(moments.labels, signs) for signs in _READINGS]
+        read = [_labels_under(moments.labels, signs) for signs in _READINGS]
         surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
         posed = self._posed(targets)
         posed = surface.approached(posed, self.solver, targets, _NEARED, None)
@@ -179,11 +179,11 @@ class _Tracker:
         )  # fmt: skip
         held = surface.rows(rows)
         found = held.approached(posed[rows], self.solver, targets[rows], _STEP_SCALES, ties)
-        return _between(found, moments.number, count)
+        return _interpolated(found, moments.number, count)
 
     def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
         """The points with their places on bones under one hypothesis of the labels."""
-        labels = _read(moments.labels, signs)
+        labels = _labels_under(moments.labels, signs)
         place, region = labels.places, labels.region.clamp(min=0)
         away = torch.cdist(place, self.place)
         away = away + _ELSEWHERE * (region[..., None] != self.region)
@@ -232,11 +232,11 @@ class _Tracker:
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
         cost = misfit + _AGAINST * contradicted + _LABELS * share
         cost = cost.view(readings, rows).mT
-        change = _changes(posed, readings, moments.seconds)
+        change = _costs_of_changes(posed, readings, moments.seconds)
         return cheapest_path(cost[None], change)[0]
 
 
-def _chosen(
+def _frames_to_pose(
     points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
 ) -> _Moments | None:
     """About ten frames per second with enough points, thinned; None where there are none."""
@@ -272,7 +272,7 @@ def _chosen(
     )
 
 
-def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
+def _labels_under(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
     """The labels as they are, or with left and right exchanged, as the hypothesis says."""
     regions = labels.regions
     if signs[0] < 0:
@@ -281,7 +281,7 @@ def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
     return labels.derived(places=place, regions=regions)
 
 
-def _changes(
+def _costs_of_changes(
     posed: BonePoses, readings: int, seconds: Float[Tensor, " between"]
 ) -> Float[Tensor, "between readings readings"]:
     """Cost of going from each hypothesis of a frame to each one of the next."""
@@ -296,7 +296,7 @@ def _changes(
     return cost.clamp(max=_MAX_CHANGE_COST)
 
 
-def _between(
+def _interpolated(
     found: BonePoses, number: Int[Tensor, " rows"], count: int
 ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
     """Interpolate translations and rotations between some frames; constant beyond the ends."""

@@ -36,7 +36,7 @@ def planted_path(
     feet = [
         foot
         for side in ("left", "right")
-        if (foot := _foot(side, names, positions, visible, width)) is not None
+        if (foot := _points_of_foot(side, names, positions, visible, width)) is not None
     ]
     path = np.zeros((len(positions), 3))
     if not feet:
@@ -52,10 +52,10 @@ def planted_path(
             here = anchor - middle[stance, t, :2]
             stance, anchor = other, here + middle[other, t, :2]
         path[t, :2] = anchor - middle[stance, t, :2]
-    return _averaged(path, width)
+    return _moving_mean(path, width)
 
 
-def _foot(
+def _points_of_foot(
     side: str,
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
@@ -70,18 +70,18 @@ def _foot(
         row = names.index(f"{side}_{part}")
         if visible[:, row].any():
             seen = np.where(visible[:, row, None], positions[:, row], np.nan)
-            found.append(_averaged(_filled(seen), width) - (0.0, 0.0, lift))
+            found.append(_moving_mean(_gaps_interpolated(seen), width) - (0.0, 0.0, lift))
     return np.stack(found, 1) if found else None
 
 
-def _filled(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
+def _gaps_interpolated(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
     """The values with gaps interpolated linearly; constant beyond the ends."""
     seen = np.all(np.isfinite(path), axis=-1)
     moments = np.arange(len(path))
     return np.stack([np.interp(moments, moments[seen], path[seen, k]) for k in range(3)], 1)
 
 
-def _averaged(path: Float[np.ndarray, "time 3"], width: int) -> Float[np.ndarray, "time 3"]:
+def _moving_mean(path: Float[np.ndarray, "time 3"], width: int) -> Float[np.ndarray, "time 3"]:
     """A moving mean of odd width; the first and last values are repeated at the ends."""
     half = width // 2
     padded = np.pad(path, ((half, half), (0, 0)), mode="edge")

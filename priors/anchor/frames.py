@@ -181,12 +181,14 @@ class CycleBasis(TensorStruct):
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
         """Cosine coefficients of every channel and the duration, in the units of the losses."""
         waves = cosines(ANCHORS, COSINES).to(normalised)
-        slow = waves.mT @ normalised[..., :-1] * _worth(normalised)
+        slow = waves.mT @ normalised[..., :-1] * _units_of_features(normalised)
         return torch.cat((slow.flatten(-2), _TIME * normalised[..., -1, -1:]), -1)
 
     def from_codes(self, codes: Float[Tensor, "*batch codes"]) -> Float[Tensor, "*batch 100 124"]:
         """Normalised rows; times grow evenly from zero to the duration."""
-        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _worth(codes)
+        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _units_of_features(
+            codes
+        )
         even = torch.linspace(0, 1, ANCHORS, dtype=codes.dtype, device=codes.device)
         times = codes[..., -1:, None] / _TIME * even[:, None]
         return torch.cat((cosines(ANCHORS, COSINES).to(codes) @ slow, times), -1)
@@ -203,5 +205,5 @@ class CycleBasis(TensorStruct):
         return self.from_codes(self.mean + (coefficients * self.scale) @ self.directions)
 
 
-def _worth(like: Tensor) -> Float[Tensor, " channels"]:
+def _units_of_features(like: Tensor) -> Float[Tensor, " channels"]:
     return torch.cat((like.new_ones(POSE_NUMBERS), like.new_full((3,), _PLACE)))

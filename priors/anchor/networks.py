@@ -41,8 +41,8 @@ class AnchorNetworks(nn.Module):
         ratio = basis.whitening[:latent]
         self.to_code = nn.Parameter(torch.eye(size)[:latent] * ratio[:, None])
         self.from_code = nn.Parameter(torch.eye(size)[:, :latent] / ratio)
-        self.encoder = _residual(size, width, 2 * latent)
-        self.decoder = _residual(latent + shape, width, size)
+        self.encoder = _residual_layers(size, width, 2 * latent)
+        self.decoder = _residual_layers(latent + shape, width, size)
         with torch.no_grad():
             last = self.encoder[-1]
             assert isinstance(last, nn.Linear)
@@ -83,7 +83,7 @@ class _Block(nn.Module):
         return x + self.outer(functional.silu(self.inner(self.norm(x))))
 
 
-def _residual(inputs: int, width: int, outputs: int) -> nn.Sequential:
+def _residual_layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
     """Layers whose output is zero before training."""
     last = nn.Linear(width or inputs, outputs)
     nn.init.zeros_(last.weight)

@@ -66,7 +66,7 @@ class Footing:
         speed = (after.joints - before.joints)[:, FEET].square().sum(-1) * REFERENCE_FPS**2
         rests = foot_energy(height, speed).amin(-1)
         sunk = (-height - _SUNK).amax(-1).clamp(min=0) / _SUNK_SCALE
-        nats = _share(before, after) * rests + 0.5 * sunk.square()
+        nats = _carried_share(before, after) * rests + 0.5 * sunk.square()
         likely = (-self.strictness * nats).unflatten(0, (-1, self.draws)).softmax(-1)
         chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(touching.device)
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
@@ -75,7 +75,7 @@ class Footing:
         """The states, moved towards the ground; arguments as of `kept`, without `draws`."""
         lower = (after.joints[:, FEET, 2] - touching).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
-        lowered = self.lowered * _share(before, after) * (lower - _ABOVE).clamp(min=0)
+        lowered = self.lowered * _carried_share(before, after) * (lower - _ABOVE).clamp(min=0)
         up = after.translation.new_tensor([0.0, 0.0, 1.0])
         shift = (raised - lowered)[:, None] * up
         return after.replace(
@@ -83,7 +83,7 @@ class Footing:
         )
 
 
-def _share(before: State, after: State) -> Float[Tensor, " all"]:
+def _carried_share(before: State, after: State) -> Float[Tensor, " all"]:
     """Share of the body's weight that the ground carries between two states."""
     rise = (after.joints - before.joints)[:, 0, 2] * REFERENCE_FPS
     return carried_share((rise - before.velocity[:, 2]) * REFERENCE_FPS)
@@ -169,10 +169,10 @@ def roll_from(
     touching = touching_heights(rest_heights(humor.body, shape))[:, FEET]
     draws = 1 if footing is None or random is None else footing.draws
     bodies = humor.pelvis(shape), humor.body.rest_joints(shape), touching
-    pelvis, rest, low = (_repeated(tensor, draws) for tensor in bodies)
+    pelvis, rest, low = (_repeated_rows(tensor, draws) for tensor in bodies)
     states, logits = [first], []
     for _ in range(frames - 1):
-        before = states[-1].map(partial(_repeated, count=draws))
+        before = states[-1].map(partial(_repeated_rows, count=draws))
         frame, reached, touched = drawn_step(
             humor.networks, before, pelvis, random, temperature=temperature
         )
@@ -198,7 +198,7 @@ def roll_from(
     return Decoded(motion, contacts=contacts, joints=found.joints)
 
 
-def _repeated(tensor: Tensor, count: int) -> Tensor:
+def _repeated_rows(tensor: Tensor, count: int) -> Tensor:
     return tensor.repeat_interleave(count, 0)
 
 

@@ -196,7 +196,7 @@ class ParticleFilter:
             parent, weights = self._resampled(weights, random, last=frame == frames - 1)
             parents.append(parent)
             state = state[parent]
-        found = _paths(poses, parents, _best(weights))
+        found = _trajectories_to(poses, parents, _heaviest_particles(weights))
         beyond = motion.rotations[:, frames:, 1:].expand(self.hypotheses, -1, -1, -1, -1)
         return torch.cat((found, beyond), 1)
 
@@ -247,13 +247,15 @@ class UnseenLimbs:
         return motions.replace(rotations=torch.cat((motions.rotations[:, :, :1], poses), 2))
 
 
-def _best(weights: Float[Tensor, "hypotheses particles"]) -> Int[Tensor, " hypotheses"]:
+def _heaviest_particles(
+    weights: Float[Tensor, "hypotheses particles"],
+) -> Int[Tensor, " hypotheses"]:
     """Index, among all particles, of the particle with the largest weight in every filter."""
     filters = torch.arange(len(weights), device=weights.device)
     return weights.argmax(-1) + filters * weights.shape[-1]
 
 
-def _paths(
+def _trajectories_to(
     poses: list[Tensor], parents: list[Tensor], last: Int[Tensor, " hypotheses"]
 ) -> Float[Tensor, "hypotheses time 21 3 3"]:
     """The trajectories of poses that lead to the particles of the last frame."""

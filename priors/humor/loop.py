@@ -38,7 +38,7 @@ _UPRIGHT = 1e-12
 """Added to the right side's x, so that a body lying on its side has a heading: none."""
 
 
-def _starts(velocity: int, spin: int, joints: int) -> list[int]:
+def _first_indices(velocity: int, spin: int, joints: int) -> list[int]:
     """First index of every vector in a packed state or raw step."""
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
@@ -48,7 +48,7 @@ def _order(starts: list[int], height: int, *others: range) -> list[int]:
     return [*order, height, *(place for places in others for place in places)]
 
 
-_STATE_STARTS, _RAW_STARTS = _starts(3, 15, 207), _starts(3, 9, 75)
+_STATE_STARTS, _RAW_STARTS = _first_indices(3, 15, 207), _first_indices(3, 9, 75)
 
 STATE_ORDER = torch.tensor(_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
 """Indices of the loop's numbers in a packed state."""
@@ -196,7 +196,7 @@ def _unrolled(
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
         vectors = before + change
-        turns = _turned(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
+        turns = _after_rotation(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
         records.append((x, vectors, turns, rest, *units))
         to_own = turn(turns)
         level = torch.bmm(to_own, vectors[:, :LEVEL].view(-1, 2, VECTORS))
@@ -207,7 +207,7 @@ def _unrolled(
     return Unrolled(inputs, vectors, turns, rest), units
 
 
-def _turned(
+def _after_rotation(
     half: Float[Tensor, "batch 22 3"], matrix: Float[Tensor, "batch 22 3 3"]
 ) -> Float[Tensor, "batch 22 3 3"]:
     """Exp(2 half) matrix, by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""

@@ -78,7 +78,7 @@ def roll_out(
         latents: of every step.
     """
     added = decoder.add(latents.transpose(0, 1), pelvis)
-    return _rollout(unroll_given(decoder, _enter(start, pelvis), added), pelvis)
+    return _rollout(unroll_given(decoder, _to_loop_layout(start, pelvis), added), pelvis)
 
 
 def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
@@ -96,21 +96,21 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
         joints=vectors[..., JOINTS_OF_VECTORS, :] + origin[..., None, :],
         joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
     )
-    inputs = _leave(steps.inputs.transpose(0, 1), pelvis[:, None])
+    inputs = _from_loop_layout(steps.inputs.transpose(0, 1), pelvis[:, None])
     return Rollout(inputs, states, contacts, Turn.like(turns).right(turns))
 
 
-def _enter(
+def _to_loop_layout(
     packed: Float[Tensor, "batch 339"], pelvis: Float[Tensor, "batch 3"]
 ) -> Float[Tensor, "batch 337"]:
     """A canonical state in the loop's layout."""
     return (packed - _joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
 
 
-def _leave(
+def _from_loop_layout(
     x: Float[Tensor, "*batch 337"], pelvis: Float[Tensor, "*#batch 3"]
 ) -> Float[Tensor, "*batch 339"]:
-    """The inverse of `_enter`."""
+    """The inverse of `_to_loop_layout`."""
     return functional.pad(x, (0, 2))[..., _PLACES.to(x.device)] + _joints_at(pelvis)
 
 

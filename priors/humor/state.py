@@ -209,16 +209,18 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
     spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
     return State(
         translation=motion.translation,
-        velocity=_rate(motion.translation.diff(dim=-2), motion),
+        velocity=_mean_rate(motion.translation.diff(dim=-2), motion),
         root=roots,
-        angular_velocity=_rate(spin, motion),
+        angular_velocity=_mean_rate(spin, motion),
         pose=motion.rotations[..., 1:, :, :],
         joints=joints,
-        joint_velocities=_rate(joints.diff(dim=-3).flatten(-2), motion).unflatten(-1, (-1, 3)),
+        joint_velocities=_mean_rate(joints.diff(dim=-3).flatten(-2), motion).unflatten(
+            -1, (-1, 3)
+        ),
     )
 
 
-def _rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
+def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
     """Mean of the steps before and after each frame, of those that exist, per second."""
     exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])

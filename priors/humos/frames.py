@@ -106,7 +106,7 @@ class BodyFrames(TensorStruct):
         rest = body.rest_joints(shape)
         bones = rest[..., 1:, :] - rest[..., PARENTS[1:], :]
         turned = self.orientations[..., list(PARENTS[1:]), :, :] @ bones[..., None, :, :, None]
-        from_pelvis = _chains().to(rest) @ turned[..., 0]
+        from_pelvis = _bones_above_joints().to(rest) @ turned[..., 0]
         world = from_pelvis @ turn_of(self.direction).mT
         legs = leg_length(body, shape)[..., None, None]
         return world + pad(self.place * legs, (0, 1))[..., None, :]
@@ -164,7 +164,7 @@ def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]
 
 
 @lru_cache(maxsize=1)
-def _chains() -> Float[Tensor, "22 21"]:
+def _bones_above_joints() -> Float[Tensor, "22 21"]:
     """Matrix with 1 where the bone to joint k + 1 is on the path from the pelvis to a joint."""
     rows = torch.zeros(BONES, BONES - 1)
     for joint in range(1, BONES):
@@ -233,7 +233,7 @@ class LappedBasis(TensorStruct):
     ) -> Float[Tensor, "*batch time numbers"]:
         """The first frames of a motion of these coefficients."""
         windows = self.mean + (coefficients * self.scale) @ self.directions
-        return _lay(windows.unflatten(-1, (WINDOW, NUMBERS)), frames)
+        return _sum_of_windows(windows.unflatten(-1, (WINDOW, NUMBERS)), frames)
 
 
 def windows_of(frames: int) -> int:
@@ -259,7 +259,7 @@ def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*b
     return (windows * _sine().to(rows)[:, None]).flatten(-2)
 
 
-def _lay(
+def _sum_of_windows(
     windows: Float[Tensor, "*batch windows 16 numbers"], frames: int
 ) -> Float[Tensor, "*batch time numbers"]:
     """The sum of overlapping windows, each at its own place in time."""

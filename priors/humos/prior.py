@@ -155,11 +155,11 @@ class Humos(Prior[HumosVariables]):
         """
         x = variables
         made = self.frames(x)
-        waves = _waves(made.clearance.shape[-1], x.fps)[0].to(x.bend)
+        waves = _scaled_cosines(made.clearance.shape[-1], x.fps)[0].to(x.bend)
         steps = (waves @ x.bend.flatten(-2)).unflatten(-1, (-1, 3))
         shift = waves @ x.shift
         detailed = made.replace(
-            orientations=made.orientations @ so3.exp(_bends().to(steps) * steps),
+            orientations=made.orientations @ so3.exp(_sizes_of_corrections().to(steps) * steps),
             place=made.place + _SHIFT * shift[..., :2],
             clearance=made.clearance + _LIFT * shift[..., 2],
         )
@@ -205,12 +205,12 @@ class Humos(Prior[HumosVariables]):
         made, posed, base = self.frames(x), self.body.pose(motion), self._base(x)
         turn = base[..., None, :3, :3] @ turn_of(made.direction)
         own = (turn[..., None, :, :] @ made.orientations).mT
-        steps = so3.log(own @ posed.orientations) / _bends().to(posed.joints)
+        steps = so3.log(own @ posed.orientations) / _sizes_of_corrections().to(posed.joints)
         legs = leg_length(self.body, motion.shape)[..., None]
         pelvis = (posed.joints[..., 0, :] - base[..., None, :3, 3]) @ base[..., :3, :3]
         place = (pelvis[..., :2] / legs[..., None] - made.place) / _SHIFT
         lift = (lowest_of(posed) / legs - made.clearance)[..., None] / _LIFT
-        inverse = _waves(motion.frames, x.fps)[1].to(x.bend)
+        inverse = _scaled_cosines(motion.frames, x.fps)[1].to(x.bend)
         return x.replace(
             bend=(inverse @ steps.flatten(-2)).unflatten(-1, (-1, 3)),
             shift=inverse @ torch.cat((place, lift), -1),
@@ -230,7 +230,7 @@ class Humos(Prior[HumosVariables]):
 
 
 @lru_cache(maxsize=1)
-def _bends() -> Float[Tensor, "22 1"]:
+def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
     """Typical size of the corrections of every bone's rotation, radians."""
     return _BEND / levers()[:, None]
 
@@ -259,7 +259,7 @@ def spline(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse
 
 
 @lru_cache(maxsize=16)
-def _waves(frames: int, fps: float) -> tuple[Tensor, Tensor]:
+def _scaled_cosines(frames: int, fps: float) -> tuple[Tensor, Tensor]:
     """Cosines scaled to the expected size of corrections at their frequency, and the inverse.
 
     Together they have unit variance in every frame.

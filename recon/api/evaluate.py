@@ -141,7 +141,7 @@ def evaluate(
     theirs = _in_double(motion_given(truth, model, "truth").file)
     seen, path = _read(observation)
     labels = (
-        _there(theirs, "contacts", ours.motion)
+        _existing_file(theirs, "contacts", ours.motion)
         if truth_contacts is None
         else _labels(truth_contacts, "truth_contacts", frames)
     )
@@ -221,7 +221,7 @@ def _read(given: ObservationFile | Path | str | None) -> tuple[ObservationFile |
     return given, Path("observation")
 
 
-def _there(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
+def _existing_file(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
     labels = getattr(file, name)
     return None if labels is None else nearest_labels(labels, file.motion.times, motion.times)
 
@@ -253,7 +253,7 @@ def _visible(seen: ObservationFile | None, truth: MotionFile, motion: Motion) ->
         labels = torch.from_numpy(seen.truth_visible)
         times = seen.start_time + torch.arange(len(labels), dtype=torch.float64) / seen.fps
         return nearest_labels(labels, times, motion.times)
-    return _there(truth, "truth_visible", motion)
+    return _existing_file(truth, "truth_visible", motion)
 
 
 def _observed(

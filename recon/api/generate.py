@@ -66,7 +66,7 @@ def sample(
         ReconError: when the prior cannot do as asked, or a number is none that it can be.
         FileNotFoundError: when there are no such weights, or no such body.
     """
-    _counted(count, "count")
+    _checked_count(count, "count")
     if prior == "humos" or isinstance(prior, Humos):
         if temperature is not None:
             raise ReconError(f"temperature: is HuMoR's; HUMOS has none, got {temperature}")
@@ -81,7 +81,7 @@ def sample(
             "shape and fps are of the prior humos (--prior humos): HuMoR draws bodies, at 30 Hz"
         )
     frames = _frames(seconds)
-    humor = _humor(prior, weights, body, device)
+    humor = _humor_prior(prior, weights, body, device)
     random = torch.Generator().manual_seed(seed)
     factor = _temperature(temperature)
     made = generation.sample(humor, frames, count, random, temperature=factor)
@@ -124,11 +124,11 @@ def predict(
             there, or a number is none that it can be.
         FileNotFoundError: when a file does not exist.
     """
-    _counted(samples, "samples")
+    _checked_count(samples, "samples")
     frames, factor = _frames(seconds), _temperature(temperature)
     if prior != "humor" and not isinstance(prior, Humor):
         raise WeightsError(f"prior: expected 'humor' or a loaded Humor, got {prior!r:.60}")
-    humor = _humor(prior, weights, body, device)
+    humor = _humor_prior(prior, weights, body, device)
     given = motion_given(motion, humor.body.to(device="cpu"))
     known = given.motion
     if at is not None:
@@ -208,7 +208,7 @@ def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
     return MotionResults(tuple(results), noun)
 
 
-def _humor(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
+def _humor_prior(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
     place = device_at_hand(device)
     humor = prior if isinstance(prior, Humor) else Humor.load(weights, body_given(body))
     return humor.to(device=place)
@@ -228,6 +228,6 @@ def _temperature(temperature: float | None) -> float:
     return temperature
 
 
-def _counted(count: int, name: str) -> None:
+def _checked_count(count: int, name: str) -> None:
     if count < 1:
         raise ReconError(f"{name}: expected one motion or more, got {count}")

@@ -91,18 +91,20 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
         if unposed:
             from recon.fitting.ground import LEVEL_CAMERA, camera_above
 
-            return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
-        return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
+            return _clip_in_world(clip, camera_above(LEVEL_CAMERA), known=False)
+        return Sighting(
+            clip if ground == "auto" else _with_ground_known(clip, known=ground == "known")
+        )
     from recon.fitting.ground import camera_above, world_above  # rarely needed
 
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: the files were read with a ground; give the plane to the reader")
     if unposed:
-        found = _carried(clip, camera_above(plane), known=False)
+        found = _clip_in_world(clip, camera_above(plane), known=False)
     else:
         level = frame_is_level(clip.observations)
-        found = _carried(clip, world_above(plane), known=level)
+        found = _clip_in_world(clip, world_above(plane), known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 
 
@@ -164,14 +166,14 @@ def _one_clip(one: Sensor) -> Sensor:
     return one
 
 
-def _declared(clip: Clip, *, known: bool) -> Clip:
+def _with_ground_known(clip: Clip, *, known: bool) -> Clip:
     seen = tuple(one.derived(ground_known=known) for one in clip.observations)
     return replace(clip, observations=seen, T_recording_camera=unposed_camera(seen))
 
 
-def _carried(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> Sighting:
+def _clip_in_world(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> Sighting:
     moved = replace(clip, observations=tuple(one.transformed(T) for one in clip.observations))
-    return Sighting(_declared(moved, known=known), T)
+    return Sighting(_with_ground_known(moved, known=known), T)
 
 
 def _checked_plane(ground: object) -> Plane:

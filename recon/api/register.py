@@ -119,7 +119,7 @@ def register(
     with format_errors():
         files = [_read(path, camera, frame_rate, depth_scale) for path in paths]
     body = BodyModel.load()
-    own = [_alone(file) for file in files]
+    own = [_in_own_frame(file) for file in files]
     clips = [together([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
     level = np.array([one.observations[0].ground_seen for one in clips])  # pyright: ignore[reportAttributeAccessIssue]
     base = int(level.argmax())
@@ -131,7 +131,7 @@ def register(
         start = np.stack([np.linalg.inv(_pose(file)) for file in files]) @ np.linalg.inv(stands)
         start = np.linalg.inv(start[base]) @ start
         start = np.stack(
-            [_upright(T) if flat else T for T, flat in zip(start, level, strict=True)]
+            [_levelled_pose(T) if flat else T for T, flat in zip(start, level, strict=True)]
         )
     elif level.all():
         start = rough_poses(views, base, names)
@@ -148,7 +148,7 @@ def register(
                 f"{_SHARED:.0%}: place cameras nearer to each other, or let them see the room"
             )
     placed = {
-        name: _placed(file, pose @ T, bare=given.camera is None)
+        name: _in_world(file, pose @ T, bare=given.camera is None)
         for name, file, given, pose, T in zip(names, own, files, found, stands, strict=True)
     }
     ground = (
@@ -183,14 +183,14 @@ def _read(
     return file
 
 
-def _alone(file: PointsFile) -> PointsFile:
+def _in_own_frame(file: PointsFile) -> PointsFile:
     """The points in the frame of their camera, with its pose removed."""
     T = _pose(file)
-    lens = replace(_lens(file), T_camera_world=None)
+    lens = replace(_camera_of(file), T_camera_world=None)
     return replace(file, points=file.points @ T[:3, :3].T + T[:3, 3], camera=lens)
 
 
-def _lens(file: PointsFile) -> CameraArrays:
+def _camera_of(file: PointsFile) -> CameraArrays:
     """The camera of the cloud; a default one at the origin if the cloud has none."""
     if file.camera is not None:
         return file.camera
@@ -206,7 +206,7 @@ def _pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
     return np.eye(4) if known is None else known[0]
 
 
-def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """The nearest pose that keeps z vertical and the ground at z = 0."""
     turn = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
     out = np.eye(4)
@@ -243,8 +243,8 @@ def _views(
     return views
 
 
-def _placed(file: PointsFile, T: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
+def _in_world(file: PointsFile, T: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
     """Points of a camera in the world, with its pose; without a camera where there was none."""
     points = file.points @ T[:3, :3].T + T[:3, 3]
-    lens = None if bare else replace(_lens(file), T_camera_world=np.linalg.inv(T)[None])
+    lens = None if bare else replace(_camera_of(file), T_camera_world=np.linalg.inv(T)[None])
     return replace(file, points=points, camera=lens)

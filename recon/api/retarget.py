@@ -140,7 +140,7 @@ def retarget(
             k: {"height, m": round(row["height"], 3), "weight, kg": round(row["weight"], 1)}
             for k, row in bodies.items()
         },
-        "physics at 20 Hz": {k: _shown(row) for k, row in about["physics"].items()},
+        "physics at 20 Hz": {k: _metrics_to_show(row) for k, row in about["physics"].items()},
     }
     file = described(raised(result, level), model, level)
     return Made(file, model, warnings, about, tuple(lines), shown=shown)
@@ -242,7 +242,7 @@ def _measures(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]
     }
 
 
-def _shown(row: dict[str, float | None]) -> dict[str, float | None]:
+def _metrics_to_show(row: dict[str, float | None]) -> dict[str, float | None]:
     """Some metrics, in the units of HUMOS's table."""
     columns = {
         "penetrate, cm": ("penetrate", 100),

@@ -227,7 +227,7 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
     path = task.target / f"{piece.name}.npz"
     if task.overwrite or not path.exists():
         return
-    if file_checksum(path) not in {task.known.get(f"{piece.name}.npz"), *_noted(path)}:
+    if file_checksum(path) not in {task.known.get(f"{piece.name}.npz"), *_known_checksums(path)}:
         raise FileExistsError(
             f"{path} is there already, and recon did not write it as it is (its checksum does not "
             f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
@@ -235,7 +235,7 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
         )
 
 
-def _noted(path: Path) -> tuple[object, ...]:
+def _known_checksums(path: Path) -> tuple[object, ...]:
     """Checksums of a motion that its report knows as made by recon."""
     beside = path.with_suffix(".json")
     if not beside.is_file():

@@ -91,7 +91,7 @@ def batch(
     out.mkdir(parents=True, exist_ok=True)
     log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
     counts: dict[str, int] = {}
-    with console.progress() as bar, _crew(processes, ray) as (workers, run):
+    with console.progress() as bar, _executor(processes, ray) as (workers, run):
         task = bar.add_task("clips", total=len(clips))
         for record in fit_all(clips, out, settings, workers, log, overwrite=overwrite, run=run):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
@@ -106,7 +106,7 @@ def batch(
 
 
 @contextmanager
-def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
+def _executor(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
     """The number of parallel processes, and the executor that runs them."""
     if ray is None:
         from recon.batch.workers import run_jobs

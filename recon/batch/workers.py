@@ -115,7 +115,7 @@ class _Worker:
         except (EOFError, ConnectionResetError):
             self.connection.close()
             self._process.join()
-            return Failure("crashed", _death(self._process.exitcode or 0)), False
+            return Failure("crashed", _failure_of_process(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
             # after such an error the state of the process is unknown
             self.stop()
@@ -132,7 +132,7 @@ class _Worker:
         self.connection.close()
 
 
-def _death(code: int) -> str:
+def _failure_of_process(code: int) -> str:
     if code >= 0:
         return f"its process ended with exit code {code}"
     name = signal.Signals(-code).name

@@ -151,7 +151,7 @@ def open_log(path: Path) -> Iterator[WorkLog]:
     """
     descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
     try:
-        _hold(descriptor, path)
+        _lock_file(descriptor, path)
         data = path.read_bytes()
         whole = data.rfind(b"\n") + 1
         if whole < len(data):
@@ -183,7 +183,7 @@ def _without_time(record: Record) -> Record:
     return {key: value for key, value in record.items() if key != "seconds"}
 
 
-def _hold(descriptor: int, path: Path) -> None:
+def _lock_file(descriptor: int, path: Path) -> None:
     """Lock the file until it is closed; the lock ends also when the process is killed."""
     if sys.platform == "win32":
         return

@@ -80,7 +80,7 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
             returns = np.abs(flexion[last] - flexion[first[last]]).max() <= _RETURN
             if SHORTEST_CYCLE <= end - begin <= LONGEST_CYCLE and returns:
                 found.append(Cycle(float(begin), float(end), side, float(cost[last])))
-    return _distinct(found)
+    return _without_overlaps(found)
 
 
 def hip_flexion(motion: Motion) -> Float[np.ndarray, "frames 2"]:
@@ -151,7 +151,7 @@ def _minima(cost: Float[np.ndarray, " frames"], threshold: float) -> list[int]:
     return np.flatnonzero(lowest & (cost <= threshold)).tolist()
 
 
-def _distinct(found: list[Cycle]) -> tuple[Cycle, ...]:
+def _without_overlaps(found: list[Cycle]) -> tuple[Cycle, ...]:
     """Non-overlapping cycles, chosen greedily by cost."""
     kept: list[Cycle] = []
     for cycle in sorted(found, key=lambda cycle: cycle.cost):

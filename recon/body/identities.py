@@ -83,7 +83,7 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
         return _coefficients(spec, words, body)
     if spec.strip().endswith(".npz") or Path(spec).is_file():
         return load_motion_of(Path(spec.strip()), body).motion.shape
-    return _person(_wishes(spec, words), body)
+    return _person(_measures_asked(spec, words), body)
 
 
 def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
@@ -160,7 +160,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
-def _wishes(spec: str, words: list[str]) -> _Wishes:
+def _measures_asked(spec: str, words: list[str]) -> _Wishes:
     """The measures that the words of a description ask for."""
     found: dict[str, Any] = {}
     for word in words:

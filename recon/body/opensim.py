@@ -47,7 +47,7 @@ _ANKLE = _Joint(
 _MTP = (-0.580954, 0.0, 0.813936)
 
 
-def _opposite(axis: Axis3) -> Axis3:
+def _negative_axis(axis: Axis3) -> Axis3:
     return (-axis[0], -axis[1], -axis[2])
 
 
@@ -61,9 +61,9 @@ _LEGS = {
     "rajagopal2016": (
         _HIP,
         # bent knees are positive, and so are bent toes, unlike in the older model
-        _Joint("femur", "tibia", ("knee_angle", "", ""), (_opposite(_Z), _X, _Y)),
+        _Joint("femur", "tibia", ("knee_angle", "", ""), (_negative_axis(_Z), _X, _Y)),
         _ANKLE,
-        _Joint("foot", "toes", ("mtp_angle",), (_opposite(_MTP),)),
+        _Joint("foot", "toes", ("mtp_angle",), (_negative_axis(_MTP),)),
     ),
 }
 _ARM = (

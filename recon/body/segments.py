@@ -189,7 +189,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
     # R = R_a(q1 ± q3) R_b(±90°)
     turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
-    return _continued(first, second, cosine, turned, np.sign(r[:, a, c]))
+    return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 
 
 def elevation(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "time 3"]:
@@ -205,10 +205,10 @@ def elevation(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "ti
     angles = np.stack((q1, np.arctan2(sine, r[:, 1, 1]), q3), -1)
     # R = R_y(q1 ± q3) R_x(0° or 180°)
     turned = np.arctan2(-r[:, 2, 0], r[:, 0, 0])
-    return _continued(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
+    return _without_jumps(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
 
 
-def _continued(
+def _without_jumps(
     first: Float[np.ndarray, "time 3"],
     second: Float[np.ndarray, "time 3"],
     unlocked: Float[np.ndarray, " time"],

@@ -61,12 +61,12 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
             head = file.read(_HEAD)
         if len(head) == 0:
             raise FormatError(f"{path}: the file is empty")
-        wrong = _wrong(path, head, known=producer_of(path) is not None)
+        wrong = _reason_to_refuse(path, head, known=producer_of(path) is not None)
         if wrong is not None:
             raise FormatError(f"{path}: {wrong}")
 
 
-def _wrong(path: Path, head: bytes, *, known: bool) -> str | None:
+def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
     """The fault of a file, by its ending and first bytes; None if it has none."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")

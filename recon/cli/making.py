@@ -69,7 +69,7 @@ def command(name: str, verb: Verb) -> Callable[..., None]:
     node = _function(verb.place)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
     own = [one for one in _parameters(node) if one.name not in taken]
-    shown = [*own, *_added(verb, {one.name for one in own})]
+    shown = [*own, *_further_options(verb, {one.name for one in own})]
     given = [one for one in shown if one.annotation is not Parameter.empty]
     given.sort(key=lambda one: one.default is not Parameter.empty)
 
@@ -103,7 +103,7 @@ def _parameters(node: ast.FunctionDef) -> list[Parameter]:
 def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
     assert node.annotation is not None
     try:
-        kind = _kind(node.annotation)
+        kind = _type_of(node.annotation)
     except NameError:
         return Parameter(node.arg, Parameter.KEYWORD_ONLY)
     if default is None:
@@ -113,7 +113,7 @@ def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
     return _option(node.arg, kind, Path(value) if kind is Path else value)
 
 
-def _kind(node: ast.expr) -> Any:
+def _type_of(node: ast.expr) -> Any:
     """The type of an annotation given as source code.
 
     Raises:
@@ -128,18 +128,18 @@ def _kind(node: ast.expr) -> Any:
         case ast.Name(id="int" | "float" | "str" | "bool" | "tuple" as name):
             return getattr(builtins, name)
         case ast.BinOp(left=left, op=ast.BitOr(), right=right):
-            return _kind(left) | _kind(right)
+            return _type_of(left) | _type_of(right)
         case ast.Subscript(value=ast.Name(id="Literal"), slice=values):
             return Literal[ast.literal_eval(values)]
         case ast.Subscript(value=value, slice=ast.Tuple(elts=parts)):
-            return _kind(value)[tuple(_kind(part) for part in parts)]
+            return _type_of(value)[tuple(_type_of(part) for part in parts)]
         case ast.Subscript(value=value, slice=part):
-            return _kind(value)[_kind(part)]
+            return _type_of(value)[_type_of(part)]
         case _:
             raise NameError(text)
 
 
-def _added(verb: Verb, own: set[str]) -> Iterator[Parameter]:
+def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
     """Options that a command line has besides the arguments of its function."""
     if verb.settings is not None:
         yield _option("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)

@@ -233,7 +233,7 @@ def settled_up(
         return floor
     if usual is None or usual == up or usual[0] != up[0]:
         return up, reason
-    hands, feet = (_swing(one, positions, visible) for one in (usual, up))
+    hands, feet = (_height_range(one, positions, visible) for one in (usual, up))
     if hands < _UPSIDE_DOWN * feet:
         return usual, f"up axis {usual}: by the file's custom, the body is upside down"
     return up, reason
@@ -297,7 +297,7 @@ def axis_of_floor(
     shown = visible & moves
     if shown.any(1).sum() < 2:
         return None
-    moved = np.array([_swing(way, positions, shown) for way in ways])
+    moved = np.array([_height_range(way, positions, shown) for way in ways])
     above = np.abs(rise) >= 0.5 * size
     best = int(np.where(above, moved, np.inf).argmin())
     others = np.delete(moved, best)[np.delete(above, best)]
@@ -306,7 +306,7 @@ def axis_of_floor(
     return ways[best], f"up axis {ways[best]}: the lowest point stays at the floor along it"
 
 
-def _swing(
+def _height_range(
     up: Up,
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],

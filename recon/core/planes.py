@@ -116,7 +116,7 @@ def find_walls(
         if abs(normal[2]) >= _STEEP:
             continue
         axes = _axes(sample.points[rows])[:, 1:]
-        low, high = _shared([one @ axes for one in sample.by_frame(rows)])
+        low, high = _common_rectangle([one @ axes for one in sample.by_frame(rows)])
         if (high - low).min() / (_END - _START) <= _WALL:
             continue
         away, far = sample.points - eye, offset - normal @ eye
@@ -176,7 +176,7 @@ def _planes(
         left = left[~inliers]
 
 
-def _shared(
+def _common_rectangle(
     frames: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Corners of the rectangle that points of at least half of the frames cover.

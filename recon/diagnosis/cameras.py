@@ -189,7 +189,7 @@ class Rest:
 
 def rest_of(images: Images) -> Rest | None:
     """How fast the feet move in the one view of some images; None where they are hardly seen."""
-    usual, brief = _slowest(images, _LAG), _slowest(images, _BRIEF)
+    usual, brief = _speed_of_resting_foot(images, _LAG), _speed_of_resting_foot(images, _BRIEF)
     if usual is None or brief is None:
         return None
     return Rest(
@@ -205,7 +205,9 @@ def _quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float)
     return float(np.sqrt(max(np.quantile(speeds, share) ** 2 - noise**2, 0.0)))
 
 
-def _slowest(images: Images, lag: float) -> tuple[Float[np.ndarray, " moments"], float] | None:
+def _speed_of_resting_foot(
+    images: Images, lag: float
+) -> tuple[Float[np.ndarray, " moments"], float] | None:
     """Speed of the part of the feet that rests most, at every moment where one was seen.
 
     Metres per second at the person over a time lag, seconds, and the speed that the noise makes;

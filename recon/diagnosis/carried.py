@@ -71,7 +71,7 @@ def standing_soles(
     )
 
 
-def _plate(
+def _misfit_of_rigid_motion(
     places: Float[np.ndarray, "samples 2"],
     velocities: Float[np.ndarray, "samples 2"],
     *,
@@ -122,8 +122,8 @@ def carried_finding(
     places, velocities = standing_soles(movement, feet)
     if len(places) < 2 * _MIN_MOMENTS:
         return None
-    still, _ = _plate(places, velocities, turning=False)
-    turning, speed = _plate(places, velocities, turning=True)
+    still, _ = _misfit_of_rigid_motion(places, velocities, turning=False)
+    turning, speed = _misfit_of_rigid_motion(places, velocities, turning=True)
     rate, gain = float(np.degrees(speed)), still - turning
     slowest, fastest = _RATES_DEG_S
     least = _SURE_SHARE if rests else _LEAST_SHARE

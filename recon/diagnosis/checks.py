@@ -110,14 +110,14 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
     rest = rest_of(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
-    if _broken(clip):
+    if _rate_is_untestable(clip):
         return clip, NOTHING
     rests = rest is not None and not rest.may_move
     said = carried_finding(clip.names[0], clip.motion, clip.model, clip.seen, rests=rests)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
-def _broken(clip: Examined) -> bool:
+def _rate_is_untestable(clip: Examined) -> bool:
     """Whether other faults make the speed useless for judging the frame rate."""
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
@@ -128,7 +128,7 @@ _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
-def _causes(observations: Sequence[Sensor]) -> str:
+def _likely_causes(observations: Sequence[Sensor]) -> str:
     """Likely causes of a wrong size or place of the body, by the kinds of sensors."""
     causes = {
         "focal lengths, image sizes, units and the poses of the cameras": any(
@@ -160,7 +160,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
                 "residual",
                 f"half of the data is more than {one.median:.3g} {one.unit} away from the fitted "
                 f"body{where}, and the data's own noise is {one.noise:.2g}; what was recorded is "
-                f"not what the file says: check which person it shows, {_causes([sensor])}",
+                f"not what the file says: check which person it shows, {_likely_causes([sensor])}",
                 points,
                 value=one.median,
             )
@@ -223,7 +223,7 @@ def body_findings(found: ClipFit) -> Findings:
     odd = float(posed.shape.abs().max())
     # markers off the skin distort the shape
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
-    sizes = _causes(found.observations)
+    sizes = _likely_causes(found.observations)
     said = Findings()
     if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
         text = (
@@ -274,7 +274,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )
-    if not clip.fit.grounded or _broken(clip) or not in_metres:
+    if not clip.fit.grounded or _rate_is_untestable(clip) or not in_metres:
         return clip, NOTHING
     said = rate_finding(clip.motion, clip.model, clip.seen)
     return clip, Findings(warnings=() if said is None else (said,))

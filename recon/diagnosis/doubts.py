@@ -94,27 +94,32 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     (kept_joints, *others), found = posed, list[Alternative]()
     distinct = [kept_joints]
     for row, joints in zip(ordered, others, strict=True):
-        if all(_apart(joints, other) > _SAME_MOTION_M for other in distinct):
+        if all(_mean_joint_distance(joints, other) > _SAME_MOTION_M for other in distinct):
             distinct.append(joints)
-            turn = _turn(compared.motion[best], compared.motion[row])
+            turn = _heading_difference(compared.motion[best], compared.motion[row])
             sides = [
-                _apart(joints[:, legs], kept_joints[:, _LEGS]) for legs in (_EXCHANGED, _LEGS)
+                _mean_joint_distance(joints[:, legs], kept_joints[:, _LEGS])
+                for legs in (_EXCHANGED, _LEGS)
             ]
             kind = "leg order" if sides[0] < 0.5 * sides[1] else "posture"
             kind = "heading" if turn > _TURNED else kind
             energies = (float(compared.value[k]) for k in (row, best))
             found.append(
-                Alternative(kind, math.degrees(turn), _apart(kept_joints, joints), *energies)
+                Alternative(
+                    kind, math.degrees(turn), _mean_joint_distance(kept_joints, joints), *energies
+                )
             )
     return found
 
 
-def _apart(one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]) -> float:
+def _mean_joint_distance(
+    one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]
+) -> float:
     """Mean distance of joints, metres."""
     return float((one - other).norm(dim=-1).mean())
 
 
-def _turn(one: Motion, other: Motion) -> float:
+def _heading_difference(one: Motion, other: Motion) -> float:
     """Angle about the vertical between the headings of two motions, averaged; 0 to pi."""
     between = so3.heading(one.rotations[:, 0]).mT @ so3.heading(other.rotations[:, 0])
     mean = between[one.valid].mean(0)

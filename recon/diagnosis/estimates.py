@@ -105,7 +105,7 @@ def believed(
             valid=motion.valid[rows], fps=motion.fps / step,
         )  # fmt: skip
         known = known[rows]
-    motion, repairs = _unexchanged(motion)
+    motion, repairs = _sides_corrected(motion)
     vertices = tuple(landmark(name) for name in KEYPOINTS_43)
     points = body.pose(motion).points(torch.tensor(vertices)).detach()
     visible = known[:, None].expand(points.shape[:-1])
@@ -152,7 +152,7 @@ def _share_of_usual(
     return min(max(*shares, _LEAST), 1.0)
 
 
-def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:
+def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
     """The motion with left and right limbs exchanged back, and the repairs."""
     rotations, repairs = motion.rotations.clone(), list[Finding]()
     for limb, parts in _LIMBS.items():

@@ -157,9 +157,11 @@ one frame ago; one that moves reaches two and more."""
 def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     """Mark keypoints as unseen that are far from where they are in neighbouring frames."""
     count = np.maximum(images.seen.sum((1, 2)), 1)
-    wild = _wild(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
+    wild = _outliers_and_hidden(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
     many = wild.sum((1, 2)) / count > _MANY
-    wild[many] = _wild(images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER)
+    wild[many] = _outliers_and_hidden(
+        images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER
+    )
     share = wild.sum((1, 2)) / count
 
     def said(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
@@ -176,19 +178,21 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     return hidden(images, wild & many[:, None, None], said)
 
 
-def _wild(
+def _outliers_and_hidden(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
     """The known outliers, and those that are found after leaving these out."""
     for _ in range(_MAX_ROUNDS):
-        found = _away(images.without(wild), reach, least)
+        found = _far_from_median(images.without(wild), reach, least)
         if not found.any():
             break
         wild = wild | found
     return wild
 
 
-def _away(images: Images, reach: int, least: float) -> Bool[np.ndarray, "views moments points"]:
+def _far_from_median(
+    images: Images, reach: int, least: float
+) -> Bool[np.ndarray, "views moments points"]:
     """Keypoints farther than some metres from the median of the frames around them."""
     seen, place = images.seen, images.shown
     if seen.shape[1] <= 2 * reach:

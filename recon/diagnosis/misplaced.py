@@ -121,17 +121,17 @@ _MIN_SAVED_M = 0.1
 
 def find_exchanges(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
     """The moments at which left and right are exchanged against the first moment."""
-    return _parity(_flips(points, _counterpart_pairs(points)))
+    return _odd_exchanges(_moments_of_exchange(points, _counterpart_pairs(points)))
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
     """Single pairs of counterparts that jump to each other's place and back again, and when."""
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
-        flips = _flips(points, [pair])
+        flips = _moments_of_exchange(points, [pair])
         # an odd number of exchanges leaves open whether the first frame was right
         if flips.any() and flips.sum() % 2 == 0:
-            found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
+            found.append((pair, _odd_exchanges(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
 
 
@@ -139,7 +139,9 @@ def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
     return [(k, other) for k, other in enumerate(points.counterparts) if k < other]
 
 
-def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray, " moments"]:
+def _moments_of_exchange(
+    points: NamedPoints, pairs: list[tuple[int, int]]
+) -> Bool[np.ndarray, " moments"]:
     """Moments at which these pairs, taken together, jump to each other's place.
 
     They then move less if their sides are exchanged.
@@ -162,7 +164,7 @@ def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray
     return flips
 
 
-def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
+def _odd_exchanges(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
     """Frames after an odd number of exchanges; none if there are implausibly many exchanges."""
     odd = np.cumsum(flips) % 2 == 1
     return odd if flips.sum() <= max(2, len(flips) // 8) else np.zeros_like(odd)

@@ -250,12 +250,14 @@ def belt_velocity(
     # the mode: the velocity with most others near it, then the median of these
     every = velocity[standing]
     some = every[:: max(1, len(every) // 400)]
-    best = some[int(np.argmax([int(_near(every, candidate).sum()) for candidate in some]))]
-    belt = np.median(every[_near(every, best)], axis=0)
+    best = some[
+        int(np.argmax([int(_close_velocities(every, candidate).sum()) for candidate in some]))
+    ]
+    belt = np.median(every[_close_velocities(every, best)], axis=0)
     speed = float(np.linalg.norm(belt))
     if speed < _SLOWEST:
         return None
-    carried = _near(velocity, belt)
+    carried = _close_velocities(velocity, belt)
     shares = [carried[standing[:, side], side].mean() for side in (0, 1)]
     still = (np.linalg.norm(velocity[standing], axis=-1) < _STANDING).mean()
     drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / (
@@ -279,7 +281,7 @@ def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
     )
 
 
-def _near(
+def _close_velocities(
     velocity: Float[np.ndarray, "*shape 2"], belt: Float[np.ndarray, " 2"]
 ) -> Bool[np.ndarray, "*shape"]:
     reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))

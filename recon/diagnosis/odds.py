@@ -125,7 +125,7 @@ def _one_explained(
         if before < _WORSE * floor or floor == 0:
             continue
         rest = common_miss(images.view([k for k in range(len(images.names)) if k != v]))
-        chosen = _simplest(odd.explained(causes))
+        chosen = _simplest_explanation(odd.explained(causes))
         if max(rest, chosen.remains) <= floor and rest + chosen.remains < best:
             code, what, _ = _CAUSES[chosen.cause]
             text = (
@@ -137,7 +137,7 @@ def _one_explained(
     return out, said
 
 
-def _simplest(options: list[Explained]) -> Explained:
+def _simplest_explanation(options: list[Explained]) -> Explained:
     least = min(option.remains for option in options)
     return next(option for option in options if option.remains <= _SIMPLER * least)
 
@@ -190,7 +190,7 @@ def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
     hidden = np.zeros_like(images.seen)
     if before > _AT_ODDS:
         hidden[v], frames, size = True, (), before
-        least = _simplest(odd.explained(tuple(_CAUSES)))
+        least = _simplest_explanation(odd.explained(tuple(_CAUSES)))
         clear = least.remains < _MAX_MIRRORED_RATIO * before
         hint = _CAUSES[least.cause][2] if clear else _SOMEBODY
         said = f"{name} contradicts the other views: its rays miss their points by {size:.2f} m"

@@ -76,15 +76,15 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
         found += more
     if jumps := identity_changes(steady):  # two different people cannot be fitted by one body
         return named.observation, found + Findings(warnings=jumps), None, None
-    named, fitted, more = _sides(named, flips, body)
+    named, fitted, more = _sides_repaired(named, flips, body)
     found += more
-    named, fitted, more = _exchanged(named, fitted, body)
+    named, fitted, more = _exchanged_pairs_found(named, fitted, body)
     found += more
     kept, more, belt, start = _against_a_body(named, fitted, body, grounded=grounded)
     return kept, found + more, belt, start
 
 
-def _sides(
+def _sides_repaired(
     named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
     """Exchanges of left and right, found by continuity in time and by fits of the whole clip."""
@@ -120,7 +120,7 @@ def _sides(
     return right, best, found
 
 
-def _exchanged(
+def _exchanged_pairs_found(
     named: NamedPoints, fitted: QuickFit, body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
     """Pairs of points whose names are exchanged, throughout or for a while."""

@@ -59,7 +59,7 @@ def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
         values = np.array([late, 0.0, 0.0, 0.0])
         if turns.unknown:
             values, _ = minimise(turns, values, replace(_OPTIONS, max_iterations=2))
-        away = _typical(_misses(images, late, values[1:])[0])
+        away = _median_size(_misses(images, late, values[1:])[0])
         if away < best[0]:
             best = (away, values)
     most = max(abs(late) for late in _starts(images))
@@ -107,7 +107,7 @@ def _misses(
     return found
 
 
-def _typical(away: Float[np.ndarray, "moments points"]) -> float:
+def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
     """Median size of the distances that exist."""
     there = away != 0
     return float(np.median(np.abs(away[there]))) if there.any() else np.inf
@@ -211,7 +211,7 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     repairs = tuple(_finding(images, one) for one in found.applied)
     if not found.undecided:
         return found.images, Findings(repairs)
-    every = [f"{images.names[one.view]}: {_said(one, images.fps)}" for one in found.undecided]
+    every = [f"{images.names[one.view]}: {_fault(one, images.fps)}" for one in found.undecided]
     said = Finding(
         "view at odds",
         "the views contradict each other, and they do not tell which of them is wrong: "
@@ -242,7 +242,7 @@ def certain(found: Registration, fps: float) -> bool:
     """Whether a correction is significant and leaves only noise."""
     if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
-    return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
+    return any(_is_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
 def _simplest(images: Images, given: Alignment) -> Registration | None:
@@ -250,11 +250,11 @@ def _simplest(images: Images, given: Alignment) -> Registration | None:
     both = given.solved()
     if both is None:
         return None
-    parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
+    parts: list[Part] = [part for part in PARTS if _is_needed(both, part, images.fps, _FEWER)]
     return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
-def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
+def _is_needed(found: Registration, part: Part, fps: float, least: float) -> bool:
     large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
     if part == "clock":
         large = abs(found.late) / fps >= _SMALLEST_CLOCK
@@ -269,13 +269,13 @@ def _finding(images: Images, found: Registration) -> Finding:
     text = ", and ".join(advice)
     return Finding(
         code,
-        f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
+        f"{images.names[found.view]} contradicts the other views: {_fault(found, images.fps)}. "
         f"That was corrected. {text[0].upper()}{text[1:]}",
         value=found.late / images.fps if found.late else found.degrees,
     )
 
 
-def _said(found: Registration, fps: float) -> str:
+def _fault(found: Registration, fps: float) -> str:
     """The sentence that describes a view's error, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []

@@ -96,10 +96,10 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
     if not images.sided.any() or moments == 0:
         return flags
     first = np.argsort(-images.seen.sum((1, 2)), kind="stable")[:_TOGETHER].tolist()
-    flags[first] = _decided(images.view(first), list(range(len(first))))
+    flags[first] = _cheapest_exchanges(images.view(first), list(range(len(first))))
     for v in sorted(set(range(views)) - set(first)):
         group = images.exchanged(flags).view([*first, v])
-        flags[v] = _decided(group, [len(first)])[-1]
+        flags[v] = _cheapest_exchanges(group, [len(first)])[-1]
     if views > 1:
         rays = Rays.of(images.exchanged(flags))
         points, exists = rays.meet()
@@ -110,15 +110,15 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
     return flags
 
 
-def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
+def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
     """The cheapest choice of exchanges for some views; no exchange where it is uncertain."""
     views = len(images.confidence)
     states = np.stack([
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
         for number in range(2 ** len(free))
     ])  # fmt: skip
-    here = np.stack([_emission(images, state) for state in states], -1)
-    stay, change = _steps(images)
+    here = np.stack([_misfit_per_frame(images, state) for state in states], -1)
+    stay, change = _costs_of_steps(images)
     differ = states[:, None] ^ states
     between = np.where(differ, (change + _CHANGE).T[:, None, None], stay.T[:, None, None]).sum(-1)
     path = cheapest_path(torch.from_numpy(here)[None], torch.from_numpy(between[1:]))[0].numpy()
@@ -130,7 +130,9 @@ def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments
     return states[path if cost(0 * path) - cost(path) >= _MIN_SAVED_COST else 0 * path].T
 
 
-def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.ndarray, " moments"]:
+def _misfit_per_frame(
+    images: Images, state: Bool[np.ndarray, " views"]
+) -> Float[np.ndarray, " moments"]:
     """Misfit between the views in every frame, for each choice of views with exchanged names."""
     moments = images.confidence.shape[1]
     cost = np.full(moments, _EXCHANGED * state.sum())
@@ -145,12 +147,12 @@ def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.nda
     return cost - _BACKWARDS_COST * facing(images.points, points, exists)
 
 
-def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
+def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
     """Cost of continuing from the previous frame with the same and with exchanged names.
 
     Both (views, moments); the first moment has no cost. Points go on as they went before.
     """
-    before, known = _continued(images)
+    before, known = _extrapolated(images)
     away = np.linalg.norm(images.pixels - before, axis=-1) / images.scale[..., None]
     typical = np.array([
         np.clip(np.median(way[some]) / _RAYLEIGH_MEDIAN if some.any() else 0.0, *_PATH_STEP_M)
@@ -168,7 +170,7 @@ def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
     return cost(before, known), cost(before[:, :, order], known[:, :, order])
 
 
-def _continued(
+def _extrapolated(
     images: Images,
 ) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
     """Extrapolated positions of keypoints, and which keypoints the previous frame has.
@@ -278,7 +280,7 @@ def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], d
 
     Outliers, which do not stay where they jump to, are left out.
     """
-    before, known = (values[0] for values in _continued(images.view([view])))
+    before, known = (values[0] for values in _extrapolated(images.view([view])))
     now, scale = images.pixels[view], images.scale[view, :, None]
     known &= images.seen[view]
     own = np.where(known, np.linalg.norm(now - before, axis=-1) / scale, 0.0)

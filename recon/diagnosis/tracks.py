@@ -96,10 +96,10 @@ def velocity_changes(
 
 def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     """A warning when frames are out of order: positions jump but bone lengths are constant."""
-    if found := _seams(points):
+    if found := _jumps_repeatedly(points):
         return found
-    along, near = bone_noise(points), _travelled(points, 1)
-    far = np.array([_travelled(points, lag) for lag in _LAGS])
+    along, near = bone_noise(points), _distance_moved(points, 1)
+    far = np.array([_distance_moved(points, lag) for lag in _LAGS])
     if along is None or np.isnan(near) or np.isnan(far).all() or near < _LEAST_DISORDER:
         return ()
     typical = float(np.nanmedian(far))
@@ -116,7 +116,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     )
 
 
-def _seams(points: NamedPoints) -> tuple[Finding, ...]:
+def _jumps_repeatedly(points: NamedPoints) -> tuple[Finding, ...]:
     """Whether the whole body jumps to another place repeatedly.
 
     That is so between blocks of frames which were put together in a wrong order. Changes of
@@ -189,7 +189,7 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     return (Finding(code, said, (), frames, most),)
 
 
-def _travelled(points: NamedPoints, lag: int) -> float:
+def _distance_moved(points: NamedPoints, lag: int) -> float:
     """Median distance of points from where they were so many frames ago, metres; NaN: unknown."""
     both = points.visible[lag:] & points.visible[:-lag]
     away = np.linalg.norm(points.positions[lag:] - points.positions[:-lag], axis=-1)[both]

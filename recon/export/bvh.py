@@ -26,7 +26,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
-    tips = np.stack([_tip(joint, rest[joint], motion, body) for joint in last])
+    tips = np.stack([_end_of_bone(joint, rest[joint], motion, body) for joint in last])
     positions = posed.joints.detach().double().cpu().numpy()
     orientations = posed.orientations.detach().double().cpu().numpy()
     ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
@@ -42,7 +42,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     )
 
 
-def _tip(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
+def _end_of_bone(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
     """Vector from a joint of the unposed body to the farthest vertex of its bone, metres.
 
     It is zero where the bone carries no skin.

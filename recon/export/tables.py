@@ -134,11 +134,11 @@ def places_of(markers: str) -> dict[str, BodyPlace]:
     known = landmarks()
     return {
         label: BodyPlace(landmarks=(point,)) if point in known else PLACES[point]
-        for label, point in _sets()[markers].items()
+        for label, point in _marker_sets()[markers].items()
     }
 
 
 @cache
-def _sets() -> dict[str, dict[str, str]]:
+def _marker_sets() -> dict[str, dict[str, str]]:
     text = files("recon").joinpath("assets", "marker_sets.toml").read_text(encoding="utf-8")
     return cast("dict[str, dict[str, str]]", tomllib.loads(text))

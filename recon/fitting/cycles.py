@@ -240,7 +240,7 @@ def complete(
     prior = cycle_prior(options.prior, options.weights, body)
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(o.cloud and _fullest(o.cloud) >= DENSE for o in seen)
+    dense = any(o.cloud and _densest_observation(o.cloud) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
 
 
@@ -275,7 +275,7 @@ class _Completion:
         # use every `step`-th frame while first guesses are compared
         step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
-            _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
+            _coarse_observation(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
         ]
         weights = weights_of(self.noises)
@@ -290,8 +290,10 @@ class _Completion:
         coded = prior.coded(data, noise)
         details = prior.details(data, noise) if self.dense else ()
         stages = (
-            *_keeping(search, KEPT),
-            *_keeping([replace(stage, ranking=ranking) for stage in self._moving(coded)], 1),
+            *_stages_keeping(search, KEPT),
+            *_stages_keeping(
+                [replace(stage, ranking=ranking) for stage in self._moving(coded)], 1
+            ),
             *self._moving(details),
         )
         found, reports = run_hypotheses(stages, body, began.rows(began.best(value, TRIED)), watch)
@@ -317,7 +319,7 @@ class _Completion:
         ]
 
 
-def _keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
+def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
     """Stages of which the last keeps so many hypotheses of every clip."""
     return (*stages[:-1], replace(stages[-1], kept=count))
 
@@ -327,13 +329,13 @@ def _thinned(variables: Any, step: int) -> Any:
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
 
-def _rough(one: Sensor, step: int, body: BodyModel) -> Sensor:
+def _coarse_observation(one: Sensor, step: int, body: BodyModel) -> Sensor:
     """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
     few = one.coarse(body, step)
     return few.derived(kernel=bounded) if few.cloud else few
 
 
-def _fullest(cloud: PointCloud) -> int:
+def _densest_observation(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 

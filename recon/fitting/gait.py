@@ -133,7 +133,7 @@ def told_by_cycles(cycles: Sequence[CompletedCycle], motion: Motion, body: BodyM
     for one in cycles:
         phase = (motion.times - one.cycle.start) / one.cycle.duration
         inside = (phase > 0) & (phase < 1) & (motion.times <= one.motion.times[-1])
-        weight = _fading(phase[inside])
+        weight = _blending_weights(phase[inside])
         share[inside] += weight
         joints = body.pose(one.motion.at(motion.times[inside], motion.fps)).joints
         total[inside] += weight[:, None, None] * joints.cpu()
@@ -151,5 +151,5 @@ def told_by_cycles(cycles: Sequence[CompletedCycle], motion: Motion, body: BodyM
     )
 
 
-def _fading(phase: Float[Tensor, " moments"]) -> Float[Tensor, " moments"]:
+def _blending_weights(phase: Float[Tensor, " moments"]) -> Float[Tensor, " moments"]:
     return torch.sin(torch.pi * phase).square().float()

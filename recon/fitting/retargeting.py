@@ -121,7 +121,7 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     start = _start(motion, body)
 
     def one(window: Motion) -> Motion:
-        return _standing(_proposed(window, shape, prior, start), window, body)
+        return _settled_proposal(_proposed(window, shape, prior, start), window, body)
 
     return _in_windows(motion, one)
 
@@ -139,7 +139,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
 
     def one(window: Motion) -> Motion:
         first = round((window.start_time - motion.start_time) * motion.fps)
-        return _standing(grown.window(first, first + window.frames), window, body)
+        return _settled_proposal(grown.window(first, first + window.frames), window, body)
 
     return _in_windows(motion, one)
 
@@ -164,11 +164,11 @@ def _proposed(
     # and the frames between follow the scaled copy
     scaled = with_shape(window, prior.body, shape)
     away = at_rate(made).translation - at_rate(scaled).translation
-    height = scaled.translation + _between(made) @ away
+    height = scaled.translation + _spline_matrix(made) @ away
     return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
 
 
-def _standing(made: Motion, window: Motion, body: BodyModel) -> Motion:
+def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
     """A proposal corrected at 20 Hz; between, it follows the scaled copy.
 
     A network's proposal stands on the ground in every frame, by which its height may tremble.
@@ -182,7 +182,7 @@ def _standing(made: Motion, window: Motion, body: BodyModel) -> Motion:
     scaled = with_shape(source, body, made.shape)
     flying = flies(source, body)
     stands = settled(coarse[None], scaled[None], flying[None], body).detach()[0]
-    between = _between(made)
+    between = _spline_matrix(made)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation
     return made.replace(
@@ -191,7 +191,7 @@ def _standing(made: Motion, window: Motion, body: BodyModel) -> Motion:
     )
 
 
-def _between(motion: Motion) -> Float[Tensor, "frames coarse"]:
+def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     """The matrix of splines from frames at 20 Hz to those of a motion."""
     coarse = frames_at_rate(motion.frames, motion.fps)
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)

@@ -88,7 +88,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         raise FormatError(
             f"{path}: expected rotations and a translation of a SMPL-like body for every frame "
             "(global_orient, body_pose and transl; root_orient, pose_body and trans; or poses and "
-            f"trans), got {_listed(tree)}"
+            f"trans), got {_names_of_people(tree)}"
         )
     number, notes = _chosen(path, people, person)
     where, arrays = people[number]
@@ -178,13 +178,13 @@ def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...
     names = {key for key in tree if isinstance(key, str)}
     turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
     if turned and names & set(_PLACE):
-        yield from ((where, one) for one in _apart(tree))
+        yield from ((where, one) for one in _people_of_arrays(tree))
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from _people(value, (*where, key))
 
 
-def _apart(arrays: Tree) -> Iterator[Tree]:
+def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
     """The people of arrays with an axis of people before that of frames."""
     place = _numbers(next(arrays[key] for key in _PLACE if key in arrays))
     if place.ndim != 3 or place.shape[1] == 1:
@@ -323,6 +323,6 @@ def _up(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -
     return up
 
 
-def _listed(tree: Tree) -> str:
+def _names_of_people(tree: Tree) -> str:
     names = [str(key) for key in tree]
     return ", ".join(names[:12]) + (" ..." if len(names) > 12 else "") or "nothing"

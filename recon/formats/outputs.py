@@ -109,7 +109,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
     for given in inputs:
         real = Path(os.path.realpath(given))
         for place in output.places:
-            if _same(place, real):
+            if _same_file(place, real):
                 what = output.path if place == output.real else place
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
@@ -173,7 +173,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     """
     if output.report is None:
         assert output.is_former is not None
-        if not overwrite and _present(output) and not output.is_former(output.real):
+        if not overwrite and _existing_files(output) and not output.is_former(output.real):
             raise FileExistsError(
                 f"{output.path} holds files already, and is no folder of a run that could go on; "
                 "give a new folder, or write into it by --overwrite"
@@ -186,7 +186,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
             f"or changed since); move it away, write somewhere else, or replace it by --overwrite"
         )
     own: dict[str, str] = {}
-    for name, path in _present(output).items():
+    for name, path in _existing_files(output).items():
         checksum = None if report is None else report.checksum_if_own(name, path)
         if checksum is not None:
             own[name] = checksum
@@ -199,7 +199,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     return own
 
 
-def _present(output: Output) -> dict[str, Path]:
+def _existing_files(output: Output) -> dict[str, Path]:
     """Files that are there now, by their names in the report; hidden ones do not count."""
     real = output.real
     found = sorted(real.rglob("*")) if output.is_folder else [real]
@@ -212,7 +212,7 @@ def _present(output: Output) -> dict[str, Path]:
     }
 
 
-def _same(a: Path, b: Path) -> bool:
+def _same_file(a: Path, b: Path) -> bool:
     """Whether two real paths are one file, also by a hard link or another spelling."""
     try:
         return os.path.samefile(a, b)

@@ -63,7 +63,7 @@ def clear_leftovers(path: Path) -> None:
     pattern = glob.escape(f".{path.name}.{_HOST}-") + "*.part"
     for leftover in path.parent.glob(pattern):
         number = leftover.name.removesuffix(".part").rpartition("-")[2]
-        if not number.isdigit() or _runs(int(number)):
+        if not number.isdigit() or _process_runs(int(number)):
             continue
         if leftover.is_dir():
             shutil.rmtree(leftover, ignore_errors=True)
@@ -78,7 +78,7 @@ def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
-def _runs(process: int) -> bool:
+def _process_runs(process: int) -> bool:
     """Whether there is a process of this number."""
     if os.name == "nt":
         return True  # on Windows os.kill would end the process

@@ -110,10 +110,10 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
             f"{path}: {len(times)} times of {count} frames show anything, and nothing was seen "
             f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
         )
-    off = _off(times, count)
+    off = _largest_deviation(times, count)
     sharp = off * span / count <= _SHARP or span > _LONGEST
-    if off <= _EVEN and sharp and _apart(times, count):
-        return _places(times, count), count / span, float(times[0])
+    if off <= _EVEN and sharp and _have_own_steps(times, count):
+        return _nearest_steps(times, count), count / span, float(times[0])
     if span > _LONGEST:
         raise FormatError(
             f"{path}: the times lie on no even clock (up to {off:.2f} frames off), "
@@ -126,9 +126,11 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
         )
     finest = math.ceil(span * _FINEST)
     for count in range(len(times) - 1, finest):
-        if _off(times, count) * span / count <= _NEAR and _apart(times, count):
-            return _places(times, count), count / span, float(times[0])
-    return _places(times, finest), finest / span, float(times[0])
+        if _largest_deviation(times, count) * span / count <= _NEAR and _have_own_steps(
+            times, count
+        ):
+            return _nearest_steps(times, count), count / span, float(times[0])
+    return _nearest_steps(times, finest), finest / span, float(times[0])
 
 
 def crowded(frames: int, seen: int) -> bool:
@@ -149,17 +151,17 @@ def uneven(
     ]
 
 
-def _places(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
+def _nearest_steps(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
     """The nearest of so many equal steps from the first time to the last."""
     return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
 
 
-def _apart(times: Float[np.ndarray, " files"], count: int) -> bool:
+def _have_own_steps(times: Float[np.ndarray, " files"], count: int) -> bool:
     """Whether no two times have the same nearest step."""
-    return bool((np.diff(_places(times, count)) > 0).all())
+    return bool((np.diff(_nearest_steps(times, count)) > 0).all())
 
 
-def _off(times: Float[np.ndarray, " files"], count: int) -> float:
+def _largest_deviation(times: Float[np.ndarray, " files"], count: int) -> float:
     """The largest distance of a time from the even clock, in steps."""
     place = (times - times[0]) / (times[-1] - times[0]) * count
     return float(np.abs(place - place.round()).max())

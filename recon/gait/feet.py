@@ -162,8 +162,12 @@ def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
 
 
 def _stances(feet: Feet, side: int) -> list[GaitStance]:
-    strikes = _struck(feet, side, _peaks(_ahead(feet, feet.heels[:, side]), feet.fps))
-    offs = _left(feet, side, _peaks(-_ahead(feet, feet.toes[:, side]), feet.fps))
+    strikes = _strike_frames(
+        feet, side, _peaks(_distance_ahead(feet, feet.heels[:, side]), feet.fps)
+    )
+    offs = _toe_off_frames(
+        feet, side, _peaks(-_distance_ahead(feet, feet.toes[:, side]), feet.fps)
+    )
     events = sorted([(k, "strike") for k in strikes] + [(k, "off") for k in offs])
     found: list[GaitStance] = []
     if events and events[0][1] == "off":
@@ -178,7 +182,7 @@ def _stances(feet: Feet, side: int) -> list[GaitStance]:
     return [one for one in found if bool(bearing[list(one.frames(len(bearing)))].any())]
 
 
-def _ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, " time"]:
+def _distance_ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, " time"]:
     return ((points - feet.pelvis)[:, :2] * feet.forward).sum(-1)
 
 
@@ -194,7 +198,7 @@ def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " 
     return found[(found > 0) & (found < len(values) - 1)]
 
 
-def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int]:
+def _strike_frames(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int]:
     """Frames of strikes.
 
     Near the frame with the heel farthest ahead, where the foot falls fastest.
@@ -214,7 +218,7 @@ def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int
     return found
 
 
-def _left(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]:
+def _toe_off_frames(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]:
     """Frames of toe-off: the last frame in which the toes rest before they are farthest behind.
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.

@@ -60,7 +60,7 @@ def report(
         raise FormatError(
             f"{name}: unit, up, hand and mapping are of recordings; a motion has metres and z up"
         )
-    said = _said(source)
+    said = _report_beside(source)
     try:
         file = motion_given(source, model).file
     except FormatError as error:
@@ -71,7 +71,7 @@ def report(
     return _report(name, file, model, said)
 
 
-def _said(source: MotionLike) -> Mapping[str, Any]:
+def _report_beside(source: MotionLike) -> Mapping[str, Any]:
     """The report of a conversion or a fit; empty where there is none."""
     if isinstance(source, MotionResult):
         return source.report()

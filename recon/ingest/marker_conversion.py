@@ -108,12 +108,14 @@ def fitted_markers(
     chosen, repairs = steady_labels(recording.select(markers.labels))
     chosen, cut = trimmed(chosen, markers.bones)
     fit = fit_markers(chosen, markers, body)
-    if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
+    if mean_residual(fit, chosen) > _BAD and (
+        other := _with_better_labels(chosen, markers, body, fit)
+    ):
         chosen, finding = other
         repairs.append(finding)
         fit = fit_markers(chosen, markers, body)
     lost: list[str] = []
-    while (far := _lost(fit, chosen)).any() and not far[chosen.visible.any(0)].all():
+    while (far := _far_markers(fit, chosen)).any() and not far[chosen.visible.any(0)].all():
         lost += [label for label, one in zip(chosen.marker_names, far, strict=True) if one]
         visible = chosen.visible & ~far
         positions = np.where(visible[..., None], chosen.positions, 0.0)
@@ -126,7 +128,7 @@ def fitted_markers(
     return FittedMarkers(chosen, fit, tuple(repairs), _left_out(lost), said)
 
 
-def _lost(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
+def _far_markers(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
     """Markers that are far from their fitted positions in most of their frames."""
     far = (marker_distances(fit, recording) > FAR) & recording.visible
     return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
@@ -175,7 +177,7 @@ def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
     return float(marker_distances(fit, recording)[recording.visible].mean())
 
 
-def _relabelled(
+def _with_better_labels(
     recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
 ) -> tuple[MarkerRecording, Finding] | None:
     """The recording with corrected labels that fit a body better, and a note; None if none do."""
@@ -188,20 +190,20 @@ def _relabelled(
         (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
         (with_exchanged(recording, sides), _sides_finding()) if sides else None,
     ]
-    sample = _evenly(recording)
+    sample = _evenly_spaced(recording)
     limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)
     best = None
     for choice in choices:
         if choice is None:
             continue
-        some = _evenly(choice[0])
+        some = _evenly_spaced(choice[0])
         left = mean_residual(fit_markers(some, markers, body), some)
         if left < limit:
             best, limit = choice, left
     return best
 
 
-def _evenly(recording: MarkerRecording) -> MarkerRecording:
+def _evenly_spaced(recording: MarkerRecording) -> MarkerRecording:
     """A number of frames, evenly spread over the recording."""
     index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
     return dataclasses.replace(

@@ -33,7 +33,7 @@ def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Fin
     positions, visible = recording.positions.copy(), recording.visible.copy()
     wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]] = {}
     for a, b in _candidates(recording):
-        flips = _flips(positions[:, [a, b]], visible[:, [a, b]])
+        flips = _frames_of_exchange(positions[:, [a, b]], visible[:, [a, b]])
         if not flips.any() or flips.sum() > max(2, len(flips) // 8):
             continue
         odd = np.cumsum(flips) % 2 == 1
@@ -57,7 +57,7 @@ def _candidates(recording: MarkerRecording) -> list[tuple[int, int]]:
     return [(a, b) for a in range(count) for b in range(a + 1, count) if together[a, b] > 0]
 
 
-def _flips(
+def _frames_of_exchange(
     x: Float[np.ndarray, "time 2 3"], visible: Bool[np.ndarray, "time 2"]
 ) -> Bool[np.ndarray, " time"]:
     """Frames to which two markers go by exchanging places."""

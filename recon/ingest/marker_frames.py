@@ -193,12 +193,12 @@ def mended(
     changed = failed = torch.zeros(motion.frames, dtype=torch.bool)
     for _ in range(_ROUNDS):
         jumps, far = unmade(motion), residuals(motion)
-        suspects = _suspects(jumps, far, motion.fps)
+        suspects = _doubtful_frames(jumps, far, motion.fps)
         # frames that another solve did not improve are not solved again
         suspects = _stretches_where(suspects, partial(_not_all, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
-        tried = solve(*_joined(motion, suspects))
+        tried = solve(*_interpolated_over(motion, suspects))
         fits = partial(_fits_better, jumps, unmade(tried), far, residuals(tried))
         better = _stretches_where(suspects, fits)
         if not better.any():
@@ -228,7 +228,9 @@ def eased(
     changed = torch.zeros(motion.frames, dtype=torch.bool)
     for stiffer in _STIFFER:
         jumps = unmade(motion)
-        around = _suspects(jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps)
+        around = _doubtful_frames(
+            jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps
+        )
         if not around.any() or around.float().mean() > _LIMIT:
             break
         turning = torch.ones(len(JOINTS))
@@ -236,7 +238,7 @@ def eased(
             # a joint moves fast when its parent or its grandparent turns fast
             parent = max(PARENTS[joint], 0)
             turning[[parent, max(PARENTS[parent], 0)]] = stiffer
-        tried = solve(*_joined(motion, around), turning)
+        tried = solve(*_interpolated_over(motion, around), turning)
         better = _stretches_where(around, partial(_fewer_steps, jumps, unmade(tried)))
         changed |= better
         taken = better.nonzero()[:, 0]
@@ -244,7 +246,9 @@ def eased(
     return motion, changed
 
 
-def _joined(motion: Motion, flags: Bool[Tensor, " time"]) -> tuple[Int[Tensor, " frames"], Motion]:
+def _interpolated_over(
+    motion: Motion, flags: Bool[Tensor, " time"]
+) -> tuple[Int[Tensor, " frames"], Motion]:
     """Numbers of the flagged frames, and the motion in which the others join over them."""
     frames, kept = flags.nonzero()[:, 0], (~flags).nonzero()[:, 0]
     return frames, with_poses(motion, frames, between(chosen(motion, kept), kept, frames))
@@ -316,7 +320,7 @@ def jump_findings(
     return repairs, warnings
 
 
-def _suspects(
+def _doubtful_frames(
     jumps: Bool[Tensor, "steps 22"], far: Float[Tensor, "time markers"], fps: float
 ) -> Bool[Tensor, " time"]:
     """Frames beside a step without marker motion, or with a marker unusually far away."""

@@ -92,14 +92,14 @@ def joined_in_time(
     found = solved_near(some, between(motion, keys, asked))
     hidden = (some.visible == 0) & (some.visible > 0).any(0)
     for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
-        some = _drawn(some, found, moments, step)
+        some = _tied_energies(some, found, moments, step)
         change = _offset_changes(some, found, bones)
         offsets = offsets + change
         some = replace(some, markers=points(offsets))
         found = solved_near(some, found)
         if float(change.norm(dim=-1).mean()) < _STILL:
             break
-    some = _drawn(some, found, moments, step)
+    some = _tied_energies(some, found, moments, step)
     suggested = found.replace(rotations=torch.cat((found.rotations[:, :1], some.natural), 1))
     everywhere = between(suggested, asked, torch.arange(len(about))).rotations[:, 1:]
     everything = replace(
@@ -114,11 +114,11 @@ def joined_in_time(
     return everything, offsets, start, frames
 
 
-def _drawn(
+def _tied_energies(
     energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
 ) -> PoseEnergies:
     """The energies with ties to the poses that neighbouring frames suggest."""
-    natural = _suggested(
+    natural = _smoothed_rotations(
         energies, energies.begun(motion.translation, motion.rotations), moments, step
     )
     return replace(energies, natural=natural, pull=natural.new_full((len(natural),), _PULL))
@@ -135,7 +135,7 @@ def _offset_changes(
     return -_FURTHER * away / weight.sum(0).clamp(min=_LEAST)[:, None]
 
 
-def _suggested(
+def _smoothed_rotations(
     energies: PoseEnergies, poses: Poses, moments: Int[Tensor, " frames"], step: float
 ) -> Float[Tensor, "frames 21 3 3"]:
     """Rotations of all body joints by the markers of every frame and its neighbours in time.

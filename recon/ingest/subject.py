@@ -153,7 +153,7 @@ def calibrate(
     what remains to constant offsets.
     """
     weights = CalibrationWeights() if weights is None else weights
-    frames = _diverse(recordings, skeleton)
+    frames = _diverse_frames(recordings, skeleton)
     count = len(frames.positions)
     seen = Joints3D(
         positions=frames.positions[None],
@@ -243,7 +243,7 @@ def _mean_alignments(
     return so3.nearest(between.double().mean(0)).to(ours)
 
 
-def _diverse(recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap) -> Frames:
+def _diverse_frames(recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap) -> Frames:
     """Frames whose poses differ most, by farthest point sampling; each over the origin."""
     total = sum(r.frames for r in recordings)
     step = max(1, total // _CANDIDATES)

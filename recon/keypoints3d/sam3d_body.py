@@ -88,7 +88,7 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     if None not in found:
         points, decision = _of_one_camera(points, people, np.array(found, dtype=np.float64))
         said.append(decision)
-    points, held = _steadied(points, np.array(list(seen)))
+    points, held = _without_jitter(points, np.array(list(seen)))
     said += held
     positions = np.full((len(frames), *_SHAPES[_POINTS]), np.nan)
     positions[list(seen)] = points
@@ -180,7 +180,7 @@ def _of_one_camera(
     return moved, said
 
 
-def _steadied(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Points of one size, without jitter of the whole body along its ray; and what was done.
 
     A body told too large is told too far away, as its image is what is seen: then a scale about

@@ -40,9 +40,9 @@ def stream_lines(
             complain(f"line {number}: {error}")
             continue
         if estimate is not None:
-            yield from _written(estimate)
+            yield from _line_of(estimate)
     for estimate in stream.finish():
-        yield from _written(estimate)
+        yield from _line_of(estimate)
 
 
 def _read(line: str) -> tuple[MomentLike, float | None]:
@@ -74,7 +74,7 @@ def _array(rows: Any) -> np.ndarray:
     return np.array([[np.nan] * 3 if row is None else row for row in rows], dtype=float)
 
 
-def _written(estimate: LiveEstimate) -> Iterator[str]:
+def _line_of(estimate: LiveEstimate) -> Iterator[str]:
     for one in estimate.every:
         poses = so3.log(one.rotations.double())
         fields: dict[str, Any] = {

@@ -97,7 +97,7 @@ def deviations(
     motion = estimate.motion.detach().to(dtype=torch.float64)
     scene = estimate.scene.detach().to(dtype=torch.float64)
     held = [one.to(dtype=torch.float64) for one in sensors]
-    cuts = _cuts(motion.frames)
+    cuts = _window_bounds(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
     parts = [
         _of_window(one, scene, body, held, noises, density, ground, measure) for one in windows
@@ -120,7 +120,7 @@ def deviations(
     return Deviations(joints, root, least, surest, measured)
 
 
-def _cuts(frames: int) -> list[tuple[int, int]]:
+def _window_bounds(frames: int) -> list[tuple[int, int]]:
     """First and last frame, exclusive, of overlapping windows."""
     step = _CHUNK_FRAMES - _OVERLAP
     firsts = range(0, max(frames - _OVERLAP, 1), step)

@@ -54,7 +54,7 @@ def hessians(
         turn = prior.turns(variables, clip)
         model = ClipModel(estimate, clip, turn, prior.reach, with_shape)
         for term in stage.terms:
-            if not prior.add_curvature(term, model) and not _add(term, model):
+            if not prior.add_curvature(term, model) and not _add_term(term, model):
                 raise NoHessian(term.name)
         found.append(model.hessian())
     return found
@@ -66,7 +66,7 @@ def is_pointwise(energy: Any) -> bool:
     return hasattr(energy, "point_model") and alone
 
 
-def _add(term: Term, model: ClipModel) -> bool:
+def _add_term(term: Term, model: ClipModel) -> bool:
     """Add the Hessian of a term that is not the prior's; False if the term has none."""
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS

@@ -35,7 +35,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
             f"start: expected a motion of {counts[0][0]} clips, as observed, got "
             f"{len(start.translation)}"
         )
-    if seen and not any(_covers(start, one) for one in seen):
+    if seen and not any(_covers_observation(start, one) for one in seen):
         first = seen[0]
         frames = int((first.moments - 1) / first.fps * start.fps + _SLACK) + 1
         raise ReconError(
@@ -59,7 +59,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
     return start.replace(shape=shape).to(device=like.device, dtype=like.dtype)
 
 
-def _covers(start: Motion, seen: Sensor) -> bool:
+def _covers_observation(start: Motion, seen: Sensor) -> bool:
     """Whether a motion begins with an observation and lasts as long, to within one frame."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps

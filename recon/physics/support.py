@@ -64,7 +64,7 @@ class Support(TensorStruct):
         from the line between the two joints, less the reach of soles, and ρ(x) = s log(1 + x / s).
         The first and the last frames, whose acceleration is not known, count nothing.
         """
-        carried, nats = _load(estimate), heavy_tailed(_pairs(estimate, _unrest(estimate)))
+        carried, nats = _load(estimate), heavy_tailed(_pairs(estimate, _squared_unrest(estimate)))
         least = -SOFTNESS * ((-nats / SOFTNESS).logsumexp(-1) - math.log(len(_FIRST)))
         exists = estimate.motion.inner(_span(estimate)) & self.unseen[..., None]
         return (carried * least).where(exists, 0.0).sum(-1) * _rate(estimate)
@@ -90,7 +90,7 @@ class Support(TensorStruct):
         span, motion = _span(estimate), estimate.motion
         if motion.frames <= 2 * span:
             return
-        unrest = _unrest(estimate)
+        unrest = _squared_unrest(estimate)
         nats, unrest = _pairs(estimate, unrest)[clip].detach(), unrest[clip].detach()
         held = (-heavy_tailed(nats) / SOFTNESS).softmax(-1) / (1 + nats / FAR)
         share = _to_restless(held, unrest) * _load(estimate)[clip, :, None].detach()
@@ -137,7 +137,7 @@ def _load(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
     return carried_share(pelvis[..., 0, 2])
 
 
-def _unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
+def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     """½ (h² / σ_h² + v² / σ_v²) of ankles and toes; nats."""
     posed, fps, span = estimate.body, estimate.motion.fps, _span(estimate)
     feet = posed.joints[..., FEET, :]

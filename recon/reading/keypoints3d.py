@@ -114,12 +114,12 @@ def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
     if len(names) < _FEWEST:
         raise FormatError(
             f"{raw.name}: {len(names)} of its points are keypoints of a body by name "
-            f"({', '.join(names) or 'none'}), which is too few; found {_some(raw.names)}, "
+            f"({', '.join(names) or 'none'}), which is too few; found {_first_names(raw.names)}, "
             "expected names such as left_hip, LKnee, RAnkle, nose"
         )
     said = [*raw.decisions, f"{len(names)} keypoints by name"]
     if unknown:
-        said.append(f"points that are no keypoints of the body, left out: {_some(unknown)}")
+        said.append(f"points that are no keypoints of the body, left out: {_first_names(unknown)}")
     return replace(raw, names=names, positions=raw.positions[:, kept], decisions=tuple(said))
 
 
@@ -146,7 +146,7 @@ def _neck(known: Points3D) -> Points3D:
     return replace(known, names=names, decisions=(*known.decisions, said))
 
 
-def _some(names: tuple[str, ...] | list[str]) -> str:
+def _first_names(names: tuple[str, ...] | list[str]) -> str:
     more = "" if len(names) <= 8 else f" and {len(names) - 8} more"
     return ", ".join(names[:8]) + more
 

@@ -354,11 +354,11 @@ def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
     )
     if not changed:
         return best
-    doubt = _parted(best.frames, other.frames), changed
+    doubt = _first_difference(best.frames, other.frames), changed
     return replace(best, doubts=(*best.doubts, doubt))
 
 
-def _parted(one: _Frame | None, two: _Frame | None) -> int:
+def _first_difference(one: _Frame | None, two: _Frame | None) -> int:
     """The first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:

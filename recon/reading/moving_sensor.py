@@ -49,7 +49,7 @@ def movement(
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
             # take the wall that matches best, since the person may hide the other for a while
-            pairs = [_apart(a, b, middle) for a in planes for b in others]
+            pairs = [_plane_difference(a, b, middle) for a in planes for b in others]
             if pairs:
                 least = min(pairs, key=lambda pair: pair[0] / _SAID[0] + pair[1] / _SAID[1])
                 tilt, rise = max(tilt, least[0]), max(rise, least[1])
@@ -114,7 +114,9 @@ def _upright(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.stack((across, np.cross(up, across), up))
 
 
-def _apart(one: Plane, other: Plane, middle: Float[np.ndarray, "3"]) -> tuple[float, float]:
+def _plane_difference(
+    one: Plane, other: Plane, middle: Float[np.ndarray, "3"]
+) -> tuple[float, float]:
     """Degrees between two planes, and metres between them at the middle of the scene."""
     (a, far), (b, far_other) = one, other
     # choose the sign: a plane has two opposite normals

@@ -189,7 +189,7 @@ def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
     for view, number in members[1:]:
         frames = np.intersect1d(frames, view.tracks[number].frame)
     frames = frames[:: max(1, -(-len(frames) // _FRAMES))]
-    sights = [_sight(view, number, frames, names) for view, number in members]
+    sights = [_rays_of_track(view, number, frames, names) for view, number in members]
     seen = np.all([sight.seen for sight in sights], axis=0)
     if seen.sum() < _FEWEST_POINTS:
         nothing = np.zeros((*seen.shape, 3))
@@ -201,7 +201,9 @@ def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
     scale = solution[..., 3:]
     points = solution[..., :3] / np.where(np.abs(scale) > 1e-9, scale, 1e-9)
     points = np.where(seen[..., None], points, 0.0)
-    return Triangulated(points, seen, names, np.stack([_miss(points, one) for one in sights]))
+    return Triangulated(
+        points, seen, names, np.stack([_distance_from_rays(points, one) for one in sights])
+    )
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,9 @@ class _Sight:
     """(frames, 4, 4) world to camera; a fixed camera has one pose for all."""
 
 
-def _sight(view: TrackedView, number: int, frames: np.ndarray, names: tuple[str, ...]) -> _Sight:
+def _rays_of_track(
+    view: TrackedView, number: int, frames: np.ndarray, names: tuple[str, ...]
+) -> _Sight:
     import cv2
 
     track, camera = view.tracks[number], view.camera
@@ -242,7 +246,7 @@ def _sight(view: TrackedView, number: int, frames: np.ndarray, names: tuple[str,
     )
 
 
-def _miss(points: np.ndarray, sight: _Sight) -> np.ndarray:
+def _distance_from_rays(points: np.ndarray, sight: _Sight) -> np.ndarray:
     """Distance of points from the rays in body sizes; infinite behind the camera."""
     local = np.einsum("tij,tkj->tki", sight.pose[:, :3, :3], points) + sight.pose[:, None, :3, 3]
     front = local[..., 2] > 1e-6

@@ -95,11 +95,11 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         for path, camera in zip(folders, cameras, strict=True)
     ]
     first, frames = _frame_range(found)
-    cameras = [_timed(*one, first, frames) for one in zip(cameras, names, strict=True)]
+    cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
     if track is not None:
         poses, reason = track.at(first, frames, fps)
-        carried = (_said(track, reason),)
+        carried = (_notes_of_views(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     for one, camera in zip(found, cameras, strict=True):
@@ -149,7 +149,7 @@ def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions)
     return Calibration({view_name(path): camera}, "m", said)
 
 
-def _said(track: CameraTrack, how: str) -> str:
+def _notes_of_views(track: CameraTrack, how: str) -> str:
     unit = "metres" if track.metric else "of unknown unit, told by standing feet"
     up = "its world is level" if track.level else "up is told by the person"
     return f"camera track of {track.producer}: {how}; {unit}; {up}; the ground is unknown"
@@ -235,7 +235,7 @@ class SeenViews:
         return KeypointsFile(pixels, confidence, layout, self.fps, camera)
 
 
-def _timed(camera: CameraArrays, name: str, first: int, frames: int) -> CameraArrays:
+def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) -> CameraArrays:
     """A moving camera with the poses of these frames alone.
 
     Raises:

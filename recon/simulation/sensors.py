@@ -71,7 +71,7 @@ def seen_by(
     if kind == "scans":
         if unknown_ground:
             raise ReconError("scans stand in the world; an unknown ground does not apply to them")
-        seen = _dressed(body, surface)
+        seen = _clothed_body(body, surface)
         return {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
     known = not unknown_ground
     return {"": _tracked(truth, body, kind, corruption, seed, surface, ground_known=known)}
@@ -103,7 +103,7 @@ def check_apply(
         raise ReconError(f"a skin offset is of landmarks, not of {kind}")
 
 
-def _dressed(body: BodyModel, surface: SurfaceSettings) -> BodyModel:
+def _clothed_body(body: BodyModel, surface: SurfaceSettings) -> BodyModel:
     return body if surface.clothed is None else clothed(body, surface.clothed)
 
 
@@ -165,23 +165,25 @@ def _filmed(
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()
             sensor = replace(sensor, constant=math.hypot(sensor.constant, corruption.noise))
             file = depth_points(
-                truth, _dressed(body, surface), camera, quiet, own,
+                truth, _clothed_body(body, surface), camera, quiet, own,
                 sensor=sensor, points=surface.points,
                 surfaces=(Surface.BODY, *(_LEFT[name] for name in surface.left_over)),
-                furniture=_around(truth, body, surface),
+                furniture=_furniture_around(truth, body, surface),
             )  # fmt: skip
         else:
             file = keypoints2d(truth, body, camera, corruption, own, film.layout)
             if not (file.confidence > 0).any():
                 raise ReconError(f"camera {name} sees nothing of the motion in any frame")
-        files[name] = _lost(file) if unknown_ground else file
+        files[name] = _without_camera_pose(file) if unknown_ground else file
     return files
 
 
 _LEFT = {"ground": Surface.GROUND, "furniture": Surface.FURNITURE}
 
 
-def _around(truth: Motion, body: BodyModel, surface: SurfaceSettings) -> FurnitureMesh | None:
+def _furniture_around(
+    truth: Motion, body: BodyModel, surface: SurfaceSettings
+) -> FurnitureMesh | None:
     """The furniture around the middle of a motion, turned as the body is on average."""
     if len(surface.furniture) == 0:
         return None
@@ -189,7 +191,7 @@ def _around(truth: Motion, body: BodyModel, surface: SurfaceSettings) -> Furnitu
     return furnished(surface.furniture, middle, mean_heading(truth))
 
 
-def _lost(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
+def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
     """Observations of a camera of unknown pose, and its true pose.
 
     Raises:

@@ -104,7 +104,7 @@ def _minimise(
     every = torch.arange(len(start), device=start.device)
     values, gradient = _evaluate(objective, start, every)
     terms = values.double()
-    value, largest = _to_host(terms.sum(-1), _largest(gradient))
+    value, largest = _to_host(terms.sum(-1), _largest_entry(gradient))
     resolution = max(torch.finfo(kind).eps for kind in (start.dtype, values.dtype))
     wolfe = Wolfe(settings.c1, settings.c2, settings.max_line_search, resolution)
     ledger = Ledger.open(start, terms)
@@ -128,7 +128,7 @@ def _minimise(
             terms.sum(-1),
             (gradient * active.direction).sum(-1),
             (active.gradient * active.direction).sum(-1),
-            _largest(gradient),
+            _largest_entry(gradient),
         )
         slope[~np.isfinite(largest)] = np.inf
         verdict = searches.advance(value, slope, origin_slope, wolfe)
@@ -215,7 +215,7 @@ def _to_host(*rows: Float64[Tensor, " active"]) -> Float64[np.ndarray, "rows act
     return torch.stack(rows).cpu().numpy()
 
 
-def _largest(gradient: Float64[Tensor, "active n"]) -> Float64[Tensor, " active"]:
+def _largest_entry(gradient: Float64[Tensor, "active n"]) -> Float64[Tensor, " active"]:
     if gradient.shape[1] == 0:
         return gradient.new_zeros(len(gradient))
     return gradient.abs().amax(-1)

@@ -107,25 +107,25 @@ def shown(
         other = load_motion_of(side, model)
         file, second = at_common_times(file, other)
         figures.append(
-            _measured(Figure(model, file.motion, motion.stem, joint_std=file.joint_std))
+            _with_measures(Figure(model, file.motion, motion.stem, joint_std=file.joint_std))
         )
-        aside = Figure(model, second, _another(side, motion), CORAL)
-        figures.append(put_beside(figures[0], _measured(aside)))
+        aside = Figure(model, second, _second_name(side, motion), CORAL)
+        figures.append(put_beside(figures[0], _with_measures(aside)))
     if compare is not None:
-        other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
-        name = _another(compare, motion)
+        other = _at_times_of_first(load_motion_of(compare, model), file.motion, compare)
+        name = _second_name(compare, motion)
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     points, cloud, cameras = observed(obs, file, model)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
     return Show(motion.stem, tuple(figures), points, cloud, cameras, ground, certainty)
 
 
-def _another(path: Path, first: Path) -> str:
+def _second_name(path: Path, first: Path) -> str:
     """Default name of a second motion in the legend."""
     return path.stem if path.stem != first.stem else f"{path.stem} (2)"
 
 
-def _measured(figure: Figure) -> Figure:
+def _with_measures(figure: Figure) -> Figure:
     """The figure with its height and weight in its name."""
     shape = figure.motion.shape
     tall, heavy = figure.body.height(shape), weight(figure.body, shape)
@@ -139,7 +139,7 @@ def draw_html(path: Path, show: Show) -> None:
     write_html(path, show)
 
 
-def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
+def _at_times_of_first(file: MotionFile, motion: Motion, path: Path) -> Motion:
     """Another motion resampled to the times of the first."""
     try:
         return file.motion.at(motion.times, motion.fps)

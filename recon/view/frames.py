@@ -54,7 +54,7 @@ def write_png(
     else:
         width, wanted = width or 360, 5
         size = (width, 11 * width // 9)
-    chosen = _spread(show.frames, wanted) if frames is None else frames
+    chosen = _evenly_spread(show.frames, wanted) if frames is None else frames
     _check(width, chosen, show.frames)
     stands = viewpoints(show, size)
     rows = [_scene(one, chosen, stands) for one in shows]
@@ -62,7 +62,7 @@ def write_png(
         row: list[Picture] = []
         for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
             row.append(paint_view(show, view, frame, part, width))
-            _map(row[-1], view, part)
+            _outline_of_image(row[-1], view, part)
         _name(row[0], view)
         rows.append(row)
     sheet = join([join(row, axis=1) for row in rows], axis=0)
@@ -156,7 +156,7 @@ def _name(picture: Picture, view: View) -> None:
         label(picture, f"median error {error:.1f} px")
 
 
-def _map(picture: Picture, view: View, part: Region) -> None:
+def _outline_of_image(picture: Picture, view: View, part: Region) -> None:
     """The image's outline in the lower left corner, with the part of it that is shown."""
     height, width = picture.shape[:2]
     size = np.array(view.camera.image_size, float)
@@ -174,7 +174,7 @@ def _map(picture: Picture, view: View, part: Region) -> None:
         cv2.rectangle(picture, start, end, colour, thickness)
 
 
-def _spread(count: int, wanted: int) -> list[int]:
+def _evenly_spread(count: int, wanted: int) -> list[int]:
     """Numbers of at most `wanted` of `count` frames, evenly spread from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 

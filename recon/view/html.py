@@ -105,7 +105,7 @@ def _record(server: ViserServer, show: Show) -> str:
     scene.set_up_direction("+z")
     touching = any(bool(figure.touching.any()) for figure in show.figures)
     inside = SEE_THROUGH if touching or show.points is not None else 1.0
-    layers = [_stage(server, show)]
+    layers = [_ground_and_view(server, show)]
     for figure in show.figures:
         layers.append(_body(scene, figure, figure.opacity * inside))
         joints, node = figure.posed.joints, figure.node("contacts")
@@ -133,7 +133,7 @@ def _record(server: ViserServer, show: Show) -> str:
     return serializer.as_html()
 
 
-def _stage(server: ViserServer, show: Show) -> Layer:
+def _ground_and_view(server: ViserServer, show: Show) -> Layer:
     """The ground and a first view; the world glides so that the person stays in it.
 
     Where cameras are shown, the world stands still until the page is told to follow.
@@ -180,7 +180,7 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
         bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (joints.shape[1], 1)),
         bone_positions=figure.posed.rest.numpy(),
         skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
-        color=_deep(figure.colour),
+        color=_darker_colour(figure.colour),
         # two coinciding skins would flicker, as both have the same depth
         wireframe=figure.opacity < 1,
         opacity=None if opacity == 1 else opacity,
@@ -230,7 +230,7 @@ def _spheres(
         bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (bones.shape[1], 1)),
         bone_positions=np.tile(corners, (count, 1)),
         skin_weights=np.kron(np.eye(count), weights),
-        color=_deep(colour),
+        color=_darker_colour(colour),
         opacity=opacity,
         cast_shadow=False,
         receive_shadow=False,
@@ -250,7 +250,9 @@ def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
     def points(frame: int) -> np.ndarray:
         return thinned(cloud[frame], CLOUD_LIMIT).detach().cpu().float().numpy()
 
-    handle = scene.add_point_cloud("/world/scan", points(0), colors=_deep(CLOUD), point_size=0.008)
+    handle = scene.add_point_cloud(
+        "/world/scan", points(0), colors=_darker_colour(CLOUD), point_size=0.008
+    )
 
     def show(frame: int) -> None:
         handle.points = points(frame)
@@ -267,7 +269,7 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
         fov=float(2 * torch.atan(height / 2 / camera.camera_matrix[1, 1])),
         aspect=width / height,
         scale=0.3,
-        color=_deep(CAMERA),
+        color=_darker_colour(CAMERA),
         cast_shadow=False,
         receive_shadow=False,
     )
@@ -281,7 +283,7 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
     return show
 
 
-def _deep(colour: Colour) -> Colour:
+def _darker_colour(colour: Colour) -> Colour:
     red, green, blue = (round(DEEPEN * part) for part in colour)
     return red, green, blue
 

@@ -160,11 +160,12 @@ def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height 
     ]
     picture = floor(plane, view, shadow(bodies, plane, view))
     surfaces = [
-        _lit(figure, mesh, frame, view) for figure, mesh in zip(show.figures, bodies, strict=True)
+        _lit_body(figure, mesh, frame, view)
+        for figure, mesh in zip(show.figures, bodies, strict=True)
     ]
     surfaces.sort(key=lambda surface: -surface.front)
     surfaces += [*_spheres(show, frame, view), *_pyramids(show, frame, view)]
-    left, top, right, bottom = _around(np.concatenate([s.vertices for s in surfaces]), view)
+    left, top, right, bottom = _bounding_box(np.concatenate([s.vertices for s in surfaces]), view)
     if right > left and bottom > top:
         # only drawings on the floor need the finer pixels
         fine = view.part(left, top, right, bottom).scaled(SUPERSAMPLING)
@@ -216,7 +217,7 @@ def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
     return np.concatenate([rays, rim])
 
 
-def _lit(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
+def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
     """A body in the light of the sky, of the floor and of the lamp, with a little gloss."""
     vertices, faces = mesh
     normals = vertex_normals(vertices, faces)
@@ -270,7 +271,7 @@ def _balls(
     radii = np.maximum(radii, SMALLEST_PX * depth / (SUPERSAMPLING * view.focal))
     vertices = places[:, None] + radii[:, None, None] * ball.vertices
     light = linear(colour) * (0.45 + 0.7 * lamp)[:, None]
-    return _repeated(vertices, ball.faces, light[None], front, through)
+    return _copies(vertices, ball.faces, light[None], front, through)
 
 
 def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
@@ -283,11 +284,11 @@ def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
         rods = [trimesh.creation.cylinder(radius, sections=6, segment=line) for line in lines]
         vertices = np.stack([rod.vertices for rod in rods])
         light = np.broadcast_to(linear(CAMERA), vertices.shape)
-        found.append(_repeated(vertices, rods[0].faces, light, through=0.2))
+        found.append(_copies(vertices, rods[0].faces, light, through=0.2))
     return found
 
 
-def _repeated(
+def _copies(
     vertices: Float[np.ndarray, "copies vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     light: Float[np.ndarray, "#copies vertices 3"],
@@ -301,7 +302,9 @@ def _repeated(
     return LitSurface(vertices.reshape(-1, 3), every.reshape(-1, 3), light, front, through)
 
 
-def _around(points: Float[np.ndarray, "points 3"], view: Viewpoint) -> tuple[int, int, int, int]:
+def _bounding_box(
+    points: Float[np.ndarray, "points 3"], view: Viewpoint
+) -> tuple[int, int, int, int]:
     """Bounding box of points in a picture: left, top, right, bottom.
 
     It is the whole picture where one is not well before the viewer.

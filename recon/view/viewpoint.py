@@ -106,7 +106,7 @@ def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint,
     target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
 
     R_camera_world = _three_quarter(figures[0], ELEVATION)
-    needed = _needed((surface - target[:, None]) @ R_camera_world.T, size)
+    needed = _distance_needed((surface - target[:, None]) @ R_camera_world.T, size)
     back = float(np.quantile(needed.max(1), 0.98)) * R_camera_world[2]
     lens = _focal(size), size, (size[0] / 2, size[1] / 2)
     return tuple(Viewpoint(R_camera_world, place - back, place, *lens) for place in target)
@@ -129,7 +129,7 @@ def overview(
     R_camera_world = _three_quarter(figures[0], OVERVIEW_ELEVATION)
     local = points @ R_camera_world.T
     target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
-    needed = _needed((points - target) @ R_camera_world.T, size)
+    needed = _distance_needed((points - target) @ R_camera_world.T, size)
     place = target - float(needed.max()) * R_camera_world[2]
     middle = (size[0] / 2, size[1] / 2)
     view = Viewpoint(R_camera_world, place, target, _focal(size), size, middle)
@@ -141,7 +141,7 @@ def _focal(size: tuple[int, int]) -> float:
     return min(size) / 2 / math.tan(FIELD_OF_VIEW / 2)
 
 
-def _needed(
+def _distance_needed(
     local: Float[np.ndarray, "*shape 3"], size: tuple[int, int]
 ) -> Float[np.ndarray, "*shape"]:
     """Distance from the target at which points are within `MARGIN` of the picture, metres.

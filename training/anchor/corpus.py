@@ -159,12 +159,12 @@ class CycleCorpus(TensorStruct):
         """Some cycles with the arms of others, and some mixed with others, of the same foot."""
         count = len(left)
         columns = so3.to_6d(anchors.rotations)
-        partner = _partners(left, random)
+        partner = _random_partners(left, random)
         upper = torch.rand(count, generator=random) < variation.exchange
         exchanged = columns.clone()
         exchanged[:, :, _UPPER] = columns[partner][:, :, _UPPER]
         columns = torch.where(upper[:, None, None, None], exchanged, columns)
-        partner = _partners(left, random)
+        partner = _random_partners(left, random)
         share = torch.rand(count, generator=random)
         share = share * (torch.rand(count, generator=random) < variation.mix)
 
@@ -180,7 +180,9 @@ class CycleCorpus(TensorStruct):
         )
 
 
-def _partners(left: Bool[Tensor, " cycles"], random: torch.Generator) -> Int[Tensor, " cycles"]:
+def _random_partners(
+    left: Bool[Tensor, " cycles"], random: torch.Generator
+) -> Int[Tensor, " cycles"]:
     """Random partners of cycles, one for each, that begin with the same foot."""
     partner = torch.arange(len(left))
     for side in (left, ~left):

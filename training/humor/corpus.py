@@ -142,8 +142,8 @@ class Corpus(TensorStruct):
             count=count,
             shape=torch.stack([c.motion.shape for c in clips]),
             trusted=torch.tensor([c.contacts is not None for c in clips]),
-            kind=_numbered(kinds),
-            person=_numbered([splits.subject(name) for name in names]),
+            kind=_label_indices(kinds),
+            person=_label_indices([splits.subject(name) for name in names]),
             body=body,
             soles=(body.template[:, 1] < body.joint_template[list(TOES), 1].min()).nonzero()[:, 0],
             names=names,
@@ -336,7 +336,7 @@ def _between_jumps(clip: MotionFile) -> list[MotionFile]:
     ]
 
 
-def _numbered(labels: Sequence[str]) -> Int[Tensor, " clips"]:
+def _label_indices(labels: Sequence[str]) -> Int[Tensor, " clips"]:
     """The index of each label in the sorted list of labels."""
     places = {label: place for place, label in enumerate(sorted(set(labels)))}
     return torch.tensor([places[label] for label in labels])

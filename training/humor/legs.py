@@ -78,9 +78,9 @@ def brought(
     radius = (upper**2 - x**2).clamp(min=0).sqrt()
 
     was = ankle - hip
-    apart = _across(knee - hip, was / was.norm(dim=-1, keepdim=True))
+    apart = _perpendicular_part(knee - hip, was / was.norm(dim=-1, keepdim=True))
     facing = orientations[:, :, list(HIPS), :, 2]
-    pole = _across(apart + aim.forward[:, None, None, None] * facing, along)
+    pole = _perpendicular_part(apart + aim.forward[:, None, None, None] * facing, along)
     pole = pole / pole.norm(dim=-1, keepdim=True).clamp(min=1e-6)
     bent = begin + x[..., None] * along + radius[..., None] * pole
 
@@ -109,7 +109,7 @@ def shortest(
     return torch.eye(3).to(skew) + skew + skew @ skew / (1 + cosine)
 
 
-def _across(vector: Tensor, unit: Tensor) -> Tensor:
+def _perpendicular_part(vector: Tensor, unit: Tensor) -> Tensor:
     """The part of a vector that is perpendicular to a direction."""
     return vector - (vector * unit).sum(-1, keepdim=True) * unit
 

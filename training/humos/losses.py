@@ -111,11 +111,16 @@ def physics_losses(
         ground=ground.sum() / frames,
         slide=physics.slide(estimate).sum() / frames,
         balance=physics.dynamic_stability(estimate).sum() / frames,
-        bounce=0.5 * _mean(_bounce(motion, batch, body)[..., None], batch.valid[:, 2:, None]),
+        bounce=0.5
+        * _mean(
+            _pelvis_acceleration_error(motion, batch, body)[..., None], batch.valid[:, 2:, None]
+        ),
     )
 
 
-def _bounce(motion: Motion, batch: BodyBatch, body: BodyModel) -> Float[Tensor, "clips inner"]:
+def _pelvis_acceleration_error(
+    motion: Motion, batch: BodyBatch, body: BodyModel
+) -> Float[Tensor, "clips inner"]:
     """Squared second difference of the error of the pelvis' height, metres² per metre² of leg."""
     pelvis = motion.translation[..., 2] + body.rest_joints(motion.shape)[:, :1, 2]
     height = pelvis / leg_length(body, motion.shape)[:, None]

@@ -77,7 +77,7 @@ def drawn_room(
     pieces: list[FurnitureMesh] = []
     if random.random() < 0.45:
         count = int(random.integers(1, 4))
-        pieces = [_piece(middle, high[2] - low[2], random) for _ in range(count)]
+        pieces = [_board_or_wall(middle, high[2] - low[2], random) for _ in range(count)]
     seat = float(np.median(vertices[..., 2]) - 0.12)
     if 0.3 < seat < 0.7 and random.random() < 0.4:
         under = chair(height=seat, width=random.uniform(0.38, 0.6))
@@ -202,7 +202,9 @@ def _blotches(random: np.random.Generator) -> Float[np.ndarray, "height width"]:
     return cv2.resize(coarse, SIZE, interpolation=cv2.INTER_CUBIC)
 
 
-def _piece(middle: np.ndarray, height: float, random: np.random.Generator) -> FurnitureMesh:
+def _board_or_wall(
+    middle: np.ndarray, height: float, random: np.random.Generator
+) -> FurnitureMesh:
     """Something that stands near a person."""
     angle, away = random.uniform(0, 2 * np.pi), random.uniform(0.3, 1.3)
     place = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
