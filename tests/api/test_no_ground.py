@@ -70,7 +70,7 @@ def test_what_says_nothing_of_itself_is_taken_to_judge_heights():
     class Plain:
         stages = Quick.stages
 
-    with pytest.raises(ReconError, match=r"'Plain' judges.*knows_gravity = False"):
+    with pytest.raises(ReconError, match=r"'Plain' needs the ground.*knows_gravity is False"):
         FitOptions(Plain(), grounded=False)
     with pytest.raises(ReconError, match="expected physics=0, got 1"):
         recon.fit(lifted(0.0), "pose", ground=None, physics=1.0)
