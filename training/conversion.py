@@ -62,7 +62,7 @@ def convert(
     only: tuple[str, ...] = (),
     processes: int = 1,
 ) -> None:
-    """Convert all recordings and mark which seconds each training may use.
+    """Convert all recordings and note which seconds are fit for training.
 
     Args:
         data: folder of all real recordings.

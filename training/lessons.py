@@ -56,7 +56,7 @@ _TRUNK_AND_LIMBS = tuple(
 
 @dataclass(frozen=True)
 class Source:
-    """What is known of a recording besides its motion."""
+    """Metadata of a recording: everything known besides its motion."""
 
     own_bones: bool = True
     """Whether the bones are those of the person who moves; if not, the root's path does not fit
@@ -118,7 +118,7 @@ def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
 def _contradicting(
     file: MotionFile, source: Source, body: BodyModel, edges: list[int]
 ) -> list[tuple[str, ...]]:
-    """What speaks against every second, as words of `_SPOILS`."""
+    """Reasons against training on each second, as words of `_SPOILS`."""
     motion = file.motion
     step = max(1, round(motion.fps / _RATE))
     movement = Movement.of(_thinned(motion, step), body)

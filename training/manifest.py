@@ -82,7 +82,7 @@ def _read(row: Mapping[str, Any]) -> Row:
 
 
 def taught(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
-    """The stretches of a clip that teach something, with contacts only where these are taught.
+    """The stretches of a clip that are fit for training; contacts only where they are reliable.
 
     Args:
         path: of the motion.

@@ -1,4 +1,4 @@
-"""A training run: a folder in which it goes on where it was cut, and one loop for all priors.
+"""A training run: one loop for all priors, with a folder from which it can be resumed.
 
 A prior's own run (`training.humor.train`, `training.anchor.train`, ...) says which networks learn,
 what they lose on a batch, and how wrong they are about held-out people.
@@ -126,11 +126,11 @@ class Run(Generic[S, N]):
             self.resume(state)
 
     def untrained(self, state: Mapping[str, Any] | None) -> N:
-        """Networks before the first step; those of a checkpoint get its weights later."""
+        """Networks before the first step; a checkpoint's weights are loaded later."""
         raise NotImplementedError
 
     def losses(self) -> dict[str, Tensor]:
-        """Losses of one batch by name; `total` is what is descended."""
+        """Losses of one batch by name; `total` is minimised."""
         raise NotImplementedError
 
     def errors(self) -> dict[str, float]:
@@ -227,7 +227,7 @@ class Run(Generic[S, N]):
                 mean.lerp_(now, 1 - keep)
 
     def _validate(self, pace: float) -> None:
-        """A row of means of the training losses and of errors: logged, kept and drawn."""
+        """Log, save and plot a row of mean training losses and validation errors."""
         count = (self.step - 1) % self.settings.validate_every + 1
         row = {f"train_{name}": value / count for name, value in self.sums.items()}
         row |= self.errors()

@@ -22,7 +22,7 @@ Licence = Literal["open", "nc"]
 
 @dataclass(frozen=True)
 class CorpusSettings:
-    """What every prior is learned from, and where to."""
+    """The training corpus of a prior, and the output."""
 
     corpus: Path
     """Folder of converted motions (`python -m training.conversion`, or `recon convert --all`)."""
@@ -76,7 +76,7 @@ class CorpusSettings:
     def load_clips(
         self, part: Part, fps: float = 30.0, lesson: Lesson = "poses"
     ) -> list[CorpusClip]:
-        """Stretches of one part that teach something, resampled; not those of one frame only."""
+        """Stretches of one split fit for training, resampled; single frames are dropped."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
         for name, _, file in self.taught(part, lesson):
@@ -89,7 +89,7 @@ class CorpusSettings:
 
 @dataclass(frozen=True)
 class TrainingSettings(CorpusSettings):
-    """Settings that every run in steps has; each prior adds its own and has its own defaults."""
+    """Settings common to all training runs; each prior adds settings and sets defaults."""
 
     steps: int = 20_000
     """Steps of the optimiser."""
@@ -121,7 +121,7 @@ def plain(settings: Any) -> dict[str, Any]:
 
 
 def told_settings(settings: Any) -> dict[str, Any]:
-    """The settings that a weights file says: all but paths on the trainer's disk."""
+    """The settings stored in a weights file: all except paths on the training machine."""
     found = dataclasses.asdict(settings)
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
 

@@ -55,7 +55,7 @@ def unlike(
 
 
 def sizes(data: Positional[Path]) -> None:
-    """Compare the bones of all numbers with those of 0.2.0.
+    """Compare the bones of all subjects with the subjects of version 0.2.0.
 
     Args:
         data: folder of all real recordings.

@@ -74,7 +74,7 @@ def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
 
 
 def marker_clips(data: Path) -> list[SourceClip]:
-    """All recordings of markers that are learned from, or that judge what was learned."""
+    """All recordings of markers for training or for testing."""
     table = tomllib.loads(_LIST.read_text(encoding="utf-8"))
     found = [
         SourceClip("observations", row["clip"], data / row["path"], None,
@@ -86,7 +86,7 @@ def marker_clips(data: Path) -> list[SourceClip]:
 
 
 def copied_clips(data: Path, collection: str) -> list[SourceClip]:
-    """All motions on a skeleton that is nobody's own and that needs a reader of its own."""
+    """All motions on a skeleton shared by all people, which needs a special reader."""
     return _listed(data / MORE / collection)
 
 

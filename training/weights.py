@@ -1,4 +1,4 @@
-"""Writing the weights that trainings learned, in the form that `priors` reads."""
+"""Writing trained weights in the format that `priors` reads."""
 
 import json
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from recon.formats.replacing import replacing
 
 
 def half_precision(networks: nn.Module, **parts: TensorStruct) -> dict[str, Tensor]:
-    """Tensors of networks in half precision, and those of named parts that are not learned.
+    """Tensors of networks in half precision, together with named tensors that are not trained.
 
     All are in half precision but what scales others: of parts only `directions` are.
     """

@@ -14,7 +14,6 @@ from torch import Tensor
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.weights import (
-    bundled_weights,
     mixture_from,
     networks_from,
     read_weights,
@@ -88,7 +87,7 @@ class Humor(Prior[HumorVariables]):
         if mixture is not None:
             initial = Mixture.load(mixture)
         else:
-            initial = mixture_from(weights) or mixture_from(bundled_weights())
+            initial = mixture_from(weights) or mixture_from(read_weights("open"))
         if path is not None and Path(path).suffix == ".pth" and body.name == "recon":
             _LOG.warning(
                 "%s learned from SMPL-H bodies; joints of the bundled body sit elsewhere, so give "
@@ -97,7 +96,7 @@ class Humor(Prior[HumorVariables]):
             )
         whitening = whitening_from(weights)
         if whitening is None:
-            whitening = whitening_from(bundled_weights())
+            whitening = whitening_from(read_weights("open"))
         assert initial is not None
         assert whitening is not None
         return cls(networks.requires_grad_(False), initial, body, whitening)

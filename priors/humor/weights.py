@@ -22,11 +22,6 @@ _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeErr
 """Errors of reading bytes that are no checkpoint."""
 
 
-def bundled_weights() -> Checkpoint:
-    """The weights in the package."""
-    return named_checkpoint("open", "humor")
-
-
 def read_weights(path: str | Path) -> Checkpoint:
     """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
 

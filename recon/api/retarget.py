@@ -91,7 +91,7 @@ def retarget(
         names = ", ".join(METHODS)
         raise ReconError(f"method: expected one of {names}, got {method!r:.60}")
     if method != "network" and weights != "open":
-        raise ReconError(f"weights: {weights!r:.60} are of the network; ask for method='network'")
+        raise ReconError(f"weights={weights!r:.60} needs method='network', got {method!r}")
     model = body_given(body)
     rate = None if fps is None else positive(fps, "fps")
     asked = None if ground is None else finite(ground, "ground")

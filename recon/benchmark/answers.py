@@ -151,7 +151,7 @@ def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answ
                 f"{array.shape} of {array.dtype}"
             )
         if not np.isfinite(array).all():
-            raise ReconError(f"{where}: {key} holds NaN or infinity; every frame is judged")
+            raise ReconError(f"{where}: {key} holds NaN or infinity; every frame needs a value")
         tensors[key] = torch.from_numpy(array.astype(np.float64))
     points = tensors.get("points") if window.vertices else None
     return Answer(tensors["joints"], points=points, contacts=tensors.get("contacts"))

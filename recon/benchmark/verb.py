@@ -48,7 +48,7 @@ def bench(
     from recon.cli.looks import find_here
 
     if write is not None and (method or predictions or json is not None):
-        raise ValueError("--write only writes what is seen; judge predictions by another run")
+        raise ValueError("--write only writes the observations; evaluate in another run")
     find_here(method)
     from recon.benchmark import judged as work
 

@@ -147,7 +147,7 @@ def rest_points(body: BodyModel, shape: Tensor) -> RestPoints:
 
 
 def along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """Axes whose y is given and whose z lies in the plane of it and a vector to the right."""
+    """Orthonormal axes with y along `up` and z in the plane of `up` and `right`."""
     y = up / np.linalg.norm(up)
     x = np.cross(y, right)
     x /= np.linalg.norm(x)
@@ -155,7 +155,7 @@ def along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _about_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """Axes whose z is given and whose y lies in the plane of it and a vector upwards."""
+    """Orthonormal axes with z along `right` and y in the plane of `right` and `up`."""
     z = right / np.linalg.norm(right)
     x = np.cross(up, z)
     x /= np.linalg.norm(x)

@@ -65,7 +65,7 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
 
 
 def _hint(path: Path) -> str:
-    """A hint for a missing file: similar names, or that its folder is missing, too."""
+    """The end of a message about a missing file: similar names, or that its folder is missing."""
     folder = path.parent
     if not folder.is_dir():
         return f"; the folder {folder} is not there either"

@@ -90,7 +90,7 @@ class UnknownLens(TensorStruct):
 
     @classmethod
     def create(cls, distance: Float[Tensor, "*batch"]) -> "UnknownLens":
-        """The lens with the guessed focal length, to begin with."""
+        """The initial lens: its focal length is the guess."""
         return cls(torch.zeros_like(distance), distance)
 
     @property

@@ -354,7 +354,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # noise in velocities looks like motion; away from the middle it enters positions as well
+        # noise in velocities looks like motion; positions apart from the middle share that noise
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())

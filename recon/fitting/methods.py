@@ -131,13 +131,13 @@ class FitOptions:
         if self.knows_gravity:
             name = self.prior if isinstance(self.prior, str) else type(self.prior).__name__
             raise ReconError(
-                f"without a ground, nothing can be said about heights above it, which the prior "
-                f"{name!r} judges; fit with the prior 'pose', or with one of your own that "
-                "has knows_gravity = False"
+                f"the prior {name!r} needs the ground, as it depends on heights above it, and "
+                "ground is None; fit with the prior 'pose', or with a prior whose knows_gravity "
+                "is False"
             )
         if self.physics != 0:
             raise ReconError(
-                f"physics is of a body on the ground, and there is none: expected physics=0, got "
+                f"physics needs the ground, and ground is None: expected physics=0, got "
                 f"{self.physics:g}"
             )
 

@@ -182,8 +182,8 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     report = read_report(output.report)
     if report is None and output.report.exists() and not overwrite:
         raise FileExistsError(
-            f"{output.report} is there already, and not as recon writes reports (somebody else's, "
-            f"or changed since); move it away, write somewhere else, or replace it by --overwrite"
+            f"{output.report} is there already and is no report of recon, or was changed "
+            f"since; move it away, write somewhere else, or replace it by --overwrite"
         )
     own: dict[str, str] = {}
     for name, path in _existing_files(output).items():

@@ -12,8 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -71,8 +69,10 @@ def clear_leftovers(path: Path) -> None:
             leftover.unlink(missing_ok=True)
 
 
-def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write an .npz file; readers see the old file or the whole new one."""
+def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write numpy arrays as an .npz file; readers see the old file or the whole new one."""
+    import numpy as np  # a command line that is refused need not wait for it
+
     clear_leftovers(path)
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]

@@ -80,7 +80,7 @@ def report_text(
 
 
 def versions() -> dict[str, str]:
-    """Versions of the software that made the result."""
+    """Versions of recon, torch and Python that made the result."""
     return {
         "recon": version("motion-recon"),
         "torch": version("torch"),

@@ -70,8 +70,8 @@ class Feet:
         """
         if body.checksum != BodyModel.load().checksum:
             raise ReconError(
-                f"gait is told from heels and toes, which are known of the bundled body only, not "
-                f"of {body.name!r}: give a motion of the bundled body"
+                f"gait analysis needs heels and toes, which only the bundled body has marked, not "
+                f"{body.name!r}: give a motion of the bundled body"
             )
         posed = body.pose(motion.detach())
         times = motion.times.double().cpu()

@@ -162,7 +162,7 @@ def minimise_frames(
         size = curvatures.size(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # rejecting the steps of bad frames changes the ties of good ones: check these again
+            # bad frames do not step, so the ties of the good ones must be computed again
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tied(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()

@@ -219,10 +219,10 @@ class _FormerPrior(Prior[TensorStruct]):
         vars(self).update(powers, knows_gravity=trait(given, "knows_gravity"), _given=given)
 
     def encode(self, motion: Motion) -> Any:
-        raise NotImplementedError("an object with stages(data) alone is no change of variables")
+        raise NotImplementedError("a prior with stages(data) alone cannot encode or decode")
 
     def decode(self, variables: Any) -> Decoded:
-        raise NotImplementedError("an object with stages(data) alone is no change of variables")
+        raise NotImplementedError("a prior with stages(data) alone cannot encode or decode")
 
     def stages(
         self,

@@ -238,8 +238,8 @@ def together(
     ]  # fmt: skip
     if len(views_without) > 1:
         raise ObservationError(
-            f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
-            "knows how they stand to each other; give a calibration, or fit one view alone"
+            f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so their "
+            "relative positions are unknown; give a calibration, or fit one view alone"
         )
     plane = None if isinstance(settings.ground, str) else settings.ground
     T = None if plane is None else camera_above(plane)

@@ -61,16 +61,16 @@ def test_with_a_ground_the_same_points_are_said_to_float():
 
 
 @pytest.mark.parametrize("prior", ["humor", "anchor"])
-def test_priors_that_judge_heights_are_refused(prior):
-    with pytest.raises(ReconError, match=f"'{prior}' judges; fit with the prior 'pose'"):
+def test_priors_that_need_the_ground_are_refused(prior):
+    with pytest.raises(ReconError, match=f"'{prior}' needs the ground.*fit with the prior 'pose'"):
         recon.fit(lifted(0.0), prior, ground=None)
 
 
-def test_what_says_nothing_of_itself_is_taken_to_judge_heights():
+def test_a_prior_without_the_trait_is_taken_to_need_the_ground():
     class Plain:
         stages = Quick.stages
 
-    with pytest.raises(ReconError, match=r"'Plain' judges.*knows_gravity = False"):
+    with pytest.raises(ReconError, match=r"'Plain' needs the ground.*knows_gravity is False"):
         FitOptions(Plain(), grounded=False)
     with pytest.raises(ReconError, match="expected physics=0, got 1"):
         recon.fit(lifted(0.0), "pose", ground=None, physics=1.0)

@@ -44,7 +44,7 @@ OTHER = "other"
 
 
 def kind_of(description: str) -> str:
-    """The kind of motion, inferred from the description of a recording."""
+    """The kind of motion, from the description of a recording."""
     text = description.lower()
     for kind, words in KINDS.items():
         if any(word in text for word in words):
@@ -152,7 +152,7 @@ class Corpus(TensorStruct):
     def draw(
         self, windows: int, frames: int, variation: Variation, random: torch.Generator
     ) -> StateWindows:
-        """Random windows; a clip is drawn as often as the square root of its length says.
+        """Random windows; the probability of a clip is proportional to the root of its length.
 
         Uniformly by length, one long dance would be all that is learned; uniformly by clip, the
         shortest clips would be learned by heart. `Variation.kinds` and `people` balance further.
@@ -314,7 +314,7 @@ def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows
 def _balanced(
     chance: Float[Tensor, " clips"], group: Int[Tensor, " clips"], share: float
 ) -> Float[Tensor, " clips"]:
-    """Chances of clips divided by a power of what their group has together: 0 to 1."""
+    """Probabilities of clips, divided by a power (0 to 1) of the group's total."""
     if share == 0:
         return chance
     together = chance.new_zeros(int(group.max()) + 1).index_add(0, group, chance)

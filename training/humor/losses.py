@@ -1,4 +1,4 @@
-"""Losses of HuMoR's networks: steps of windows, from true states or from own predictions.
+"""Losses of HuMoR's networks over windows, from true states or from predicted states.
 
 Losses follow HuMoR's section 3. What differs: joints of the body by its kinematics only (no mesh).
 """
@@ -24,7 +24,7 @@ from training.humor.scaling import ScaledNetworks
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Multipliers of the losses; those of velocities, contacts and KL are the published ones.
+    """Weights of the losses; for velocities, contacts and KL as published.
 
     Published are ones for all positions and rotations too. But in m² and (m/s)² an error of 5 mm
     weighs 900 times less than the error of velocity that makes it within a step, and steps were
@@ -62,7 +62,7 @@ def unroll(
     random: torch.Generator | None,
     half: bool = False,
 ) -> tuple[Transition, State]:
-    """All steps of the windows, from true states or from the network's own; and their targets.
+    """All steps of the windows, from true or predicted states, with their targets.
 
     A step from an own prediction starts at that prediction, in its own frame; the state to reach
     remains the true one, in the frame of the true state before. No gradient passes from step to

@@ -121,7 +121,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
 def validate(
     networks: ScaledNetworks, windows: StateWindows, weights: LossWeights
 ) -> dict[str, float]:
-    """Losses with mean latents and full weights, from true states and from own predictions.
+    """Losses with mean latents and full weights, from true states and from predicted states.
 
     `drift_cm` is the mean error of the posed joints after the window's last own step.
     """

@@ -79,7 +79,7 @@ _HANDS = (20, 21)
 
 
 def may_move_arms(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Windows in which hands are free."""
+    """Mask of the windows in which no hand is in contact, so arms may be replaced."""
     return ~moments.ever(*_HANDS)
 
 

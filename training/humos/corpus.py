@@ -169,7 +169,7 @@ class BodyCorpus(TensorStruct):
 
 
 def begun_anew(frames: BodyFrames) -> BodyFrames:
-    """Frames relative to their own first frame."""
+    """Frames relative to the first frame."""
     back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(

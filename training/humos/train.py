@@ -112,7 +112,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
 
     def untrained(self, state: Mapping[str, Any] | None) -> WindowNetworks:
-        """Networks initialised by principal directions of windows, or those of the checkpoint."""
+        """Networks initialised by principal directions of windows, or for loading a checkpoint."""
         basis = self._basis() if state is None else LappedBasis(**state["basis"])
         return networks_of(self.settings, basis, self.learned)
 
@@ -127,7 +127,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         return fitted_basis(torch.cat(rows), settings.basis)
 
     def more(self) -> dict[str, Any]:
-        """The principal directions, which are not learned."""
+        """The principal directions, which are not trained."""
         return {"basis": self.networks.basis.tensors()}
 
     def losses(self) -> dict[str, Tensor]:
@@ -214,7 +214,7 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
 def networks_of(
     settings: HumosTraining, basis: LappedBasis, learned: BodyCorpus
 ) -> WindowNetworks:
-    """Networks of these sizes, for bodies as those of a corpus."""
+    """Networks of the given sizes, for the bodies of a corpus."""
     return WindowNetworks(
         basis, settings.latent, learned.shape.shape[1], settings.width, settings.layers,
         settings.dropout,

@@ -146,7 +146,7 @@ def made_up(moments: int, random: np.random.Generator) -> Float[np.ndarray, "mom
 
 
 def turned_over(random: np.random.Generator) -> Float[np.ndarray, "3 3"]:
-    """A turn of a whole person: upright in any heading, lying on any side, or any at all."""
+    """A random rotation of a person: upright in any heading, lying on any side, or arbitrary."""
     heading = Rotation.from_euler("z", random.uniform(0, 2 * np.pi))
     kind = random.random()
     if kind < 0.65:

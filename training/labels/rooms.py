@@ -55,7 +55,7 @@ class Room:
 def drawn_room(
     vertices: Float[np.ndarray, "moments vertices 3"], random: np.random.Generator
 ) -> Room:
-    """A room about a person, metres, floor at z = 0."""
+    """A simulated room around a person, metres, floor at z = 0."""
     low, high = vertices.min((0, 1)), vertices.max((0, 1))
     middle = np.median(vertices[len(vertices) // 2], 0)
     angle, away = random.uniform(0, 2 * np.pi), random.uniform(1.3, 4.5)

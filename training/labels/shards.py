@@ -1,4 +1,4 @@
-"""Files of labelled clouds, drawn from a corpus: what the network of labels is trained on."""
+"""Files of labelled clouds, drawn from a corpus, for training the network of labels."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +107,7 @@ def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> La
 def draw_window(
     source: Source, random: np.random.Generator
 ) -> tuple[list[Glimpse], Float[np.ndarray, "3"] | None]:
-    """What is seen of a person at the moments of a window, and from where; None: all sides."""
+    """The visible points of a person in a window, and the sensor's place (None: all sides)."""
     suit = source.wardrobe[int(random.integers(len(source.wardrobe)))]
     rotations = source.postures.draw(WINDOW, random)
     rotations[:, 0] = turned_over(random).astype(np.float32) @ rotations[:, 0]

@@ -205,7 +205,7 @@ def _costs(
 
 
 def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
-    """Shares of points of wrong regions and of strays not told, errors of places (cm).
+    """Shares of points with a wrong region and of missed strays; errors of places (cm).
 
     `sided` is the share of points that are wrong as well with left and right of the whole moment
     exchanged where that is better.
