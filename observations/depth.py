@@ -365,7 +365,7 @@ def _padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
     clouds = [cloud_points(one, f"PointCloud, moment {k}") for k, one in enumerate(several)]
     most = max(map(len, clouds), default=0)
     if most == 0:
-        raise ObservationError("PointCloud: expected points, but no cloud has any")
+        raise ObservationError("PointCloud: expected points, but all clouds are empty")
     present = np.arange(most) < np.array([len(one) for one in clouds])[:, None]
     points = np.zeros((*present.shape, 3))
     points[present] = np.concatenate(clouds)

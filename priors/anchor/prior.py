@@ -93,7 +93,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         expected = found.networks.shape
         if body.shape_size != expected:
             raise ReconError(
-                f"the anchor weights know bodies of {expected} shape coefficients, "
+                f"the anchor weights are for bodies with {expected} shape coefficients, "
                 f"{body.name!r} has {body.shape_size}; train weights for it"
             )
         return cls(found, body)

@@ -140,9 +140,7 @@ def predict(
             )
         known = known.window(0, last + 1)
     if known.frames < 2:
-        raise ReconError(
-            f"{given.name}: one frame does not tell how it moves; expected two or more"
-        )
+        raise ReconError(f"{given.name}: a single frame has no velocity; expected two or more")
     random = torch.Generator().manual_seed(seed)
     one = known.to(device=device)[None]
     made = generation.predict(humor, one, frames, samples, random, temperature=factor)

@@ -111,7 +111,7 @@ def up_of_clouds(
             return "z", ()
         raise UnitsError(
             f"{name}: nobody in the clouds stands along an axis, and the lowest points do not "
-            f"stay at z = 0, so that nothing tells which axis points up; {asked}"
+            f"stay at z = 0, so the up axis is unknown; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR
@@ -126,7 +126,7 @@ def up_of_clouds(
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(
-            f"{name}: somebody stands along {along(axis, 1.0)}, but nothing tells which way up; "
+            f"{name}: somebody stands along {along(axis, 1.0)}, but which end is up is unknown; "
             f"{asked}"
         )
     up = along(axis, evidence)

@@ -86,7 +86,7 @@ class Motion(TensorStruct):
         if len(times) > 0 and (place.min() < -slack or place.max() > last + slack):
             raise ReconError(
                 f"the motion lasts from {start:.4f} s to {start + last / self.fps:.4f} s, but was "
-                f"asked for {times.min():.4f} s to {times.max():.4f} s; cut the request first"
+                f"asked for {times.min():.4f} s to {times.max():.4f} s; ask for times within these"
             )
         place = torch.where((place - place.round()).abs() < slack, place.round(), place)
         place = place.clamp(0, last)

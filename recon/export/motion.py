@@ -137,4 +137,4 @@ def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
         ReconError: naming the option.
     """
     if trc is None and (said := [name for name, by_user in given.items() if by_user]):
-        raise ReconError(f"--{said[0]} is an option of --trc FILE, which is not asked for")
+        raise ReconError(f"--{said[0]} is an option of --trc FILE, which is missing")

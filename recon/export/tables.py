@@ -114,7 +114,7 @@ def markers_of(
         if not bool(points.known.all()):
             raise ReconError(
                 f"markers of {markers!r} lie on the skin of the bundled body; on {body.name!r} "
-                "nobody knows where: take --markers joints"
+                "their places are unknown: take --markers joints"
             )
         labels, positions = points.names, points.of(posed)
     places = positions.detach().double().cpu().numpy()

@@ -97,7 +97,7 @@ class CycleClock:
         first, last = (torch.stack(one) for one in zip(*ends, strict=True))
         if not bool((last.amax(0) > first.amin(0)).all()):
             raise ObservationError(
-                "at most one moment shows anything, which tells no motion; give two or more"
+                "at most one frame has data, so there is no motion to fit; give two or more"
             )
         last = last.amax(0) - start
         worst = last[((last < SHORTEST_CYCLE) | (last > LONGEST_CYCLE)).nonzero()[:1, 0]]

@@ -102,7 +102,7 @@ def complete_recording(
     placed = in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
-            "at most one moment shows anything, which tells no motion; give two or more"
+            "at most one frame has data, so there is no motion to fit; give two or more"
         )
     seen = [
         one if one.places is None else on_fast_clock(one.thinned(FITTED)) for one in observations

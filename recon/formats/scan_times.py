@@ -90,7 +90,7 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
     """
     if len(times) < 2 or not np.isfinite(times).all():
         raise FormatError(
-            f"{path}: one scan tells no motion; expected two or more times in seconds, got "
+            f"{path}: a single scan has no motion; expected two or more times in seconds, got "
             f"{len(times)}"
         )
     steps = np.diff(times)

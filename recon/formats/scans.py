@@ -181,7 +181,7 @@ def read_scans(
         start, decisions = clock.start_time, clock.decisions
     elif fps is None:
         raise FormatError(
-            f"{folder}: no times.csv tells when its files were recorded; give frames per second "
+            f"{folder}: expected times.csv with the times of its files; give frames per second "
             "with --frame-rate"
         )
     else:

@@ -214,7 +214,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
         )
     found = load_cameras(path).cameras
     if views != 1:
-        raise ReconError(f"{path} says which cameras there are ({len(found)}); leave views out")
+        raise ReconError(f"{path} already lists the cameras ({len(found)}); leave views out")
     cameras = {}
     for name, arrays in found.items():
         camera = _camera(arrays, truth)

@@ -70,7 +70,9 @@ def seen_by(
         )
     if kind == "scans":
         if unknown_ground:
-            raise ReconError("scans stand in the world; an unknown ground does not apply to them")
+            raise ReconError(
+                "scans are in the world frame; an unknown ground does not apply to them"
+            )
         seen = _clothed_body(body, surface)
         return {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
     known = not unknown_ground
@@ -94,7 +96,7 @@ def check_apply(
     hides = corruption.hide_below is not None or corruption.hide_box is not None
     if corruption.during is not None and not hides:
         raise ReconError(
-            "during: says when things are hidden, but nothing is; hide what is below a height or "
+            "during: sets when points are hidden, but no points are; hide what is below a height or "
             "in a box, or leave during out"
         )
     if surface.points < 1:
@@ -202,7 +204,7 @@ def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | Po
     assert camera.T_camera_world is not None
     if len(camera.T_camera_world) != 1:
         raise ReconError(
-            "a moving camera must know its poses; leave orbit out, or say where the ground is"
+            "a moving camera needs known poses; leave orbit out, or say where the ground is"
         )
     true = np.linalg.inv(camera.T_camera_world[0])
     if isinstance(file, PointsFile):

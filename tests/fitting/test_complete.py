@@ -200,7 +200,7 @@ def test_too_little_is_refused_and_little_is_said(settings, scans, tmp_path):
         fit_files([folder], out, replace(settings, frame_rate=30.0))
     write_ply(folder / "0.ply", scans.points[scans.frame == 0])
     (folder / "times.csv").write_text("0.0\n")
-    with pytest.raises(ValueError, match="one scan tells no motion"):
+    with pytest.raises(ValueError, match="a single scan has no motion"):
         fit_files([folder], out, settings)
 
 
