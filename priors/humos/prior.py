@@ -98,7 +98,7 @@ class Humos(Prior[HumosVariables]):
         found = load_weights(weights)
         if body.checksum != BodyModel.load().checksum:
             raise ReconError(
-                f"the HUMOS weights are for the bundled body only, got {body.name!r}; fit a motion "
+                f"the HUMOS weights need the bundled body, got {body.name!r}; fit a motion "
                 "of the bundled body first, or take the prior `humor`"
             )
         return cls(found, body)

@@ -191,9 +191,7 @@ def _of_joints(
     require_shape(truth, "truth", (motion.frames, 22, 3))
     truth = truth.reshape(motion.frames, 22, 3)
     if not bool(truth.isfinite().all()):
-        raise ReconError(
-            "truth: holds NaN or infinity; remove these frames from truth and estimate"
-        )
+        raise ReconError("truth: holds NaN or infinity; remove these frames from both")
     joints = body.pose(motion).joints
     return {
         **evaluation.joint_errors(joints, truth, visible),

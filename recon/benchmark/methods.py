@@ -118,7 +118,7 @@ def _linear(seen: PositionsFile) -> np.ndarray:
     """The measured joints, with linear interpolation across gaps."""
     if seen.names != tuple(JOINTS):
         raise ReconError(
-            "linear has no body model: it needs protocols in which all 22 joints are observed (noisy-joints, gap)"
+            "linear has no body model: it needs protocols with all 22 joints (noisy-joints, gap)"
         )
     filled, times = seen.positions.copy(), np.arange(len(seen.positions))
     for point, shown in enumerate(seen.visible.T):

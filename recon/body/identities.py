@@ -223,7 +223,7 @@ def _sex(wish: Lean | None, body: BodyModel) -> tuple[Tensor, Tensor]:
     between = body.male - body.female
     if not bool((between != 0).any()):
         raise ReconError(
-            f"the body {body.name!r} has shapes of one sex only: give height and weight, or coefficients"
+            f"the body {body.name!r} has one sex: give height and weight, or coefficients"
         )
     axis = between / between.norm()
     mean = body.male if wish is Lean.MORE else body.female

@@ -95,11 +95,7 @@ def _openpose_model(points: np.ndarray, name: str) -> str:
             return second
     raise FormatError(
         f"{name}: 25 keypoints may be OpenPose's BODY_25 or BODY_25B, and "
-        + (
-            "no person is seen well enough to decide"
-            if len(ratio) == 0
-            else "the people seen fit neither layout well"
-        )
+        + ("nobody is seen clearly enough" if len(ratio) == 0 else "people fit neither well")
         + f"; give --layout {first} or --layout {second}"
     )
 

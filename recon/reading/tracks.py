@@ -104,9 +104,7 @@ def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
             and both move or both stand; the message lists who there is.
     """
     if len(tracks) == 0:
-        raise ObservationError(
-            f"{name}: no person shows {FEWEST_KEYPOINTS} keypoints in any frame"
-        )
+        raise ObservationError(f"{name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame")
     listed = "; ".join(map(str, tracks))
     if person is not None:
         if not 0 <= person < len(tracks):

@@ -70,9 +70,7 @@ def seen_by(
         )
     if kind == "scans":
         if unknown_ground:
-            raise ReconError(
-                "scans are in the world frame; an unknown ground does not apply to them"
-            )
+            raise ReconError("scans stand in the world; an unknown ground does not apply to them")
         seen = _clothed_body(body, surface)
         return {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
     known = not unknown_ground
@@ -96,7 +94,7 @@ def check_apply(
     hides = corruption.hide_below is not None or corruption.hide_box is not None
     if corruption.during is not None and not hides:
         raise ReconError(
-            "during: sets when points are hidden, but no points are; hide what is below a height or "
+            "during: says when things are hidden, but nothing is; hide what is below a height or "
             "in a box, or leave during out"
         )
     if surface.points < 1:

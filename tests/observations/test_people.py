@@ -160,5 +160,5 @@ def test_numbers_of_the_producer_are_believed_unless_they_count_the_people_of_a_
 def test_detections_of_a_few_points_are_nobody():
     tracks = follow(scene([(0, seen((0, 0), slice(0, 3)), -1)]))
     assert tracks == ()
-    with pytest.raises(ValueError, match="no person shows 4 keypoints"):
+    with pytest.raises(ValueError, match="nobody shows 4 keypoints"):
         choose(tracks, None, "cam")
