@@ -240,7 +240,7 @@ class PointCloud(Sensor):
         return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
 
     def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Squared distances, presence and moments; only the discs of these pairs are posed."""
+        """Squared distances for given pairs of points and discs, which exist, and their frames."""
         bones = estimate.body.bones.flatten(-3, -2)
         bones, seen = self.at_own_times(bones, estimate.motion)
         full = self.present[..., seen, :].any(-1).flatten(0, -2).any(0).nonzero()[:, 0]

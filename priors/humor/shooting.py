@@ -103,7 +103,7 @@ class Schedule:
 
     @classmethod
     def published(cls) -> "Schedule":
-        """600, 500 and 300 iterations, whatever the decrease (30, 25 and 15 times 20)."""
+        """The published numbers of iterations (600, 500, 300), without a test of convergence."""
         return cls(600, 500, 300, tolerance=1e-9)
 
 

@@ -178,7 +178,7 @@ def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time points"]:
-    """Number of the stretch without jumps that every point is in at every frame."""
+    """For every point and frame, the index of the segment between jumps that it belongs to."""
     none = points.new_zeros(points.shape[:-1])
     if len(points) < 4:
         return none

@@ -291,7 +291,7 @@ def _on_clock(
     if key is not None:
         ids = _numbers(arrays[key]).ravel()
         if ids.dtype.kind not in "iu" or len(ids) != len(known) or (np.diff(ids) <= 0).any():
-            raise FormatError(f"{path}: expected {key} that grow, one for every frame")
+            raise FormatError(f"{path}: expected rising {key}, one for every frame")
         frames = ids - ids[0]
     count = int(frames[-1]) + 1
     limits.FRAMES.check(count, path, "frame_ids")

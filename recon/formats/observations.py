@@ -81,7 +81,7 @@ class KeypointsFile(_File):
 
 @dataclass(frozen=True)
 class PointsFile(_File):
-    """Point clouds, all frames in one list."""
+    """Point clouds; the points of all frames are in one array."""
 
     points: Float[np.ndarray, "points 3"]
     """World frame, metres, z up; the camera's frame when a camera without pose is given."""

@@ -129,7 +129,7 @@ def _checked(person: object, path: Path) -> Person:
 def _placed(person: Person, path: Path, within: bool) -> np.ndarray:
     """The points with the person's place, metres in the frame of the camera."""
     if not within and _PLACE not in person:
-        raise FormatError(f"{path}: expected {_PLACE} beside {_POINTS}: the person's place")
+        raise FormatError(f"{path}: expected the person's place, {_PLACE}, beside {_POINTS}")
     points = person[_POINTS] if within else person[_POINTS] + person[_PLACE]
     if not (points[:, 2] > 0).all():
         raise FormatError(f"{path}: expected people in front of the camera, got a depth below 0 m")

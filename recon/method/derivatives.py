@@ -65,7 +65,7 @@ class GroundDeviation:
 
 
 def perturbed(scene: Scene, rows: int, belief: GroundBelief, step: float) -> Scene:
-    """Scenes of so many rows; in the last ones a coordinate of the ground each is moved."""
+    """A scene repeated by rows; in each of the last rows one ground coordinate changes."""
     scenes = scene[torch.zeros(rows, dtype=torch.long)]
     if belief.coordinates == 0:
         return scenes

@@ -158,7 +158,7 @@ def chamfer(
 
 
 def chamfer_of_clip(motion: Motion, body: BodyModel, scans: PointsFile) -> float:
-    """Mean over the frames that have points of `chamfer` with the body at their moments, metres.
+    """Mean Chamfer distance of the body from the points, over all frames that have points, metres.
 
     Args:
         motion: one clip (no batch axis), at any rate.

@@ -67,7 +67,7 @@ CERTAIN = 3.0
 
 @dataclass(frozen=True)
 class Links:
-    """The people that detections are of."""
+    """Which person every detection belongs to."""
 
     labels: Int[np.ndarray, " rows"]
     """A number per detection; -1 for detections that are pieces of another."""
@@ -143,7 +143,7 @@ def farthest(unseen: int) -> float:
 
 
 def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> Links:
-    """The people that detections are of.
+    """Link detections over time: which person every detection belongs to.
 
     Args:
         detections: of one view.

@@ -131,7 +131,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         return {"basis": self.networks.basis.tensors()}
 
     def losses(self) -> dict[str, Tensor]:
-        """Reconstruction and divergence; in the second part also the way to a body and back."""
+        """Reconstruction and divergence; in part two also transfer to a body and back."""
         settings, networks, body = self.settings, self.networks.train(), self.learned.body
         frames = settings.frames
         batch = self.learned.draw(settings.clips, frames, settings.variation, self.random)

@@ -202,7 +202,7 @@ def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
 
 
 def _hidden(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
-    """Points beyond a plane, or inside a box, both through the cloud; the same all the time."""
+    """Mask of points beyond a random plane or inside a random box, constant over time."""
     windows = len(clouds.points)
     normal = torch.randn(windows, 3, generator=random)
     # half of the planes are horizontal, like tables
