@@ -33,7 +33,7 @@ def looked(monkeypatch):
         none = torch.full(present.shape, -1)
         return PointLabels.known(bundled(), none, present)
 
-    monkeypatch.setattr(depth, "_labeller", lambda: look)
+    monkeypatch.setattr(depth, "_bundled_labeller", lambda: look)
     return asked
 
 
