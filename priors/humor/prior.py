@@ -21,6 +21,7 @@ from priors.humor.weights import (
     whitening_from,
 )
 from recon.body.model import BodyModel
+from recon.core.arrays import constant
 from recon.core.motion import Motion
 from recon.method.plugins import imported
 from recon.method.priors import USUAL_NOISE, Prior
@@ -164,7 +165,9 @@ class Humor(Prior[HumorVariables]):
 
     def pelvis(self, shape: Float[Tensor, "clips shape"]) -> Float[Tensor, "clips 3"]:
         """Pelvis of the unposed body with its height set to zero, metres; see `rest_pelvis`."""
-        return self.body.rest_joints(shape)[:, 0] * shape.new_tensor([1.0, 1.0, 0.0])
+        return self.body.rest_joints(shape)[:, 0] * constant(
+            (1.0, 1.0, 0.0), shape.device, shape.dtype
+        )
 
     @cached_property
     def decoder(self) -> "FrozenDecoder":

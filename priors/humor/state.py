@@ -11,6 +11,7 @@ from priors.humor.networks import STATE
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.arrays import constant
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct
@@ -73,8 +74,10 @@ class Frame(TensorStruct):
     @classmethod
     def of(cls, state: State) -> "Frame":
         """The frame of one's own heading and horizontal translation."""
-        level = state.translation.new_tensor([1.0, 1.0, 0.0])
-        return cls(so3.heading(state.root), state.translation * level)
+        place = state.translation
+        return cls(
+            so3.heading(state.root), place * constant((1.0, 1.0, 0.0), place.device, place.dtype)
+        )
 
     def enter(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
         """A state of the outer frame, seen from this one.
@@ -152,7 +155,7 @@ def contact_probabilities(
     """
     probability = logits.sigmoid()
     contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
-    contacts[..., list(CONTACT_JOINTS)] = probability
+    contacts[..., constant(tuple(CONTACT_JOINTS), contacts.device)] = probability
     return torch.cat((contacts[:, :1], contacts), 1)
 
 
@@ -190,7 +193,13 @@ def as_read(motion: Motion) -> Motion:
 
 
 def states_of(motion: Motion, body: BodyModel) -> State:
-    """States along a motion of a body; see `posed_states`."""
+    """States along a motion of a body; see `posed_states`.
+
+    Raises:
+        ValueError: when a clip has fewer than two frames.
+    """
+    if bool((motion.valid.sum(-1) < 2).any()):
+        raise ValueError("velocities need at least two frames of every clip; got one")
     return posed_states(motion, body.pose(motion).joints)
 
 
@@ -198,13 +207,8 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
     """States along a motion and its joints, axes (clips, time); velocities by finite differences.
 
     Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
-    the motion's own rate).
-
-    Raises:
-        ValueError: when a clip has fewer than two frames.
+    the motion's own rate). Every clip has at least two frames.
     """
-    if bool((motion.valid.sum(-1) < 2).any()):
-        raise ValueError("velocities need at least two frames of every clip; got one")
     roots = motion.rotations[..., 0, :, :]
     spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
     return State(

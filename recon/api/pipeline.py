@@ -20,6 +20,7 @@ from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, loaded
 from recon.fitting.observed import window
 from recon.fitting.settings import FitSettings, ReadOptions
+from recon.method.pace import paced
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
@@ -112,14 +113,16 @@ def fitted(
     if options.completes:
         fit = _completed(clip.observations, options, body, watch)
     else:
+        # data faster than bodies move are averaged about fewer moments
+        fewer = [paced(one) for one in clip.observations]
         found = clip.start if start is None else None
-        start = found or start
+        start = _at_pace(fewer, start, found)
         if clip.belt is not None and start is not None:
             from recon.diagnosis.movement import in_room  # there are few treadmills
 
             start = in_room(start, -clip.belt)
         # first guess: a motion from the data without a prior, or the caller's
-        seen, guess = guessed(clip.observations, options, body, start)
+        seen, guess = guessed(fewer, options, body, start)
         guess = replace(guess, posed=found is not None)
         # the problem: each sensor's residuals with its noise; scene, ground, lens to be found
         problem = posed(seen, guess, options, body, watch)
@@ -127,6 +130,13 @@ def fitted(
         fit = problem.solved()
     # examine: residuals, standard deviations, other hypotheses, laws of movement
     return checked(Examined.of(clip, fit), of_fit)
+
+
+def _at_pace(seen: Sequence[Sensor], start: Motion | None, found: Motion | None) -> Motion | None:
+    """The caller's start no faster than the data, or the motion that checks found, as fast."""
+    if start is not None:
+        return start.resample(min(start.fps, max(one.fps for one in seen)))
+    return found and found.resample(max(one.fps for one in seen if one.named))
 
 
 def _completed(

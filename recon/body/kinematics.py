@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.core.arrays import constant
 from recon.core.skeleton import FAMILIES, PARENTS
 
 
@@ -18,7 +19,8 @@ def forward_kinematics(
     rest. The derivative walks the same tree backwards, which is cheaper than recording each
     small product; joints come first in memory, so that a level is one block.
     """
-    bones = torch.cat((rest[..., :1, :], rest[..., 1:, :] - rest[..., PARENTS[1:], :]), -2)
+    parents = constant(tuple(PARENTS[1:]), rest.device)
+    bones = torch.cat((rest[..., :1, :], rest[..., 1:, :] - rest[..., parents, :]), -2)
     bones = bones[..., None, :, :].expand(rotations.shape[:-1])
     return _Chain.apply(rotations, bones)
 

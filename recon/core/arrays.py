@@ -1,6 +1,7 @@
 """Arrays that users give, as the tensors that the library computes with."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,20 @@ from recon.core.errors import ReconError
 
 Numbers = Tensor | np.ndarray | Sequence[Any]
 """Arrays that users give: a tensor, an array of numpy, or nested lists."""
+
+
+@lru_cache(maxsize=64)
+def constant(
+    numbers: tuple[int, ...] | tuple[float, ...],
+    device: torch.device,
+    dtype: torch.dtype = torch.long,
+) -> Tensor:
+    """Numbers as a tensor that is made once for a device, and must not be changed.
+
+    Made anew from the host in every evaluation of an objective, it would make a GPU wait.
+    """
+    with torch.inference_mode(False):  # a tensor of that mode could not be used outside of it
+        return torch.tensor(numbers, device=device, dtype=dtype)
 
 
 def float_tensor(values: Any, name: str) -> Tensor:

@@ -286,8 +286,8 @@ def rate_finding(
     bounds = f"at most {found.high:.2g}" if found.high < 1 else f"at least {found.low:.2g}"
     return Finding(
         "rate",
-        f"at {motion.fps:g} frames per second the person moves too {way}: "
-        f"{' and '.join(found.evidence)} asks for {bounds} times that rate. Check the frame rate; "
-        f"it is likely about {motion.fps * factor:.3g}",
+        f"the person moves too {way}: {' and '.join(found.evidence)} asks for {bounds} times the "
+        f"frame rate that was given. Check it; the true one is likely about {factor:.2g} times "
+        "as high",
         value=factor,
     )

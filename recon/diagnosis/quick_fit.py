@@ -16,7 +16,8 @@ from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.named_points import NamedPoints
-from recon.method.protocols import Estimate
+from recon.method.pace import paced
+from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term
@@ -29,6 +30,8 @@ _SPIKE = 0.5
 punch and feet that kick turn around within less."""
 _HALF_WINDOW = 0.12
 """Seconds to either side over which that median is taken."""
+_MOST_FRAMES = 7
+"""Frames to either side that it is taken of at most, spread over those seconds."""
 
 
 def plausible(points: NamedPoints) -> NamedPoints:
@@ -55,10 +58,12 @@ def smoothed(points: NamedPoints) -> NamedPoints:
 
 def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
     """Median of every coordinate about every moment; NaN where nothing is visible about it."""
-    half = max(int(_HALF_WINDOW * points.fps), 1)
+    every = max(int(_HALF_WINDOW * points.fps) // _MOST_FRAMES, 1)
+    half = max(int(_HALF_WINDOW * points.fps) // every, 1) * every
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
-    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), -1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    windows = np.sort(windows[..., ::every], -1)
     count = np.isfinite(windows).sum(-1)  # NaN is sorted last
     middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
     return np.take_along_axis(windows, middle, -1).mean(-1)
@@ -87,7 +92,7 @@ class QuickFit:
     estimate: Estimate
     """The motion that most of the points agree on, one clip."""
     cost: float
-    """Objective per visible point, metres²; of an excerpt where the recording is long."""
+    """Objective per visible point as at 30 Hz, metres²; of an excerpt of a long recording."""
 
 
 def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[QuickFit]:
@@ -97,6 +102,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
+    given, versions = versions, [paced(one, REFERENCE_FPS) for one in versions]
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [_excerpt(one) for one in versions]
@@ -106,7 +112,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
             excerpts[1:], partial(quick_stages, noise, most=_ITERATIONS_OF_OTHERS), body
         )
     if excerpts[0] is first:
-        return fits
+        return [replace(one, points=own) for one, own in zip(fits, given, strict=False)]
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     start = smoothed(NamedPoints.of(versions[best], body)).observation.start(body)
     # an excerpt of a long recording is not the whole of it
@@ -114,7 +120,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
 
     motion = fit_long([_robust(versions[best])], method, body, start=start).motion
     estimate = Estimate.of_clip(motion[0].detach(), body)
-    return [QuickFit(versions[best], estimate, fits[best].cost)]
+    return [QuickFit(given[best], estimate, fits[best].cost)]
 
 
 def _robust(points: TrackedPoints) -> TrackedPoints:
@@ -130,7 +136,8 @@ def _fitted(
         smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
         start = concatenate([one.start(body) for one in smooth])
     result = solve([robust], method, body, start=start)
-    value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
+    counted = robust.visible.sum((-2, -1)).clamp(min=1) * (REFERENCE_FPS / robust.fps)
+    value = result.reports[-1].solution.value / counted
     return [
         QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
         for row, one in enumerate(versions)
@@ -148,11 +155,12 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    noise = estimate_noise(fit.points.positions, fit.points.visible)
+    points = paced(fit.points, REFERENCE_FPS)
+    noise = estimate_noise(points.positions, points.visible)
     method, start = partial(quick_stages, noise), fit.estimate.motion
-    reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
-    (again,) = _fitted([fit.points], method, body, reached.detach())
-    return again if again.cost < fit.cost else fit
+    reached = solve([points.replace(kernel=squared)], method, body, start=start).motion
+    (again,) = _fitted([points], method, body, reached.detach())
+    return replace(again, points=fit.points) if again.cost < fit.cost else fit
 
 
 def quick_stages(

@@ -1,0 +1,100 @@
+"""Data that are faster than a body moves, averaged about fewer moments.
+
+A body moves at a few hertz, and priors of motion look 30 times a second. What is measured at
+300 Hz tells the same motion more surely, not another one: so a fit takes the mean of what was
+measured about each of its moments, and costs what its seconds cost, however many frames they have.
+"""
+
+import math
+from typing import Any, TypeVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.method.sensor import Sensor
+
+PACE = 60.0
+"""Moments per second at least that fast data are averaged about in a fit."""
+_FASTER = 1.5
+"""Multiple of that up to which data stay as they are."""
+
+S = TypeVar("S", bound=Sensor)
+
+
+def paced(sensor: S, pace: float = PACE) -> S:
+    """The sensor with about so many frames per second, from its first frame to its last.
+
+    Named points become means about moments `1 / pace` seconds apart or a little less; clouds keep
+    every so many frames, as their points have no names. Data that are not clearly faster stay as
+    they are, also where most frames are empty, and so do views of cameras that move and sensors
+    of one's own, of which nobody knows whether means make sense.
+    """
+    filled = sensor.shown.any(-1)
+    fast = sensor.fps > _FASTER * pace and sensor.moments > 2
+    if not fast or 2 * int(filled.sum()) < filled.numel():
+        return sensor
+    if sensor.sees == "surface":
+        step = int(sensor.fps / pace)
+        fewer: dict[str, Any] = {"fps": sensor.fps / step}
+        return sensor.derived(**fewer, **sensor.some_frames(range(0, sensor.moments, step)))
+    view = sensor.view
+    if sensor.named is None and (view is None or view.camera.T_camera_world.shape[-3] > 1):
+        return sensor
+    return _averaged(sensor, pace)
+
+
+def _averaged(sensor: S, pace: float) -> S:
+    """Means of named points about evenly spread moments, the first and the last frame's included.
+
+    A mean is of the frames nearer to its moment than to the next, so that no frame counts twice.
+    Where these are not spread evenly about it, as at the ends and beside gaps, the mean is carried
+    to the moment at the speed of a line through the frames up to a whole step away.
+    """
+    count = math.ceil((sensor.moments - 1) / sensor.fps * pace - 1e-6) + 1
+    step = (sensor.moments - 1) / (count - 1)
+    middle = torch.arange(count, dtype=torch.float64) * step
+    near = torch.arange(-math.ceil(step), math.ceil(step) + 1)
+    frame = middle.round().long()[:, None] + near
+    away = frame - middle[:, None]
+    exists = (frame >= 0) & (frame < sensor.moments) & (away.abs() <= step + 1e-6)
+    device, axis = sensor.shown.device, len(sensor.clips)
+    frame = frame.clamp(0, sensor.moments - 1).to(device)
+
+    def about(values: Tensor) -> Tensor:
+        """Values of the frames about every moment, (clips, moments, near, points, ...)."""
+        return values.index_select(axis, frame.flatten()).unflatten(axis, frame.shape)
+
+    # energies have squares of weights
+    weights, values = about(sensor.weights.to(sensor.values).square()), about(sensor.values)
+    weights = weights * exists.to(weights)[:, :, None]
+    own_share = (away > 1e-6 - step / 2) & (away < step / 2 + 1e-6)
+    held = weights * own_share.to(weights)[:, :, None]
+    late = away.to(values)[:, :, None, None].expand(*values.shape[:-1], 1)
+    mean, when = _mean(values, held), _mean(late, held)
+    apart = late - _mean(late, weights).unsqueeze(-3)
+    risen = values - _mean(values, weights).unsqueeze(-3)
+    spread, rise = _mean(apart.square(), weights), _mean(apart * risen, weights)
+    # two neighbouring frames have a spread of a quarter; one alone tells no speed
+    speed = torch.where(spread > 0.1, rise / spread.clamp(min=0.1), 0.0)
+    shown = held.sum(-2) > 0
+    found = (mean - speed * when).where(shown[..., None], 0.0)
+    own: dict[str, Any] = {sensor.timed[0]: found, "fps": sensor.fps / step}
+    for name in sensor.timed[1:]:
+        value = getattr(sensor, name)
+        if value is None:
+            continue
+        if value.dtype == torch.bool:
+            own[name] = shown
+        else:  # confidences, or standard deviations, of which frames that err alike have a mean
+            own[name] = _mean(about(value)[..., None], (held > 0).to(value))[..., 0]
+    return sensor.derived(**own)
+
+
+def _mean(
+    values: Float[Tensor, "*batch moments near points dims"],
+    weights: Float[Tensor, "*batch moments near points"],
+) -> Float[Tensor, "*batch moments points dims"]:
+    """The weighted mean over the frames near every moment; zero where there are none."""
+    total = weights.sum(-2)[..., None].clamp(min=1e-9)
+    return (weights[..., None] * values).sum(-3) / total
