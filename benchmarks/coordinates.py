@@ -124,7 +124,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
         ways = points[:, 1:] - points[:, :1]
         turns = truth.rotations.clone()
         turns[:, 0] = torch.from_numpy(ways / np.linalg.norm(ways, axis=-1, keepdims=True)).mT
-        place = points[:, 0] - posed.rest[0].numpy()
+        place = points[:, 0] - np.linalg.norm(ways[0, 0]) * posed.rest[0].numpy()
         vectors = so3.log(turns).flatten(-2).numpy()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "estimate.npz"

@@ -108,17 +108,17 @@ def _connective(node: ast.AST) -> bool:
     return True
 
 
+_NUMBERS: dict[type, Callable[[Any], Any]] = {
+    bool: lambda value: not value,
+    int: lambda value: value + 1,
+    float: lambda value: 2 * value or 1.0,
+}
+
+
 def _number(node: ast.AST) -> bool:
-    if not isinstance(node, ast.Constant) or isinstance(node.value, str | bytes | type(None)):
+    if not isinstance(node, ast.Constant) or type(node.value) not in _NUMBERS:
         return False
-    if isinstance(node.value, bool):
-        node.value = not node.value
-    elif isinstance(node.value, int):
-        node.value += 1
-    elif isinstance(node.value, float):
-        node.value = 2 * node.value if node.value else 1.0
-    else:
-        return False
+    node.value = _NUMBERS[type(node.value)](node.value)
     return True
 
 

@@ -58,18 +58,18 @@ def main() -> None:
     files = clip_files(given.corpus)
     splits = Splits.load(given.splits)
     longest = longest_clips(files, splits, given.part)[: given.only]
-    tables: dict[str, Table] = {}
-    if "speed" in given.parts:
-        tables["speed"] = fitting()
-    if "long" in given.parts:
-        tables["long"] = long_recordings(given.corpus, files[longest[0]], longest[0])
-    if "live" in given.parts:
-        tables["live"] = streams([recon.load_motion(files[clip]).motion for clip in longest])
-    if "hour" in given.parts:
-        tables["hour"] = hour(recon.load_motion(files[longest[0]]).motion.resample(FPS))
-    if "batch" in given.parts:
-        truth = load_windows(given.corpus, splits, given.part, BodyModel.load(), SEED).truth
-        tables |= batches(truth, given.clips, given.processes)
+    made: dict[str, Callable[[], Table]] = {
+        "speed": fitting,
+        "long": lambda: long_recordings(given.corpus, files[longest[0]], longest[0]),
+        "live": lambda: streams([recon.load_motion(files[clip]).motion for clip in longest]),
+        "hour": lambda: hour(recon.load_motion(files[longest[0]]).motion.resample(FPS)),
+        "batch": lambda: batches(
+            load_windows(given.corpus, splits, given.part, BodyModel.load(), SEED).truth,
+            given.clips,
+            given.processes,
+        ),
+    }
+    tables = {name: make() for name, make in made.items() if name in given.parts}
     tell_of(given, SEED, tables, [files[clip] for clip in longest])
 
 
@@ -234,7 +234,7 @@ def cost_of(*words: str, folder: Path) -> tuple[float, float]:
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
-def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
+def batches(truth: Motion, count: int, processes: int) -> Table:
     """`recon batch` under both priors."""
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as name:
@@ -250,7 +250,7 @@ def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
             rows.append([f"`{prior}`", number(cpu / count), number(mb), number(error, 100)])
     heads = (("CPU s a clip", 2), ("MB a process", 0), ("error cm", 2))
     title = (f"{count} clips, {processes} processes", None)
-    return {"batch": Table([title, *heads], rows)}
+    return Table([title, *heads], rows)
 
 
 def manifest(folder: Path, truth: Motion, count: int) -> None:

@@ -27,6 +27,8 @@ _SWAY = 0.01
 _NEAR = 0.15
 """Metres from z = 0 within which the lowest points stand on the floor."""
 
+_BELOW = 0.5
+"""Metres below the origin from which on a whole body makes doubtful which of its ends is up."""
 _STEADIER, _SWAYS = 2.0, 0.1
 """Multiple of the movement of the steadiest end of the clouds, and metres, up to which the lowest
 points of somebody who crouches stay on the floor."""
@@ -101,17 +103,19 @@ def up_of_clouds(
         return "z", ()
     ends = np.array([np.percentile(cloud, (1, 99), axis=0) for cloud in shown])
     extent = np.median(ends[:, 1] - ends[:, 0], axis=0)
-    axis, stands = int(extent.argmax()), abs(np.median(ends[:, 0, 2])) < _NEAR
+    axis = int(extent.argmax())
     if extent[axis] > _PERSON[1]:
         return "z", ()
     asked = f"give it with --up, one of {', '.join(get_args(Up))}"
     if extent[axis] < _UPRIGHT * np.delete(extent, axis).max():
         swing = np.ptp(ends, axis=0)
-        if stands and swing[0, 2] < max(_STEADIER * swing.min(), _SWAYS):
+        steady = swing < max(_STEADIER * swing.min(), _SWAYS)
+        floors = steady & (abs(np.median(ends, axis=0)) < _NEAR)
+        if floors[0, 2] and floors.sum() == 1:
             return "z", ()
         raise UnitsError(
-            f"{name}: nobody in the clouds stands along an axis, and the lowest points do not "
-            f"stay at z = 0, so that nothing tells which axis points up; {asked}"
+            f"{name}: nobody in the clouds stands along an axis, and it is not the lowest points "
+            f"alone that stay at z = 0, so that nothing tells which axis points up; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR
@@ -122,7 +126,14 @@ def up_of_clouds(
             "in metres, or give --unit m for a child or a part of a body"
         )
     evidence = _head_above_feet(shown, along(axis, 1.0))
-    if axis == 2 and evidence > -_SURE:
+    usual = axis == 2 and evidence > -_SURE
+    below = -high if usual or evidence > 0 else low
+    if below > _BELOW and abs(evidence) < 2 * _SURE:
+        raise UnitsError(
+            f"{name}: somebody stands along {along(axis, 1.0)}, {below:.1f} m below the origin if "
+            f"the head is where it seems to be, which says the opposite; {asked}"
+        )
+    if usual:
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(

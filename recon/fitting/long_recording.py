@@ -25,6 +25,8 @@ from recon.method.windows import Windows, fade
 AT_ONCE = 8
 """Windows fitted as one batch, so that memory does not grow with the recording."""
 
+_LEAST_FRAMES = 12
+"""Frames of a window, at least."""
 _LONGEST_STEP = 0.2
 """Seconds within which a recording's frames must meet those at 30 Hz for windows to begin there;
 where they do not, results at 30 Hz are interpolated."""
@@ -114,7 +116,9 @@ class LongRecording:
                 "expected one clip, positions (1, time, points, 3); got a first guess of shape "
                 f"{tuple(guess.translation.shape)}; fit long clips one after the other"
             )
-        longest, shared = round(window * guess.fps) + 1, round(overlap * guess.fps)
+        # of a frame every few seconds, a window has few
+        longest = max(round(window * guess.fps) + 1, _LEAST_FRAMES)
+        shared = max(round(overlap * guess.fps), 1)
         windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
         return cls(observations, guess[0], windows)
 
@@ -168,4 +172,4 @@ def _common_step(fps: float) -> int:
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps
     meets = abs(others - round(others)) < 1e-6
-    return step if meets and step <= _LONGEST_STEP * fps else 1
+    return step if meets and 1 <= step <= _LONGEST_STEP * fps else 1

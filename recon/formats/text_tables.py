@@ -1,6 +1,7 @@
-"""Tables of text whose cells lie between commas: rows, written and read, and their numbers."""
+"""Tables of text, cells between commas, semicolons or tabs: rows, written and read; numbers."""
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,8 @@ _CELLS = Limit(
     "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
 )
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     """The cells of every row that is not blank, without white space around them.
@@ -26,12 +29,26 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
         ValueError: when it is empty, no table, or larger than the limit.
     """
     data = read_bytes(path, limit)
-    _CELLS.check(data.count(b",") + data.count(b"\n"), path.name)
+    _CELLS.check(sum(map(data.count, (b",", b";", b"\t", b"\n"))), path.name)
     try:
-        rows = list(csv.reader(decode(data).splitlines()))
+        return [row for row in _split(decode(data)) if any(row)]
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
-    return [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+
+
+def _split(text: str) -> list[list[str]]:
+    """The cells of every line, between semicolons or tabs where the first line has no commas.
+
+    Numbers may then have a comma for a point, as spreadsheets of many countries write.
+    """
+    lines = text.splitlines()
+    first = next((line for line in lines if line.strip()), "")
+    mark = next((one for one in ";\t" if one in first and "," not in first), ",")
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
+    if mark == ",":
+        return rows
+    comma = _DECIMAL_COMMA.fullmatch
+    return [[cell.replace(",", ".") if comma(cell) else cell for cell in row] for row in rows]
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
@@ -67,12 +84,11 @@ def first_rows(path: Path, count: int = 4) -> list[list[str]]:
         FileNotFoundError: when there is no such file.
     """
     with path.open("rb") as file:
-        lines = [decode(line) for line, _ in zip(file, range(count), strict=False)]
+        head = b"".join(line for line, _ in zip(file, range(count), strict=False))
     try:
-        rows = list(csv.reader(line.replace("\0", "") for line in lines))
+        return _split(decode(head).replace("\0", ""))
     except csv.Error:
         return []
-    return [[cell.strip() for cell in row] for row in rows]
 
 
 def numbers(
@@ -105,6 +121,7 @@ def numbers(
                     values[line, k] = float(row[column])
                 except ValueError as error:
                     raise FormatError(
-                        f"{name}: expected a number in row {line}, got {row[column][:40]!r}"
+                        f"{name}: expected a number in row {line}, got {row[column][:40]!r}; "
+                        "leave cells empty where nothing was seen"
                     ) from error
     return values

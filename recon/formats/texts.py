@@ -40,7 +40,9 @@ def read_binary(path: Path) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Text of a recording: UTF-8, else Latin-1 (old tools wrote the local code page)."""
+    """Text of a recording: UTF-8 or, by its mark, UTF-16, else Latin-1 (old code pages)."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

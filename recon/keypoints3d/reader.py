@@ -227,8 +227,9 @@ def with_rate(points: Points3D, fps: float | None) -> Points3D:
     if fps is not None:
         return replace(points, fps=fps)
     if points.fps is None:
+        unused = [one for one in points.decisions if one.endswith("were not used")]
         raise FormatError(
-            f"{points.name}: nothing in the file states the frame rate; give frames per second "
-            "with --frame-rate"
+            f"{points.name}: {(unused or ['nothing in the file states the frame rate'])[0]}; give "
+            "frames per second with --frame-rate"
         )
     return points

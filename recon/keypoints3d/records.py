@@ -12,6 +12,8 @@ from recon.core.units import snapped_rate
 
 _LARGEST = 1e7
 """Coordinate of a point ten kilometres away, in millimetres."""
+_USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
+"""Rates of recordings, and times that others than seconds count in a second."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,13 @@ class Points3D:
         return replace(self, fps=fps, decisions=(*self.decisions, said))
 
     def timed(self, times: np.ndarray | None, source: str | None = None) -> "Points3D":
-        """The points at the rate that a column of seconds tells, if it does.
+        """The points at the rate that a column of times tells, if it does.
 
-        It tells none where it is a single time, or times that do not rise evenly.
+        It tells none where it is a single time, or times that do not rise evenly. Times are
+        milli-, micro- or nanoseconds where that makes a usual rate and seconds do not.
 
         Args:
-            times: one for every frame, seconds; None where there are none.
+            times: one for every frame; None where there are none.
             source: the file that has them, for the decision; None for that of the points.
 
         Raises:
@@ -63,12 +66,16 @@ class Points3D:
                 f"{times[:-1][back][0]:g} s"
             )
         middle, span = float(np.median(steps)), float(times[-1] - times[0])
-        fps = snapped_rate(len(steps) / span) if span > 0 else 0.0
+        fps, unit = snapped_rate(len(steps) / span) if span > 0 else 0.0, 1.0
+        if 0 < fps < _USUAL_RATES[0]:
+            unit = next((u for u in _TICKS if _USUAL_RATES[0] <= fps * u <= _USUAL_RATES[1]), 0.0)
+            fps = snapped_rate(len(steps) / span * unit)
         if not FRAME_RATE.holds(fps) or not np.abs(steps - middle).max() <= middle / 2:
-            said = f"the times in {place} do not rise evenly and were not used"
+            said = f"the times in {place} do not rise evenly by a usual step and were not used"
             return replace(self, decisions=(*self.decisions, said))
         said = f"{fps:g} frames per second: by the times in {place}"
-        start = float(times[0])
+        said += f", {unit:g} a second" if unit > 1 else ""
+        start = float(times[0]) / unit
         return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
 
     def checked(self) -> "Points3D":

@@ -262,3 +262,11 @@ def test_long_files_are_fitted_by_windows_and_the_report_says_so(body, tmp_path,
     assert len(report["windows"]) == 2
     assert not any(window["failed"] for window in report["windows"])
     assert load_motion(out).motion.frames == truth.frames
+
+
+@pytest.mark.parametrize("fps", [1 / 30, 0.5])
+def test_windows_of_slow_clocks_have_frames_enough(fps, toy_body):
+    """A frame every half a minute ended in a division by zero, every two seconds in a refusal."""
+    slow = swaying(toy_body, seconds=4.0).replace(fps=fps, start_time=0.0)
+    cut = LongRecording.cut((seen(toy_body, slow),), toy_body, window=6.0, overlap=1.0)
+    assert cut.windows.frames >= 8

@@ -152,6 +152,18 @@ def test_scans_of_who_crouches_have_z_up_where_the_floor_is() -> None:
         up_of_clouds(aside, "scans", told=False)
 
 
+def test_scans_that_another_axis_explains_as_well_are_asked_for() -> None:
+    """Another axis was z, being at 0 by chance; a climber was head down below the floor."""
+    random = np.random.default_rng(0)
+    lying = [random.uniform((0.0, -0.5, 0.0), (1.5, 0.9, 0.5), (200, 3)) for _ in range(20)]
+    with pytest.raises(UnitsError, match="--up"):
+        up_of_clouds(lying, "scans", told=False)
+    climber = [random.uniform((-0.3, -0.3, 0.9), (0.3, 0.3, 2.3), (200, 3)) for _ in range(20)]
+    assert up_of_clouds(climber, "scans", told=False) == ("z", ())
+    with pytest.raises(UnitsError, match=r"0.9 m below the origin.*--up"):
+        up_of_clouds([-cloud for cloud in climber], "scans", told=False)
+
+
 def test_no_laboratory_is_mirrored_but_one(data) -> None:
     """Nor is any asked for its axes; `bmc/walk1.trc` has right and left exchanged in space."""
     folder, told = data / "observations", []

@@ -77,6 +77,41 @@ def test_wide_and_long_tables_arrays_and_trc_are_one_thing(tmp_path):
     agrees(read(tmp_path / "body.npz")[0], x)
 
 
+@pytest.mark.parametrize(("mark", "encoding"), [(";", "utf-8"), ("\t", "utf-8"), ("\t", "utf-16")])
+def test_tables_of_other_spreadsheets_are_read(tmp_path, mark, encoding):
+    """Semicolons, tabs and UTF-16, as Excel saves where numbers have commas, were no table."""
+    names, x = keypoint_names("coco17"), points("coco17")
+    wide(tmp_path / "a.csv", names, x)
+    text = (tmp_path / "a.csv").read_text().replace(",", mark).replace(".", ",")
+    (tmp_path / "b.csv").write_bytes(text.encode(encoding))
+    agrees(read(tmp_path / "b.csv", frame_rate=30.0)[0], x)
+
+
+@pytest.mark.parametrize("ticks", [1.0, 1e3, 1e6, 1e9])
+def test_times_may_count_parts_of_seconds(tmp_path, ticks):
+    """Milliseconds were taken for seconds: a frame every 33 s, which ended in a traceback."""
+    names, x = keypoint_names("coco17"), points("coco17")
+    header = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    with (tmp_path / "a.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(header)
+        rows.writerows([t / 30 * ticks, *one] for t, one in enumerate(x.reshape(FRAMES, -1)))
+    agrees(read(tmp_path / "a.csv")[0], x)
+
+
+def test_times_that_tell_no_rate_are_named(tmp_path):
+    """Numbers of frames were seconds; of a pause it was said that there are no times."""
+    names, x = keypoint_names("coco17"), points("coco17")
+    header = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    for times in (range(FRAMES), [0.1 * t + (t > 5) for t in range(FRAMES)]):
+        with (tmp_path / "a.csv").open("w", newline="") as file:
+            rows = csv.writer(file)
+            rows.writerow(header)
+            rows.writerows([t, *one] for t, one in zip(times, x.reshape(FRAMES, -1), strict=True))
+        with pytest.raises(recon.ReconError, match=r"times in a.csv .* not used; give frames"):
+            read(tmp_path / "a.csv")
+
+
 def test_keypoints_of_a_trc_are_never_skin(tmp_path):
     """A Pose2Sim TRC was fitted as markers on the skin: joints were 7 cm off."""
     names = [
