@@ -74,7 +74,7 @@ class Answer:
 
 
 def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Answer:
-    """An answer as any method may give it, checked.
+    """The answer of a method, after its shapes, lengths and numbers were checked.
 
     Args:
         given: places of the 22 joints, an array (time, 22, 3) in metres; a mapping of such arrays

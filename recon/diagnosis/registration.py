@@ -115,7 +115,7 @@ class Registration:
         return float(np.linalg.norm(self.values[4:]))
 
     def applied(self, images: Images) -> Images:
-        """All views, this one as it should have been."""
+        """All views, with this one replaced by its correction."""
         pose = images.pose.copy()
         pose[self.view] = self.pose
         return shifted(replace(images, pose=pose), self.view, self.late)

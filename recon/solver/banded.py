@@ -39,13 +39,13 @@ class Banded:
 
     @classmethod
     def dense(cls, matrix: Float[Tensor, "m m"]) -> "Banded":
-        """A matrix that is all corner."""
+        """A matrix without frames, which consists of the corner C alone."""
         empty = matrix.new_zeros(0, 1, 0, 0)
         return cls(empty, matrix.new_zeros(0, 0, len(matrix)), matrix)
 
     @property
     def reach(self) -> int:
-        """Frames up to so far apart couple."""
+        """Largest distance in frames of two that are coupled."""
         return self.inner.shape[1] - 1
 
     def add_frames(

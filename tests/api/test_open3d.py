@@ -100,7 +100,7 @@ def test_the_constructor_and_the_reader_take_geometries(body):
     assert torch.equal(read.points, ours([person(k) for k in range(3)], body).points)
     with pytest.raises(ReconError, match="moment 0: expected points"):
         recon.PointCloud([person(0)[:, :2]], fps=30.0)
-    with pytest.raises(ReconError, match="no cloud has any"):
+    with pytest.raises(ReconError, match="all clouds are empty"):
         recon.PointCloud([np.zeros((0, 3))], fps=30.0)
     with pytest.raises(ReconError, match="fps"):
         recon.PointCloud(frames)

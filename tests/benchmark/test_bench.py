@@ -208,4 +208,4 @@ def test_the_command_judges_a_class_of_the_current_folder(tmp_path, monkeypatch,
     assert found["windows"]["names"] == ["16_32@0.00"]
     assert found["methods"]["linear"]["mean"]["joints_all"]["mean"] > 0
     assert cli.run(["bench", "gap", "--write", "seen", "--method", "linear"]) == cli.BAD_INPUT
-    assert "--write only writes what is seen" in capsys.readouterr().err
+    assert "--write only writes the observations" in capsys.readouterr().err

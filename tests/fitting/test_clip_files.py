@@ -69,7 +69,7 @@ def test_a_camera_of_known_pose_leaves_the_world_as_it_is(tmp_path):
 
 def test_two_cameras_of_unknown_pose_are_refused(tmp_path):
     files = [observed(tmp_path, posed=False, name=name) for name in "ab"]
-    with pytest.raises(ValueError, match="nobody knows how they stand to each other"):
+    with pytest.raises(ValueError, match="relative positions are unknown"):
         load_clip(files, POSE, bundled())
 
 

@@ -187,7 +187,7 @@ def test_too_little_is_refused_and_little_is_said(settings, scans, tmp_path):
         save_observation(seen, replace(scans, points=scans.points[kept], frame=scans.frame[kept]))
         return seen
 
-    with pytest.raises(ValueError, match="at most one moment"):
+    with pytest.raises(ValueError, match="at most one frame has data"):
         fit_files([only(last)], out, settings)
     with pytest.raises(ValueError, match=r"lasts 0\.3 to 3 s"):
         fit_files([only(0, 1, 2)], out, settings)

@@ -86,7 +86,7 @@ def test_one_cycle_at_few_moments_is_one_code(tmp_path):
 
 
 def test_one_moment_is_refused(truth):
-    with pytest.raises(ValueError, match="one moment"):
+    with pytest.raises(ValueError, match="at most one frame has data"):
         recon.complete(seen(truth.window(0, 1)))
 
 

@@ -143,7 +143,7 @@ def test_focal_lengths_that_change_become_one(tmp_path):
         ("pred_keypoints_2d", np.arange(140.0).reshape(70, 2) % 37, "px from the projection"),
         ("pred_keypoints_3d", np.zeros((69, 3)), "expected pred_keypoints_3d"),
         ("focal_length", np.float32(900), "focal_length is 900 px"),
-        ("pred_cam_t", None, "expected pred_cam_t"),
+        ("pred_cam_t", None, "expected the person.s place, pred_cam_t"),
         ("pred_cam_t", np.array([0, 0, -4.0]), "in front of the camera"),
     ],
 )

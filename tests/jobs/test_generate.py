@@ -160,7 +160,7 @@ def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, cap
         (("predict", "WALK", "--out", "a.npz", "--at", 0), "at: expected"),
         (("predict", "WALK", "--out", "a.npz", "--at", 0.3), "0.250 s"),
         (("predict", "WALK", "--out", "a.npz", "--at", "nan"), "at: expected"),
-        (("predict", "ONE", "--out", "a.npz"), "one frame"),
+        (("predict", "ONE", "--out", "a.npz"), "a single frame"),
         (("predict", "OTHER", "--out", "a.npz"), "--body"),
     ],
 )

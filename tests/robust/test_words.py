@@ -94,7 +94,7 @@ ROWS: dict[str, Row] = {
                        "by collocation or rollout, got 'roll'"),
     "method of a prior with one way": (fitted(method="roll"), R, "in one way only, got 'roll'"),
     "no ground under a prior that has one": (fitted(prior="humor", ground=None), R,
-                                             "'humor' judges; fit with the prior 'pose'"),
+                                             "'humor' needs the ground.*prior 'pose'"),
     "physics without a ground": (fitted(ground=None, physics=1.0), R, "expected physics=0, got 1"),
     "a plane of NaN": (fitted(ground=(0.0, 0.0, float("nan"), 0.0)), R, "ground: expected"),
     "known ground without a camera's pose": (
