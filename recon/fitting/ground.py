@@ -26,7 +26,7 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
-    """The ground under clips in a recording whose frame is not the world; axis (clips).
+    """The ground of every clip of a batch, in recordings whose frame is not the world.
 
     Up is where heads are from between the ankles, on average over the frames: steps forward and
     back, and leaning to either side, cancel. The ground is as high as the soles that stand.

@@ -205,7 +205,7 @@ class Local(Problem[Unknowns[Any]]):
 
     @property
     def size(self) -> int:
-        """All numbers of a clip."""
+        """Number of unknowns of one clip: steps of its frames, its shape, its scene."""
         return self.bordered + sum(shape.numel() for _, shape in self.of_scene)
 
     def hessians(self, base: Unknowns[Any]) -> list[Banded]:
