@@ -133,7 +133,10 @@ def fitted(
 
 
 def _at_pace(seen: Sequence[Sensor], start: Motion | None, found: Motion | None) -> Motion | None:
-    """The caller's start no faster than the data, or the motion that checks found, as fast."""
+    """The motion to start from, at the frame rate of the data: the caller's or that of checks.
+
+    A caller's motion with a lower frame rate than the data keeps its own.
+    """
     if start is not None:
         return start.resample(min(start.fps, max(one.fps for one in seen)))
     return found and found.resample(max(one.fps for one in seen if one.named))

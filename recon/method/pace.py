@@ -1,8 +1,8 @@
-"""Data that are faster than a body moves, averaged about fewer moments.
+"""Reduce the frame rate of data that were recorded faster than a body moves.
 
-A body moves at a few hertz, and priors of motion look 30 times a second. What is measured at
-300 Hz tells the same motion more surely, not another one: so a fit takes the mean of what was
-measured about each of its moments, and costs what its seconds cost, however many frames they have.
+A body moves at a few hertz, and priors of motion work at 30 Hz. Data at 300 Hz show the same
+motion with less noise, so a fit takes means over neighbouring frames at about 60 Hz: its cost then
+depends on the seconds that it covers and not on the number of frames.
 """
 
 import math
@@ -15,20 +15,21 @@ from torch import Tensor
 from recon.method.sensor import Sensor
 
 PACE = 60.0
-"""Moments per second at least that fast data are averaged about in a fit."""
+"""Lowest frame rate to which a fit reduces fast data, frames per second."""
 _FASTER = 1.5
-"""Multiple of that up to which data stay as they are."""
+"""Data with a frame rate of up to this multiple of the wanted one stay as they are."""
 
 S = TypeVar("S", bound=Sensor)
 
 
 def paced(sensor: S, pace: float = PACE) -> S:
-    """The sensor with about so many frames per second, from its first frame to its last.
+    """The sensor at a frame rate of about `pace`, or the sensor itself where that is not possible.
 
-    Named points become means about moments `1 / pace` seconds apart or a little less; clouds keep
-    every so many frames, as their points have no names. Data that are not clearly faster stay as
-    they are, also where most frames are empty, and so do views of cameras that move and sensors
-    of one's own, of which nobody knows whether means make sense.
+    Named points are averaged over neighbouring frames, for moments at most `1 / pace` seconds
+    apart that include the first and the last frame. Clouds keep every n-th frame, as their points
+    have no names by which to average them. A sensor is returned unchanged if it is not clearly
+    faster than `pace`, if most of its frames are empty, if its camera moves, or if it is a class
+    of the user's without named points.
     """
     filled = sensor.shown.any(-1)
     fast = sensor.fps > _FASTER * pace and sensor.moments > 2
@@ -45,11 +46,11 @@ def paced(sensor: S, pace: float = PACE) -> S:
 
 
 def _averaged(sensor: S, pace: float) -> S:
-    """Means of named points about evenly spread moments, the first and the last frame's included.
+    """Means of named points at evenly spaced moments, the first and the last frame included.
 
-    A mean is of the frames nearer to its moment than to the next, so that no frame counts twice.
-    Where these are not spread evenly about it, as at the ends and beside gaps, the mean is carried
-    to the moment at the speed of a line through the frames up to a whole step away.
+    Each frame counts for the nearest moment alone. Where the frames of a moment are not centred
+    on it, as at the ends and beside gaps, their mean is moved to it at the velocity of a line
+    fitted to the frames within one step of the moment.
     """
     count = math.ceil((sensor.moments - 1) / sensor.fps * pace - 1e-6) + 1
     step = (sensor.moments - 1) / (count - 1)

@@ -84,9 +84,9 @@ class _Alone:
 def shared_camera(results: Sequence[Result]) -> SharedCamera:
     """The camera that fits everybody best.
 
-    Focal lengths are averaged. The ground is the plane to which the places of all people come
-    nearest, each of whom may be so much farther away and larger as people differ, and whose
-    normal is as near as can be to what each posture says is up.
+    Focal lengths are averaged. The ground is fitted to the lowest points of all people and to the
+    upward direction of each posture; every person's distance and size may be scaled together
+    within the usual variation of body sizes.
 
     Args:
         results: fits to one camera of unknown pose, one per person.
