@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import BELOW, turned_by
+from recon.body.derivatives import BELOW, right_jacobian
 from recon.body.kinematics import forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
@@ -331,7 +331,7 @@ def _by_coordinates(
     pull, turning = torques(bones, force)
     mass, across, between = inertia(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
-    bent = bones[:, 1:, :, :3] @ turned_by(steps)
+    bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
     # the turns of the root, and those of the other joints by v = B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from priors.checkpoints import named_checkpoint
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import turned_by
+from recon.body.derivatives import right_jacobian
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
@@ -237,7 +237,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         start = variables.start_pose[clip]
         basis = self.density.basis.to(start)
         steps = (start @ basis.mT).unflatten(-1, (ROTATIONS, 3))
-        return (turned_by(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+        return (right_jacobian(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
         """Add the Hessian of the energy "pose", which is quadratic in z."""
