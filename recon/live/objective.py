@@ -71,7 +71,7 @@ class Window(TensorStruct):
         )
 
     def extended(self, damping: float) -> "Window":
-        """One frame more, in which the motion of the last two goes on, slowed by a factor."""
+        """The window with one more frame, extrapolated from the last two with damped velocity."""
         before, last = self[-2:-1], self[-1:]
         turn = so3.log(before.root.mT @ last.root)
         return Window(
@@ -98,7 +98,7 @@ class StepEnergies(Protocol):
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """A record whose `energy` has a gradient by what the motion was made of."""
+        """A record whose `energy` is differentiable in the motion."""
         ...
 
     def add_curvature(
@@ -158,7 +158,7 @@ class Objective:
 
     @property
     def reach(self) -> int:
-        """Frames so far apart are in one energy: the frames before a window that are held."""
+        """Largest distance in frames within one energy, and frames held before a window."""
         return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property

@@ -90,12 +90,16 @@ class _Unwhitened(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, u: Tensor, factors: Sequence[Factor], hessian_size: int) -> Tensor:
         ctx.map = factors, hessian_size
-        return _mapped([one.up for one in factors], u, hessian_size)
+        return _mapped([one.solve_upper for one in factors], u, hessian_size)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
         factors, hessian_size = ctx.map
-        return _mapped([one.down for one in factors], gradients[0], hessian_size), None, None
+        return (
+            _mapped([one.solve_lower for one in factors], gradients[0], hessian_size),
+            None,
+            None,
+        )
 
 
 def _mapped(

@@ -195,4 +195,4 @@ def test_a_hessian_that_cannot_be_factorised_scales_nothing() -> None:
     bad = Banded.zero(4, 2, 69, 1, torch.zeros(0))
     bad.inner[:, 0] = torch.nan
     u = torch.randn(4 * 69 + 1)
-    torch.testing.assert_close(factorised(bad).up(u), u, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(factorised(bad).solve_upper(u), u, rtol=1e-4, atol=1e-5)
