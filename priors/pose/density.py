@@ -35,7 +35,7 @@ class PoseDensity(TensorStruct):
     the root (radians) and z. Scales the variables of a fit; no energy depends on it."""
 
     def coordinates(self, rotations: Float[Tensor, "*shape 21 3 3"]) -> Float[Tensor, "*shape 63"]:
-        """Z of a pose; |z|² is its squared Mahalanobis distance from the mean pose."""
+        """The coordinates z of a pose: |z|² is its squared Mahalanobis distance from the mean."""
         steps = so3.log(self.mean.mT @ rotations).flatten(-2)
         return steps @ torch.linalg.inv(self.basis).mT
 

@@ -143,7 +143,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one of `python -m training pose`.
+        """Load the bundled density, or one of `python -m training pose`.
 
         Args:
             path: `open` or None for the bundled density, or a file.
@@ -164,7 +164,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """The density that these weights amount to for data of this standard deviation, metres.
+        """The density of motions that stands for this prior beside data of this noise, metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share `_TRUST` of it is believed.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from observations.depth import CLOUD_NOISE, PointCloud
 from observations.noise import weights_of
-from observations.surfels import bounded
+from observations.surfels import fixed_scale_kernel
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -332,7 +332,7 @@ def _thinned(variables: Any, step: int) -> Any:
 def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
     """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
     few = sensor.coarse(body, step)
-    return few.derived(kernel=bounded) if few.cloud else few
+    return few.derived(kernel=fixed_scale_kernel) if few.cloud else few
 
 
 def _largest_point_count(cloud: PointCloud) -> int:

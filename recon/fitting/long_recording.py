@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.points import of_places
+from observations.points import quadratic_model
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -67,7 +67,7 @@ class Overlap(TensorStruct):
         """The energy about predicted joints, metres."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
-        return of_places(points, self.joints, weights, squared, rate)
+        return quadratic_model(points, self.joints, weights, squared, rate)
 
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]

@@ -185,7 +185,7 @@ class Tracking:
 
     @cached_property
     def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [one.shows(self.body) for one in self.sensors.trackers]
+        return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     @property
     def _now(self) -> Smoothed:

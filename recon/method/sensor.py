@@ -239,7 +239,7 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
+    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
         """Share of the frames in which the sensor locates each joint.
 
         None where that is unknown.

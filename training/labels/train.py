@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
-from priors.labels.looking import believed, standard
+from priors.labels.looking import in_network_frame, label_probabilities
 from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
@@ -134,7 +134,7 @@ left, beside that of regions."""
 def seen_of(clouds: LabelledClouds) -> SeenClouds:
     """Windows as the network takes them, all moments in one row."""
     moments = clouds.points.shape[1]
-    return standard(
+    return in_network_frame(
         clouds.points.flatten(0, 1),
         clouds.present.flatten(0, 1),
         clouds.eyes.repeat_interleave(moments, 0),
@@ -210,7 +210,7 @@ def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
     `sided` is the share of points that are wrong as well with left and right of the whole moment
     exchanged where that is better.
     """
-    labels = believed(raw, clouds.present.flatten(0, 1))
+    labels = label_probabilities(raw, clouds.present.flatten(0, 1))
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
     on_body = region >= 0
     said = labels.regions.argmax(-1)
