@@ -64,7 +64,7 @@ class Keypoints3D(TrackedPoints):
         elif not isinstance(points, BodyPoints):
             points = BodyPoints.of_names(tuple(points), BodyModel.load())
         # keypoints on the skin are vertices of the bundled mesh: other meshes do not have them
-        self._measured(
+        self._set_measured(
             positions, visible, (fps, start_time), std, ("points", points.bones), points.known,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows, points=points,
             level=level, placed=placed,

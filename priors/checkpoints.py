@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
-        """The integer settings of a file, whose other settings must equal the given texts.
+        """The integer settings `names`; the file's settings in `words` must equal these texts.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
@@ -90,10 +90,10 @@ class Checkpoint:
         network.load_state_dict(self.require(layers), strict=True)
 
 
-def checksum(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
+def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
     """SHA-256 over kind, settings, and names, types, shapes and bytes of all tensors."""
-    told = {key: about.get(key) for key in ("kind", "settings")}
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    hashed = {key: metadata.get(key) for key in ("kind", "settings")}
+    digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name].detach().cpu().contiguous()
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)};".encode())

@@ -120,7 +120,7 @@ def plain(settings: Any) -> dict[str, Any]:
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
 
 
-def told_settings(settings: Any) -> dict[str, Any]:
+def settings_to_store(settings: Any) -> dict[str, Any]:
     """The settings stored in a weights file: all except paths on the training machine."""
     found = dataclasses.asdict(settings)
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}

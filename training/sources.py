@@ -276,9 +276,9 @@ def read_humanoid(path: Path) -> SkeletonRecording:
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in _TREE.values())
     offsets = np.array([place for _, place in _TREE.values()])
     for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
-        raised = _raised(name)
+        raised = _arm_lowering(name)
         # R' = R A for the joints of an arm, relative to their parents; offsets likewise
-        before = _raised(names[parent]) if parent >= 0 else np.eye(3)
+        before = _arm_lowering(names[parent]) if parent >= 0 else np.eye(3)
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]
 
@@ -309,7 +309,7 @@ def _turns(frames: np.ndarray) -> dict[str, np.ndarray]:
     return turns
 
 
-def _raised(name: str) -> np.ndarray:
+def _arm_lowering(name: str) -> np.ndarray:
     """The turn that takes an arm stretched out sideways to one that hangs."""
     if name not in _ARMS:
         return np.eye(3)

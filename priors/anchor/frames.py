@@ -29,7 +29,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 @dataclass(frozen=True)
 class Anchors(TensorStruct):
-    """Cycles as anchor frames."""
+    """Cycles of motion, each as 100 anchor frames."""
 
     rotations: Float[Tensor, "*batch anchors 20 3 3"]
     """Relative to the parent joint; the root in the world, or in the frame of the first anchor."""

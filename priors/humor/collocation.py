@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import as_read, at_tempo, contact_probabilities, posed_states
+from priors.humor.state import at_tempo, contact_probabilities, on_network_clock, posed_states
 from priors.humor.steps import (
     ERROR,
     SPAN,
@@ -150,7 +150,7 @@ class Collocation(Prior[PoseVariables]):
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
         posed = humor.body.pose(motion)
-        states = posed_states(as_read(motion), posed.joints)
+        states = posed_states(on_network_clock(motion), posed.joints)
         pelvis = humor.pelvis(motion.shape)
         found = explain(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]
@@ -251,7 +251,7 @@ def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (told := term.energy.told_joints(body)) is not None
-        and bool((told >= _MIN_SEEN_SHARE).all())
+        and (share := term.energy.share_of_frames_locating(body)) is not None
+        and bool((share >= _MIN_SEEN_SHARE).all())
         for term in data
     )

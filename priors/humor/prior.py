@@ -69,7 +69,7 @@ class Humor(Prior[HumorVariables]):
         *,
         mixture: str | Path | None = None,
     ) -> "Humor":
-        """The bundled weights, ones of `python -m training humor`, or the released checkpoint.
+        """Load the bundled weights, ones of `python -m training humor`, or the authors' file.
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the

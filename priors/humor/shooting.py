@@ -142,7 +142,7 @@ class Shooting(Prior[HumorVariables]):
 
     @classmethod
     def published(cls, humor: Humor, sensor: str) -> "Shooting":
-        """The publication's fit to what a sensor saw, one of `PUBLISHED`."""
+        """The fit of the publication for a kind of sensor, a key of `PUBLISHED`."""
         weights, poses = PUBLISHED[sensor]
         start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
         return cls(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
@@ -214,7 +214,7 @@ class Shooting(Prior[HumorVariables]):
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:
-    """Names of the variables that the publication's first phase moves."""
+    """The variables of the first 15 frames, which the first phase is fitted to."""
     return variables.first(FIRST_FRAMES)
 
 

@@ -91,10 +91,10 @@ class Frame(TensorStruct):
         moved = state.translation - self.origin
         joints = state.joints - (self.origin + pelvis)[..., None, :]
         return State(
-            translation=_turned(turn, moved),
-            velocity=_turned(turn, state.velocity),
+            translation=_rotated(turn, moved),
+            velocity=_rotated(turn, state.velocity),
             root=turn @ state.root,
-            angular_velocity=_turned(turn, state.angular_velocity),
+            angular_velocity=_rotated(turn, state.angular_velocity),
             pose=state.pose,
             joints=joints @ turn.mT + pelvis[..., None, :],
             joint_velocities=state.joint_velocities @ turn.mT,
@@ -105,10 +105,10 @@ class Frame(TensorStruct):
         back = self.turn.mT
         joints = (state.joints - pelvis[..., None, :]) @ self.turn
         return State(
-            translation=_turned(back, state.translation) + self.origin,
-            velocity=_turned(back, state.velocity),
+            translation=_rotated(back, state.translation) + self.origin,
+            velocity=_rotated(back, state.velocity),
             root=back @ state.root,
-            angular_velocity=_turned(back, state.angular_velocity),
+            angular_velocity=_rotated(back, state.angular_velocity),
             pose=state.pose,
             joints=joints + (self.origin + pelvis)[..., None, :],
             joint_velocities=state.joint_velocities @ self.turn,
@@ -171,7 +171,7 @@ def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
     return torch.cat([part.flatten(len(batch)) for part in parts], -1)
 
 
-def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
+def _rotated(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
     return (turn @ vector[..., None])[..., 0]
 
 
@@ -187,8 +187,8 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
     return motion.resample(steps / seconds)
 
 
-def as_read(motion: Motion) -> Motion:
-    """A motion resampled to `REFERENCE_FPS` frames per second of the networks' time."""
+def on_network_clock(motion: Motion) -> Motion:
+    """The motion with frames taken to be 1/30 s apart, as the networks read them."""
     return motion.replace(fps=REFERENCE_FPS)
 
 
@@ -235,7 +235,7 @@ def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> 
 
 
 def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
-    """The numbers that the mixture of initial states is over: joints, velocities (section 4)."""
+    """Features of a state for the mixture of initial states: joints and velocities."""
     parts = (
         state.joints.flatten(-2),
         state.joint_velocities.flatten(-2),

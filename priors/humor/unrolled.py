@@ -91,7 +91,7 @@ def encoded(humor: Any, motion: Motion) -> HumorVariables:
 
 def decoded(humor: Any, variables: HumorVariables) -> Decoded:
     """The motion of a first state and latents; see `Humor.decode`."""
-    first, pelvis = _first(humor, variables), humor.pelvis(variables.shape)
+    first, pelvis = _first_state(humor, variables), humor.pelvis(variables.shape)
     frame = Frame.of(first)
     start = frame.enter(first, pelvis)
     rollout = roll_out(humor.decoder, start.pack(), pelvis, variables.latents)
@@ -111,7 +111,7 @@ def decoded(humor: Any, variables: HumorVariables) -> Decoded:
     )
 
 
-def _first(humor: Any, variables: HumorVariables) -> State:
+def _first_state(humor: Any, variables: HumorVariables) -> State:
     steps = torch.cat((variables.root[:, None], variables.pose), 1)
     rotations = variables.base @ so3.exp(steps)
     motion = Motion.create(

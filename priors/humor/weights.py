@@ -23,7 +23,7 @@ _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeErr
 
 
 def read_weights(path: str | Path) -> Checkpoint:
-    """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
+    """Read weights of recon (.safetensors) or a PyTorch checkpoint (.pth, .pt).
 
     Args:
         path: a file; or `open` for the weights in the package, `nc` for those of a source
@@ -35,7 +35,7 @@ def read_weights(path: str | Path) -> Checkpoint:
     """
     if path in ("open", "nc") or Path(path).suffix == ".safetensors":
         return named_checkpoint(path, "humor")
-    return _pytorch(Path(path))
+    return _read_pytorch(Path(path))
 
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
@@ -67,8 +67,8 @@ def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
     return own.require({"": (207, 207)})[""] if own.tensors else None
 
 
-def _pytorch(path: Path) -> Checkpoint:
-    """Read without running code from it."""
+def _read_pytorch(path: Path) -> Checkpoint:
+    """Read a PyTorch checkpoint without executing code from it."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such weights file; expected HuMoR weights there")
     try:

@@ -112,15 +112,15 @@ class BodyFrames(TensorStruct):
         return world + pad(self.place * legs, (0, 1))[..., None, :]
 
     def pack(self) -> Float[Tensor, "*batch time numbers"]:
-        """One row per frame: every feature in metres, angles times the length of their levers."""
+        """One row per frame: every feature in metres, angles times a lever in metres."""
         columns = so3.to_6d(self.orientations).flatten(-2)
         rest = torch.cat((self.direction, self.place, self.clearance[..., None]), -1)
-        return torch.cat((columns, rest), -1) * _worth().to(columns)
+        return torch.cat((columns, rest), -1) * _metres_per_feature().to(columns)
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
         """The inverse of `pack`; approximate rotations and directions are made exact."""
-        rows = rows / _worth().to(rows)
+        rows = rows / _metres_per_feature().to(rows)
         angle = rows[..., -5:-3]
         length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()
         return cls(
@@ -189,7 +189,7 @@ def levers() -> Float[Tensor, " 22"]:
 
 
 @lru_cache(maxsize=1)
-def _worth() -> Float[Tensor, " numbers"]:
+def _metres_per_feature() -> Float[Tensor, " numbers"]:
     """Factor that converts every feature of a frame to metres."""
     places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
     return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))
@@ -256,18 +256,18 @@ def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*b
     place = torch.arange(-HOP, count * HOP, device=rows.device).clamp(0, frames - 1)
     padded = rows[..., place, :]
     windows = padded.unfold(-2, WINDOW, HOP).transpose(-1, -2)
-    return (windows * _sine().to(rows)[:, None]).flatten(-2)
+    return (windows * _sine_window().to(rows)[:, None]).flatten(-2)
 
 
 def _sum_of_windows(
     windows: Float[Tensor, "*batch windows 16 numbers"], frames: int
 ) -> Float[Tensor, "*batch time numbers"]:
     """The sum of overlapping windows, each at its own place in time."""
-    weighed = windows * _sine().to(windows)[:, None]
+    weighed = windows * _sine_window().to(windows)[:, None]
     early, late = weighed[..., 1:, :HOP, :], weighed[..., :-1, HOP:, :]
     return (early + late).flatten(-3, -2)[..., :frames, :]
 
 
 @lru_cache(maxsize=1)
-def _sine() -> Float[Tensor, " window"]:
+def _sine_window() -> Float[Tensor, " window"]:
     return ((torch.arange(WINDOW) + 0.5) * math.pi / WINDOW).sin()

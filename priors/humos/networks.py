@@ -151,7 +151,7 @@ class CodeDensity(TensorStruct):
     def white(
         self, codes: Float[Tensor, "*batch memory latent"]
     ) -> Float[Tensor, "*batch memory latent"]:
-        """U of codes."""
+        """Whitened codes u."""
         return torch.linalg.solve_triangular(self.root, (codes - self.mean).mT, upper=False).mT
 
     def codes(

@@ -24,7 +24,7 @@ from recon.api.observations import GroundChoice, ObservationsLike, Sighting
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import device_at_hand, finite, positive
+from recon.core.arrays import finite, positive, usable_device
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
@@ -143,7 +143,7 @@ def fit(
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
-    model = body_given(body).to(device=device_at_hand(device), dtype=torch.float32)
+    model = body_given(body).to(device=usable_device(device), dtype=torch.float32)
     sighting = observed(
         observations, model, how_read, ground=ground, between=between, robust=robust
     )

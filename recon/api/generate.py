@@ -21,7 +21,7 @@ from recon.api.made import Made, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel
-from recon.core.arrays import device_at_hand, finite, positive
+from recon.core.arrays import finite, positive, usable_device
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
@@ -207,7 +207,7 @@ def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
 
 
 def _humor_prior(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
-    place = device_at_hand(device)
+    place = usable_device(device)
     humor = prior if isinstance(prior, Humor) else Humor.load(weights, body_given(body))
     return humor.to(device=place)
 

@@ -108,7 +108,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     return replace(found, clip=replace(found.clip, ground_given=True))
 
 
-def counted_less_beyond(clip: Clip, distance: float) -> Clip:
+def with_robust_kernel(clip: Clip, distance: float) -> Clip:
     """The clip with Geman and McClure's kernel for named points.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.api.observations import ObservationsLike
-from recon.api.results import Tables, told
+from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
@@ -61,7 +61,7 @@ class DepthRig:
         """The JSON report saved beside the poses; see `MotionResult.report`."""
         poses = {name: np.linalg.inv(_pose(file)).tolist() for name, file in self.files.items()}
         found = {"T_world_camera": poses, "shared": dict(self.shared)}
-        return {**found, "decisions": list(self.decisions), **told(inputs, settings)}
+        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None

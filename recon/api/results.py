@@ -237,8 +237,10 @@ class MotionResult(ABC):
         return f"{type(self).__name__}: {described_motion(self.motion, tall)}"
 
 
-def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The fields at the end of every report.
+def closing_fields(
+    inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Versions, inputs and settings: the last fields of every report.
 
     Settings, checksums of inputs where they are known, and versions.
     """

@@ -190,7 +190,7 @@ def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Findi
         )
 
 
-def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator[Finding]:
+def _ground_warnings(name: str, samples: PhysicsSamples, ground_given: bool) -> Iterator[Finding]:
     """Warnings about a body that never touches the ground z = 0.
 
     Raises:
@@ -205,7 +205,7 @@ def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator
         f"{name}: the body never comes within {100 * NO_GROUND:g} cm of the ground; its lowest "
         f"point stays {abs(nearest):.2f} m {where} it"
     )
-    if not told:
+    if not ground_given:
         raise ReconError(
             f"{words} (z = 0, as nothing says where it is). Give the height of the `ground`: "
             f"{float(lowest.median()):.2f} where it is there, or 0 to go on all the same"

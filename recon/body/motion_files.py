@@ -66,7 +66,7 @@ def of_body(
 
 
 def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """A motion on another shape with equal rotations and an equal path of the pelvis.
+    """The motion on another body shape, with equal joint rotations and pelvis path.
 
     Feet may leave the ground or sink into it; see `with_shape`.
     """
@@ -75,7 +75,7 @@ def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]
 
 
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """A motion on another shape, its path scaled by the length of the legs.
+    """The motion on another body shape, with its path scaled by leg length.
 
     Rotations stay. The pelvis' path, from its place above the ground in the first frame and the
     level of the toe joints at rest, grows with the legs (pelvis to toes), and the toes' level
@@ -88,8 +88,8 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     toes_before, toes_after = _toes(body, motion.shape), _toes(body, shape)
     scale = (leg_length(body, shape) / leg_length(body, motion.shape))[..., None, None]
     pelvis = motion.translation + body.rest_joints(motion.shape)[..., None, 0, :]
-    origin = torch.cat((pelvis[..., :1, :2], _column(toes_before)), -1)
-    target = torch.cat((pelvis[..., :1, :2], _column(toes_after)), -1)
+    origin = torch.cat((pelvis[..., :1, :2], _per_frame(toes_before)), -1)
+    target = torch.cat((pelvis[..., :1, :2], _per_frame(toes_after)), -1)
     moved = target + scale * (pelvis - origin)
     return motion.replace(
         translation=moved - body.rest_joints(shape)[..., None, 0, :], shape=shape
@@ -110,5 +110,5 @@ def _toes(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor
     return body.rest_joints(shape)[..., list(TOES), 1].mean(-1) - sole
 
 
-def _column(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 1 1"]:
+def _per_frame(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 1 1"]:
     return height[..., None, None]

@@ -26,7 +26,7 @@ spine and collars to the torso, shoulder joints to the upper arms."""
 
 @dataclass(frozen=True)
 class Parts(TensorStruct):
-    """The part of every vertex, and its share in the skin of its part."""
+    """The part of every vertex, and its share of the skin area of that part."""
 
     of_vertex: Int[Tensor, " vertices"]
     """Part whose joints carry most of the vertex."""

@@ -40,14 +40,14 @@ class SampledSurface(TensorStruct):
             _KNOWN[body.template] = _sampled(body)
         return _KNOWN[body.template]
 
-    def run(self, part: int) -> slice:
+    def rows_of(self, part: int) -> slice:
         """The rows of the points of one part."""
         first = int(torch.searchsorted(self.part, part))
         return slice(first, int(torch.searchsorted(self.part, part, right=True)))
 
     @property
     def soles(self) -> tuple[slice, slice]:
-        """The rows in `tread` of the soles of the left and of the right foot."""
+        """The rows, among points of soles, of the soles of the left and of the right foot."""
         left = int((self.part[self.sole] == PARTS.index("left_lower_leg")).sum())
         return slice(0, left), slice(left, int(self.sole.sum()))
 
@@ -100,12 +100,12 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
     """Vertices of the unposed average body that are farthest from each other; ascending."""
     template = body.template.detach().cpu().double().contiguous().numpy()
     wanted = min(count, len(template))
-    found = _in_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
+    found = _farthest_point_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
     return torch.from_numpy(np.sort(found[:wanted])).to(body.template.device)
 
 
 @lru_cache(maxsize=4)
-def _in_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
+def _farthest_point_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
     """Vertices in the order of farthest point sampling; cached per mesh."""
     points = torch.from_numpy(np.frombuffer(template).reshape(-1, 3).copy())
     return farthest(points, torch.tensor([0]), count).numpy()

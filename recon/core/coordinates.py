@@ -187,12 +187,14 @@ def along_body(
     shown = np.zeros(len(positions), dtype=bool)
     for low, top in pairs:
         new = low.any(1) & top.any(1) & ~shown
-        found[new] = _centres(positions[new], top[new]) - _centres(positions[new], low[new])
+        found[new] = _means_of_chosen(positions[new], top[new]) - _means_of_chosen(
+            positions[new], low[new]
+        )
         shown |= new
     return found[shown]
 
 
-def _centres(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _means_of_chosen(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Mean of the chosen points of every frame."""
     return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
@@ -272,7 +274,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
 
 
 def along(axis: int, sign: float) -> Up:
-    """The direction along an axis of this number, or against it where the sign is negative."""
+    """The direction along the axis of this number, or against it for a negative sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
 

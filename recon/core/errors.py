@@ -25,7 +25,7 @@ class WeightsError(ReconError):
 
 
 def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
-    """A module that few installations have; by name, as type checkers need not find it.
+    """Import an optional module; the error names the extra of recon that installs it.
 
     Args:
         name: of the module.

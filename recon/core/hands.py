@@ -56,8 +56,8 @@ def facing(
             np.full((len(positions), 3), np.nan),
         )
 
-    def towards(way: np.ndarray) -> np.ndarray:
-        return way / np.linalg.norm(way, axis=-1, keepdims=True).clip(1e-9)
+    def towards(vector: np.ndarray) -> np.ndarray:
+        return vector / np.linalg.norm(vector, axis=-1, keepdims=True).clip(1e-9)
 
     right = np.zeros((len(positions), 3))
     for parts in (("*_hip", "*_asis", "*_psis", "*_trochanter"), ("*_shoulder", "*_acromion")):

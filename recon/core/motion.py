@@ -133,7 +133,7 @@ def carried_translation(
     T: Float[Tensor, "*batch 4 4"],
     pelvis: Float[Tensor, "*batch 3"],
 ) -> Float[Tensor, "*batch time 3"]:
-    """R (t + p) + s - p: a body's translation does not turn its rest pelvis p."""
+    """A body's translation t after a rigid transform (R, s): R (t + p) + s - p, rest pelvis p."""
     rest = pelvis[..., None, :]
     return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 

@@ -22,11 +22,11 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
 from recon.fitting.stages import (
-    after_place,
-    paced_by_size,
+    after_placement,
     prior_stages,
     shape_found_once,
     shape_held,
+    with_relative_accelerations,
     with_scene,
     with_shape_terms,
     without_root,
@@ -96,12 +96,12 @@ def posed(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
     )
-    seen, offsets = _with_offsets(observations)
+    seen, offsets = _with_keypoint_offsets(observations)
     return ClipProblem(seen, guess, noises, offsets, body, options, watch)
 
 
-def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """Offsets of keypoints, which several views of one layout determine.
+def _with_keypoint_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
+    """The observations with unknown keypoint offsets, which several views of one layout determine.
 
     And their number of rows.
     """
@@ -177,7 +177,7 @@ class ClipProblem:
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
         # moving cameras keep the focal length that their tracker assumed
-        return self.size_untold and not views_of(self.observations)[0].focal_known
+        return self.scale_unknown and not views_of(self.observations)[0].focal_known
 
     @property
     def one_view(self) -> bool:
@@ -185,7 +185,7 @@ class ClipProblem:
         return len(self.observations) == len(views_of(self.observations)) == 1
 
     @property
-    def size_untold(self) -> bool:
+    def scale_unknown(self) -> bool:
         """Whether there is only one view, from a fixed camera of unknown pose."""
         if not self.one_view:
             return False
@@ -203,8 +203,8 @@ class ClipProblem:
         return scene.replace(ground=ground, lens=UnknownLens.create(depth[:, 0]))
 
     @property
-    def rough(self) -> FitOptions:
-        """The problem under the pose prior, which needs no ground, for first motions."""
+    def pose_prior_options(self) -> FitOptions:
+        """Options to fit first motions by the pose prior, which needs no ground."""
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
@@ -231,11 +231,11 @@ class ClipProblem:
                 stages = with_shape_terms(stages, of_shape)
             elif self.one_view:
                 stages = shape_found_once(stages)
-            if self.size_untold:
-                stages = paced_by_size(stages)
+            if self.scale_unknown:
+                stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
             if self.guess.posed:
-                return after_place(stages)
+                return after_placement(stages)
             return stages if self.guess.distance_known else without_root(stages)
 
         return rewritten
@@ -288,17 +288,17 @@ class ClipProblem:
         return seen or self.options.ground_given
 
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
-        """The observations with what was found of the scene."""
+        """The observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
 
     def free(self) -> Motion:
         """A first motion under the pose prior, which needs no ground."""
         start = self.guess.motion
-        return self.fit(self.rough, self.scene(start), start, frozenset()).motion
+        return self.fit(self.pose_prior_options, self.scene(start), start, frozenset()).motion
 
     def paced(self) -> "ClipProblem":
-        """The problem with the scale of the camera's path, by the feet of a first motion."""
+        """The problem with the camera's path scaled to metres by the feet of a first motion."""
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self

@@ -92,7 +92,7 @@ def fit_long(
     stages = stages_of(prior)
 
     def tied(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        ties = [recording.tie(row, apart.beside(row), apart.fps, body) for row in rows]
+        ties = [recording.tie(row, apart.neighbours(row), apart.fps, body) for row in rows]
         return shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
 
     shapes = job.fit(
@@ -113,8 +113,8 @@ def fit_long(
 
 
 @dataclass(frozen=True)
-class _Fitted:
-    """Windows fitted alike."""
+class _WindowFits:
+    """Motions of the windows of one round of fits."""
 
     motions: dict[int, Motion]
     failed: tuple[int, ...]
@@ -125,7 +125,7 @@ class _Fitted:
         """The lowest frame rate among the windows; fast motions may be fitted at a higher one."""
         return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
-    def beside(self, row: int) -> list[Motion]:
+    def neighbours(self, row: int) -> list[Motion]:
         """The neighbouring windows, without those that failed."""
         sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
         return [self.motions[k] for k in sound]
@@ -153,7 +153,7 @@ class _Job:
         rows: Sequence[int],
         shape: Float[Tensor, " shape"],
         stages: Callable[[Sequence[int], tuple[Term, ...]], tuple[Stage[Any], ...]],
-    ) -> _Fitted:
+    ) -> _WindowFits:
         """Fit some windows, from a shape, by the stages for their rows and data."""
         motions: dict[int, Motion] = {}
         failed: list[int] = []
@@ -175,17 +175,17 @@ class _Job:
             reports.append(result.reports)
         order = torch.tensor(list(motions)).argsort()
         merged = [_merge(name, stage, order) for stage in zip(*reports, strict=True)]
-        return _Fitted(motions, tuple(failed), tuple(merged))
+        return _WindowFits(motions, tuple(failed), tuple(merged))
 
     def _watch(self, name: str) -> Watch | None:
         watch = self.watch
         if watch is None:
             return None
 
-        def told(stage: str, progress: Progress) -> bool | None:
+        def with_window(stage: str, progress: Progress) -> bool | None:
             return watch(f"{name}: {stage}", progress)
 
-        return told
+        return with_window
 
 
 def _merge(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:

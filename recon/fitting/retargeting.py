@@ -36,18 +36,18 @@ SETTLING_ITERATIONS = 60
 
 
 def settled(
-    motion: Motion, moving: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
+    motion: Motion, accelerations_of: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
     """Motions corrected so that feet neither sink, float nor slide and the body is balanced.
 
     Near a motion, with the accelerations of another: least ½ Σ |p - q|² + `SMOOTH` ½ Σ |second
     difference of p - r|² of the joints p, where q are those of `motion` and r those of
-    `moving`, plus the energies of `recon.physics.energies`. Poses, place and heading are moved,
-    the shape is not.
+    `accelerations_of`, plus the energies of `recon.physics.energies`. Poses, place and heading
+    are moved, the shape is not.
 
     Args:
         motion: on the ground z = 0, or nearly.
-        moving: as smoothly as people do; may be the motion itself.
+        accelerations_of: a motion as smooth as people move; may be `motion` itself.
         flying: frames in which nothing pulls the body down.
         body: that moves.
     """
@@ -56,7 +56,7 @@ def settled(
         name="physics",
         prior=prior,
         terms=(
-            Term("near", NearTo(*(body.pose(m).joints for m in (motion, moving))), 1.0),
+            Term("near", NearTo(*(body.pose(m).joints for m in (motion, accelerations_of))), 1.0),
             Term("penetration", penetration, PENETRATION),
             Term("floating", FloatingUnlessFlying(flying), FLOATING),
             Term("slide", slide, SLIDE),
@@ -197,11 +197,11 @@ def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
-def _in_windows(motion: Motion, one: Callable[[Motion], Motion]) -> Motion:
-    """The results of `one` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
+def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
+    """The results of `function` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
-    return join([one(part) for part in parts])
+    return join([function(part) for part in parts])
 
 
 def _start(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:

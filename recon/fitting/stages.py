@@ -45,8 +45,8 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     return made
 
 
-def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first with a prior on; earlier ones only place the motion."""
+def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages from the first one that has a prior; earlier ones only place the motion."""
     first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
     return tuple(stages[first:])
 
@@ -85,8 +85,8 @@ def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
 
 
-def paced_by_size(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages that move the shape with accelerations in units of the body's size.
+def with_relative_accelerations(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages, with accelerations relative to the body's size wherever the shape is free.
 
     In one view, a person half as large and half as far away looks the same and accelerates half
     as much in metres: smoothness would shrink walkers by a third.

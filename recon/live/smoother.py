@@ -111,7 +111,7 @@ class Smoothed:
         )
 
     def refined(self, steps: int) -> "Smoothed":
-        """After so many damped Gauss-Newton steps, or fewer where they gain nothing."""
+        """The window after at most `steps` damped Gauss-Newton steps."""
         refinement = _Refinement()
         options = replace(_OPTIONS, max_iterations=steps)
         found, _ = minimise(refinement, self, options)

@@ -52,8 +52,8 @@ def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) 
     return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 
 
-def between_moments(values: Tensor, axis: int, times: int) -> Tensor:
-    """Values of moments on a clock that is so many times as fast; zero at those in between."""
+def with_empty_frames_between(values: Tensor, axis: int, times: int) -> Tensor:
+    """Values on a clock that is `times` times as fast; zero at the moments in between."""
     shape = list(values.shape)
     shape[axis] = (shape[axis] - 1) * times + 1
     wide = values.new_zeros(shape)

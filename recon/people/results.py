@@ -50,7 +50,7 @@ class People:
 
     @property
     def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The summary, for the person at the terminal."""
+        """The summary as tables for a terminal."""
         return {"people": self.summary()}
 
     def summary(self) -> dict[str, dict[str, Any]]:

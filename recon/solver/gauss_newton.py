@@ -51,7 +51,7 @@ class Problem(ABC, Generic[X]):
 
     @abstractmethod
     def moved(self, x: X, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> X:
-        """The whole state after steps of some problems; not longer than the model is good for."""
+        """The whole state after steps of some problems, cut to where the model is good."""
 
     def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
         """The terms of the objectives.
@@ -150,7 +150,7 @@ def _stepped(
 
 @dataclass
 class _Run:
-    """One problem of a batch so far."""
+    """The progress of one problem of a batch."""
 
     damping: float
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)

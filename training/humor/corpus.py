@@ -166,13 +166,13 @@ class Corpus(TensorStruct):
         for group, share in ((self.kind, variation.kinds), (self.person, variation.people)):
             chance = _balanced(chance, group, share)
 
-        def places(speed: Tensor) -> tuple[Tensor, Tensor]:
+        def drawn_places(speed: Tensor) -> tuple[Tensor, Tensor]:
             clip = torch.multinomial(chance.cpu(), len(speed), replacement=True, generator=random)
             clip = clip.to(self.start.device)
             room = self.count[clip] - self._span(frames, speed)
             return clip, self.start[clip] + 1 + (uniform(len(speed)) * room).long()
 
-        clip, first = places(speed)
+        clip, first = drawn_places(speed)
         normal = torch.randn(windows, self.shape.shape[1], generator=random)
         mirror = uniform(windows) < variation.mirror
         reverse = uniform(windows) < variation.reverse
@@ -181,7 +181,7 @@ class Corpus(TensorStruct):
         if variation.halves > 0:
             rows = chosen_rows(uniform(windows) < variation.halves)
             if len(rows) > 0:
-                other, its_first = places(speed[rows])
+                other, its_first = drawn_places(speed[rows])
                 trunks = self._moments(
                     other,
                     its_first,
@@ -291,7 +291,7 @@ class Corpus(TensorStruct):
 
 
 def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows:
-    """States at the frames of windows; velocities are differences of the moments beside them."""
+    """States at the frames of windows; velocities are differences of neighbouring moments."""
     count = moments.contacts.shape[1]
     joints = moments.posed()[1].unflatten(1, (count, PER_FRAME))
     translation = moments.translation.unflatten(1, (count, PER_FRAME))

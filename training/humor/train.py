@@ -29,7 +29,7 @@ from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
 from training.run import BEST, LOG, Run, in_folder, trained_state
-from training.settings import TrainingSettings, told_settings
+from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humor
 
 _SCALED_BY = 20_000
@@ -183,12 +183,11 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     varied = learned.draw(samples, 2, settings.variation, random).states
     whitening = error_whitening(networks, varied, rest_pelvis(varied[:, 0]))
     # initial states come from unedited windows only: edited ones float or stand on one leg
-    # frequent
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))
     initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
 
-    about = told_settings(settings) | {"step": found["step"]}
+    about = settings_to_store(settings) | {"step": found["step"]}
     save_humor(path, networks, initial, whitening, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
