@@ -1,7 +1,8 @@
 """Correspondences of detected points to the body: one table for all layouts of keypoints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -184,18 +185,33 @@ class BodyPoints:
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The points on a posed body, world, metres; zero where the body has no such point."""
-        points = self.of_joints.to(posed.joints) @ posed.joints
-        if len(self.vertices) == 0:
+        own = self.on(posed.joints.device, posed.joints.dtype)
+        points = own.of_joints @ posed.joints
+        if len(own.vertices) == 0:
             return points
-        return points + self.of_vertices.to(points) @ posed.points(self.vertices.to(points.device))
+        return points + own.of_vertices @ posed.points(own.vertices)
 
     def at_rest(
         self, body: BodyModel, shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch points 3"]:
         """The points on the unposed body, metres."""
-        points = self.of_joints.to(shape) @ body.rest_joints(shape)
-        if len(self.vertices) == 0:
+        own = self.on(shape.device, shape.dtype)
+        points = own.of_joints @ body.rest_joints(shape)
+        if len(own.vertices) == 0:
             return points
-        return points + self.of_vertices.to(shape) @ body.rest_vertices(
-            shape, self.vertices.to(shape.device)
+        return points + own.of_vertices @ body.rest_vertices(shape, own.vertices)
+
+    def on(self, device: torch.device, dtype: torch.dtype) -> "BodyPoints":
+        """The points with their numbers on a device, which are copied to it once."""
+        return _on_device(self, device, dtype)
+
+
+@lru_cache(maxsize=32)
+def _on_device(points: BodyPoints, device: torch.device, dtype: torch.dtype) -> BodyPoints:
+    with torch.inference_mode(False):
+        return replace(
+            points,
+            of_joints=points.of_joints.to(device=device, dtype=dtype),
+            of_vertices=points.of_vertices.to(device=device, dtype=dtype),
+            vertices=points.vertices.to(device),
         )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import ClassVar
 
 import torch
@@ -12,7 +13,7 @@ from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import Numbers, float_tensor
+from recon.core.arrays import Numbers, constant, float_tensor
 from recon.core.errors import ObservationError
 from recon.core.robust import squared
 from recon.core.skeleton import JOINTS
@@ -73,11 +74,12 @@ class Markers3D(TrackedPoints):
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The points on a posed body, world, metres."""
-        points = body.points(torch.tensor(self.vertices, device=self.positions.device))
+        points = body.points(constant(self.vertices, body.joints.device))
         if self.offsets is None:
             return points
-        turns = body.orientations[..., list(self.bones(body.model)), :, :]
-        return points + (turns @ points.new_tensor(self.offsets)[..., None])[..., 0]
+        turns = body.orientations[..., constant(self.bones(body.model), points.device), :, :]
+        offsets = constant(self.offsets, points.device, points.dtype)
+        return points + (turns @ offsets[..., None])[..., 0]
 
     @property
     def marks(self) -> tuple[int, ...]:
@@ -86,13 +88,14 @@ class Markers3D(TrackedPoints):
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The points on a body of some shape."""
-        vertices = torch.tensor(self.vertices, device=shape.device)
+        vertices = constant(self.vertices, shape.device)
         identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(vertices), len(JOINTS))
         found = CarriedPoints.create(body, shape, none, identity, vertices)
         if self.offsets is None:
             return found
-        return found.displaced(self.bones(body), shape.new_tensor(self.offsets))
+        offsets = constant(self.offsets, shape.device, shape.dtype)
+        return found.displaced(self.bones(body), offsets)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """The points on the average body in its rest pose, metres."""
@@ -101,7 +104,7 @@ class Markers3D(TrackedPoints):
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """The bone that moves each marker most."""
-        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
+        return _bones(self.vertices, body.weights)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
         """Labels of the recording, or landmarks that points sit on, or numbers of vertices."""
@@ -110,6 +113,12 @@ class Markers3D(TrackedPoints):
             return self.labels
         named = {vertex: name for name, vertex in landmarks().items()}
         return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)
+
+
+@lru_cache(maxsize=16)
+def _bones(vertices: tuple[int, ...], weights: Tensor) -> tuple[int, ...]:
+    """The joint of the largest skinning weight of each vertex; a GPU has to wait for it once."""
+    return tuple(weights[list(vertices)].argmax(-1).tolist())
 
 
 def _checked_offsets(offsets: Numbers | None, points: int) -> tuple[Offset, ...] | None:

@@ -62,7 +62,7 @@ class PointsOfBody(Sensor):
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The points carried by the bones of a body of a given shape, without offsets."""
-        points = self.points
+        points = self.points.on(shape.device, shape.dtype)
         return CarriedPoints.create(
             body, shape, points.of_joints, points.of_vertices, points.vertices
         )
@@ -318,4 +318,5 @@ def quadratic_model(
         0.5 * rate * value.sum((-2, -1)),
         slope[..., None] * away,
         slope[..., None, None] * identity,
+        isotropic=True,
     )

@@ -132,11 +132,11 @@ class Collocation(Prior[PoseVariables]):
         name = energy.name
         scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
-        steps = max(int(clip.motion.valid.sum()) - 1, 1)
+        steps = (clip.motion.valid.sum() - 1).clamp(min=1)
         # log of the geometric mean of dρ/dx over the steps
-        weight = term.weight * float((-nats / (scale * steps)).exp())
+        weight = term.weight * (-nats / (scale * steps)).exp()
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
-        bundled_curvature().add(clip.motion, clip.part, error, latents)
+        bundled_curvature(nats.device).add(clip.motion, clip.part, error, latents)
         return True
 
     def decode(self, variables: PoseVariables) -> Decoded:

@@ -108,7 +108,7 @@ class LiveSteps:
             of_joints: coefficients of `Banded.add_products` for the coordinates of joints.
         """
         weights = self.weights
-        bundled_curvature().add(
+        bundled_curvature(motion.translation.device).add(
             motion,
             hessian,
             _MEAN_HESSIAN_SHARE * weights.step / (1 + judged.error / ERROR),

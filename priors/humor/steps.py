@@ -174,14 +174,16 @@ class StepCurvature(TensorStruct):
         found = {name: root.double() @ root.double().mT for name, root in roots.items()}
         return cls(**{name: matrix.float() for name, matrix in found.items()})
 
-    def add(self, motion: Motion, hessian: Banded, error: float, latents: float) -> None:
+    def add(
+        self, motion: Motion, hessian: Banded, error: float | Tensor, latents: float | Tensor
+    ) -> None:
         """Add the curvature of all steps of a clip.
 
         Args:
             motion: of one clip, without a batch axis.
             hessian: what it is added to, by the steps of its frames and by the shape.
-            error: weight of a step's error, latents: of its surprise, per nat.
-            latents: weight of its surprise.
+            error: weight of a step's error, per nat.
+            latents: weight of its surprise, per nat.
         """
         like, steps, moved = motion.translation, motion.frames - 1, SPAN * FRAME
         whole = (error * self.error + latents * self.latents).to(like)
@@ -213,10 +215,11 @@ def _block_in_world(
     return found if exists is None else exists[:, None, None] * found
 
 
-@lru_cache(maxsize=1)
-def bundled_curvature() -> StepCurvature:
+@lru_cache(maxsize=2)
+def bundled_curvature(device: torch.device) -> StepCurvature:
     """The curvature measured for the bundled weights; that of other weights differs little."""
-    return StepCurvature.load()
+    with torch.inference_mode(False):
+        return StepCurvature.load().to(device=device)
 
 
 ERROR, SURPRISE = 100.0, 20.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.arrays import constant
 from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 
@@ -25,6 +27,8 @@ class CarriedPoints:
     """The vectors c_vj, metres."""
     place_by_shape: Float[Tensor, "shape points 22 3"]
     """Their derivatives by the coefficients of the shape."""
+    own_joints: tuple[int, ...] | None = None
+    """The joint that each point is identical with; None where points may be others."""
 
     @classmethod
     def create(
@@ -39,7 +43,6 @@ class CarriedPoints:
 
         The rotation-dependent corrections of SMPL bodies are left out.
         """
-        of_joints, of_vertices = of_joints.to(shape), of_vertices.to(shape)
         weights = body.weights[vertices]
         surface, joints = body.rest_vertices(shape, vertices), body.rest_joints(shape)
         away = surface[:, None] - joints
@@ -54,26 +57,25 @@ class CarriedPoints:
         count = len(JOINTS)
         none = torch.zeros(0, dtype=torch.long, device=shape.device)
         eye = torch.eye(count, dtype=shape.dtype, device=shape.device)
-        return cls.create(body, shape, eye, shape.new_zeros(count, 0), none)
-
-    @property
-    def own_joints(self) -> Int[Tensor, " points"] | None:
-        """The joint that each point is identical with; None if any point is not a joint."""
-        alone = bool((self.share.amax(1) == 1).all()) and not bool(self.place.any())
-        return self.share.argmax(1) if alone else None
+        found = cls.create(body, shape, eye, shape.new_zeros(count, 0), none)
+        return replace(found, own_joints=tuple(range(count)))
 
     def some(self, rows: Sequence[int]) -> "CarriedPoints":
         """Some of the points, by their numbers."""
-        order = list(rows)
-        return CarriedPoints(self.share[order], self.place[order], self.place_by_shape[:, order])
+        order, own = constant(tuple(rows), self.share.device), self.own_joints
+        return CarriedPoints(
+            self.share[order], self.place[order], self.place_by_shape[:, order],
+            None if own is None else tuple(own[row] for row in rows),
+        )  # fmt: skip
 
     def displaced(
         self, bones: Sequence[int], offsets: Float[Tensor, "points 3"]
     ) -> "CarriedPoints":
         """Points moved by constant offsets in the frames of their bones, metres."""
         place = self.place.clone()
-        place[torch.arange(len(place), device=place.device), list(bones)] += offsets
-        return replace(self, place=place)
+        of_bone = constant(tuple(bones), place.device)
+        place[torch.arange(len(place), device=place.device), of_bone] += offsets
+        return replace(self, place=place, own_joints=None)
 
     def of(
         self,
@@ -93,7 +95,7 @@ class CarriedPoints:
         parts = (
             _offsets_in_world(self.place, orientations) + self.share[:, :, None] * joints[:, None]
         )
-        below = BELOW.to(parts)
+        below = _below(parts.device, parts.dtype)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
         axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
@@ -126,11 +128,12 @@ def joints_by_shape(
     """Derivatives of the joints by the first `count` shape coefficients, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
     bones = directions.clone()
-    bones[1:] -= directions[list(PARENTS[1:])]
-    parents = [0, *PARENTS[1:]]
+    parents = constant((0, *PARENTS[1:]), bones.device)
+    bones[1:] -= directions[parents[1:]]
     turned = orientations[:, parents] @ bones
     turned[:, 0] = bones[0]
-    return (BELOW.to(turned).mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
+    below = _below(turned.device, turned.dtype)
+    return (below.mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 
 def right_jacobian(
@@ -174,3 +177,10 @@ def _offsets_in_world(
 _EVERY = range(len(JOINTS))
 BELOW = torch.tensor([[float(k in below) for k in _EVERY] for below in map(descendants, _EVERY)])
 """Row a: 1 for joint a and all joints that hang from it."""
+
+
+@lru_cache(maxsize=8)
+def _below(device: torch.device, dtype: torch.dtype) -> Float[Tensor, "22 22"]:
+    """`BELOW` on a device, copied once."""
+    with torch.inference_mode(False):
+        return BELOW.to(device=device, dtype=dtype)

@@ -16,7 +16,7 @@ Numbers = Tensor | np.ndarray | Sequence[Any]
 
 @lru_cache(maxsize=64)
 def constant(
-    numbers: tuple[int, ...] | tuple[float, ...],
+    numbers: tuple[int, ...] | tuple[float, ...] | tuple[tuple[float, ...], ...],
     device: torch.device,
     dtype: torch.dtype = torch.long,
 ) -> Tensor:

@@ -65,7 +65,8 @@ def preconditioned(
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-        own = [factors[k] for k in active.tolist()]
+        every = len(active) == len(factors)  # then no GPU waits for their numbers
+        own = factors if every else [factors[k] for k in active.tolist()]
         return local.stepped(some, _Unwhitened.apply(u, own, local.hessian_size))
 
     start = base.variables.shape.new_zeros(len(factors), local.size)

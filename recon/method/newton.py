@@ -1,15 +1,17 @@
 """Gauss-Newton Hessians of a stage's objective, clip by clip."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.arrays import constant
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import FRAME, ClipModel
 from recon.method.stages import Stage
@@ -73,7 +75,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
     if is_pointwise(energy):
         _add_point_curvature(term.weight, energy, model)
     elif energy is shape:
-        frames = float(motion.valid.sum()) / rate
+        frames = motion.valid.sum() / rate
         model.part.corner.diagonal().add_(2 * term.weight * frames)
     elif energy is joint_acceleration:
         exists = motion.inner().to(motion.translation)[:, None]
@@ -96,18 +98,25 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     places = carried.of(*model.posed)
     if scene.ground is not None:
         places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
-    before, share, seen = _neighbouring_frames(motion, sensor)
-    after = (before + 1).clamp(max=motion.frames - 1)
-    share = share.to(places)[:, None, None]
+    at = _neighbouring_frames(
+        (sensor.start_time, sensor.fps, sensor.moments),
+        (motion.start_time, motion.fps, motion.frames),
+        places.device,
+        places.dtype,
+    )
+    before, after, seen = at.before, at.after, at.seen
+    share = at.share[:, None, None]
     predicted = places.new_zeros(sensor.moments, *places.shape[1:])
     predicted[seen] = places[before].lerp(places[after], share)
-    curvature = weight * one.point_model(predicted).curvature[seen]
-    if scene.ground is not None and _isotropic(curvature) is None:
+    found = one.point_model(predicted)
+    curvature = weight * found.curvature[seen]
+    if scene.ground is not None and not found.isotropic:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
-    joints, isotropic = carried.own_joints, _isotropic(curvature)
-    if joints is not None and isotropic is not None and not bool((share > 0).any()):
+    if carried.own_joints is not None and found.isotropic and at.on_frames:
         # the other terms share the Jacobian of the joints
+        isotropic = curvature[..., 0, 0]
+        joints = constant(carried.own_joints, places.device)
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
         own = every.index_add(0, before, isotropic)
         model.joints[:, 0].unflatten(-1, (-1, 3)).index_add_(
@@ -125,7 +134,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     if model.with_shape:
         part.border.add_(pulled.mT @ edge)
         part.corner.add_(edge.flatten(0, 1).mT @ (own @ shaped).flatten(0, 2))
-    if not bool((share > 0).any()):
+    if at.on_frames:
         return
     across = every.index_add(0, before, share * (1 - share) * curvature)[:-1]
     ahead = (across @ jacobian[1:]).flatten(1, 2)
@@ -138,25 +147,48 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
         part.corner.add_(mixed + mixed.mT)
 
 
-def _isotropic(curvature: Float[Tensor, "some points 3 3"]) -> Tensor | None:
-    """The factors a of matrices a·I; None unless all are of this form."""
-    factor = curvature[..., 0, 0]
-    identity = torch.eye(3, dtype=curvature.dtype, device=curvature.device)
-    return factor if torch.equal(curvature, factor[..., None, None] * identity) else None
+@dataclass(frozen=True)
+class _Neighbours:
+    """Frames of a motion beside the moments of a sensor that lie within it."""
+
+    before: Int[Tensor, " seen"]
+    """The frame before each moment."""
+    after: Int[Tensor, " seen"]
+    """The frame after it; the last frame where there is none."""
+    share: Float[Tensor, " seen"]
+    """The share of the way from the one to the other, 0 to 1."""
+    seen: Int[Tensor, " seen"]
+    """Numbers of the moments."""
+    on_frames: bool
+    """Whether every moment is that of a frame."""
 
 
+_Clock = tuple[float, float, int]
+"""Time of the first sample, seconds; samples per second; number of samples."""
+
+
+@lru_cache(maxsize=16)
 def _neighbouring_frames(
-    motion: Motion, sensor: Any
-) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"]]:
-    """The frame before each moment, the share of the way to the next, and the moments within."""
-    times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps
-    place = (times - motion.start_time) * motion.fps
-    seen = (place > -_SAME_MOMENT) & (place < motion.frames - 1 + _SAME_MOMENT)
-    place = place[seen].clamp(0, motion.frames - 1)
+    sensor: _Clock, motion: _Clock, device: torch.device, dtype: torch.dtype
+) -> _Neighbours:
+    """Frames beside a sensor's moments; computed once on the host, as a GPU would have to wait."""
+    began, fps, moments = sensor
+    times = began + np.arange(moments) / fps
+    place = (times - motion[0]) * motion[1]
+    last = motion[2] - 1
+    (seen,) = np.nonzero((place > -_SAME_MOMENT) & (place < last + _SAME_MOMENT))
+    place = place[seen].clip(0, last)
     nearest = place.round()
-    place = torch.where((place - nearest).abs() < _SAME_MOMENT, nearest, place)
-    before = place.floor()
-    return before.long(), place - before, seen.nonzero()[:, 0]
+    place = np.where(np.abs(place - nearest) < _SAME_MOMENT, nearest, place)
+    before = np.floor(place).astype(np.int64)
+    share = place - before
+    with torch.inference_mode(False):
+        return _Neighbours(
+            *(torch.from_numpy(k).to(device) for k in (before, (before + 1).clip(max=last))),
+            share=torch.from_numpy(share).to(device=device, dtype=dtype),
+            seen=torch.from_numpy(seen).to(device),
+            on_frames=not share.any(),
+        )
 
 
 _FRAMED = frozenset({"translation", "root", "pose"})

@@ -37,6 +37,8 @@ class PointModel:
     """g; that unit squared per metre."""
     curvature: Float[Tensor, "*batch moments points 3 3"]
     """A, positive semidefinite: second derivatives of the kernel and the camera are left out."""
+    isotropic: bool = False
+    """Whether every A is a multiple of the identity."""
 
 
 @dataclass(frozen=True)

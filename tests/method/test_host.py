@@ -1,70 +1,78 @@
-"""The inner loop of a fit neither waits for its device nor hands it numbers from the host."""
+"""Fits on another device give the processor's result; their loops leave the host alone."""
 
-import traceback
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import recon
+from recon.api.observations import clip_of
+from recon.fitting.clip import fit_clip
+from recon.fitting.methods import FitOptions
+from recon.method.newton import StageProblem
 from recon.solver import lbfgs
+from tests.fake_device import FAKE, FakeDevice, FakeTensor
 from tests.filmed import bundled, cameras, view, walk
-
-WAITS = {"_local_scalar_dense", "nonzero", "equal", "is_nonzero", "masked_select"}
-"""Operations whose result the host waits for; `index` by booleans is one more."""
-FROM_HOST = {"lift_fresh"}
-"""What `torch.tensor`, `new_tensor` and lists as indices do with their numbers."""
-
-
-class Watching(TorchDispatchMode):
-    """Counts the operations that touch the host, by the line of ours that asks for them."""
-
-    def __init__(self, found: Counter[str]) -> None:
-        super().__init__()
-        self.found = found
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        name = func._schema.name.removeprefix("aten::")
-        masks = [one for one in args[1] if one is not None] if name == "index" else []
-        by_mask = any(one.dtype == torch.bool for one in masks)
-        if name in WAITS | FROM_HOST or by_mask:
-            ours = [
-                line for line in traceback.extract_stack() if "site-packages" not in line.filename
-            ]
-            self.found[f"{name} at {ours[-2].filename}:{ours[-2].lineno}"] += 1
-        return func(*args, **(kwargs or {}))
 
 
 @pytest.fixture
-def touched(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """What evaluations of L-BFGS ask of the host, each line's first time left out."""
-    found: Counter[str] = Counter()
-    evaluate = lbfgs._evaluate
+def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[FakeDevice, Counter[str]]]:
+    """A device, and what evaluations and Hessians ask of the host, by line."""
+    fake, found = FakeDevice(), Counter[str]()
     begun: list[int] = []
 
-    def watched(*args: Any) -> Any:
-        begun.append(1)
-        with Watching(found):
-            return evaluate(*args)
+    def watched(function: Any) -> Any:
+        def run(*args: Any) -> Any:
+            begun.append(1)
+            before = Counter(fake.waits)
+            result = function(*args)
+            found.update(fake.waits - before)
+            return result
 
-    monkeypatch.setattr(lbfgs, "_evaluate", watched)
-    yield found
-    assert len(begun) > 5
+        return run
+
+    monkeypatch.setattr(lbfgs, "_evaluate", watched(lbfgs._evaluate))
+    monkeypatch.setattr(StageProblem, "model", watched(StageProblem.model))
+    yield fake, found
+    assert len(begun) > 10
 
 
 @pytest.mark.numerics
-@pytest.mark.parametrize("kind", ["joints", "views"])
-def test_evaluations_leave_the_host_alone(touched: Counter[str], kind: str) -> None:
-    """Lists as indices, new tensors of constants and a check of lengths made a GPU wait."""
-    motion = walk(12)
-    if kind == "joints":
-        recon.fit(recon.simulate(motion, "joints3d", noise=0.02), "humor", checks=())
+@pytest.mark.parametrize("kind", ["joints3d", "landmarks", "views"])
+def test_a_fit_on_another_device(device: tuple[FakeDevice, Counter[str]], kind: Any) -> None:
+    """`index_add` with indices of the processor was refused by GPUs; lists made them wait."""
+    motion, body = walk(12), bundled()
+    if kind == "views":
+        given: Any = [view(motion, one) for one in cameras(motion, 3)]
     else:
-        recon.fit([view(motion, one) for one in cameras(motion, 3)], "humor", checks=())
-    # a constant is made once for each device
-    assert {line: count for line, count in touched.items() if count > 2} == {}
+        given = recon.simulate(motion, kind, noise=0.01)
+    seen = clip_of(given, body).observations
+    expected = fit_clip(seen, FitOptions(), body).result.motion.translation
+    fake, found = device
+    with fake:
+        there = tuple(one.to(device=FAKE) for one in seen)
+        result = fit_clip(there, FitOptions(), body.to(device=FAKE)).result
+    translation = result.motion.translation
+    assert isinstance(translation, FakeTensor)
+    assert (translation.held - expected).abs().max() < 5e-4
+    # constants are copied to the device once
+    assert {line: count for line, count in found.items() if count > 4} == {}
+
+
+def test_the_fake_device_counts_and_refuses() -> None:
+    with FakeDevice() as fake:
+        x = torch.arange(6.0, device=FAKE).reshape(2, 3).requires_grad_()
+        (slope,) = torch.autograd.grad((x * x).sum(), x)
+        assert slope.device == FAKE
+        assert fake.waits.total() == 0
+        assert slope.tolist() == [[0, 2, 4], [6, 8, 10]]
+        assert fake.waits.total() == 1
+        with pytest.raises(RuntimeError, match="two devices"):
+            _ = slope + torch.ones(2, 3)
+        assert float(x.detach()[torch.tensor([True, False])].sum()) == 3
+        assert fake.waits.total() > 2
 
 
 def test_a_constant_is_made_once() -> None:

@@ -1,0 +1,131 @@
+"""A device that exists in tests only: tensors say `meta`, and their numbers lie behind them.
+
+A processor's tensor with axes and a tensor of the device in one operation are refused, as a GPU
+refuses them. What makes the host wait is counted by the line that asks for it.
+"""
+
+import traceback
+from collections import Counter
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_map
+
+FAKE = torch.device("meta")
+WAITS = {"_local_scalar_dense", "nonzero", "equal", "is_nonzero", "masked_select"}
+"""Operations whose result the host waits for; indexing by booleans and copies are two more."""
+_HANDS_OVER = {"copy_", "index", "index_put_", "_index_put_impl_"}
+"""Operations that take tensors of the processor beside those of the device: they copy them."""
+
+
+class FakeTensor(Tensor):
+    """A tensor of the device, with its numbers in `held`, a tensor of the processor."""
+
+    held: Tensor
+
+    @staticmethod
+    def __new__(cls, held: Tensor) -> "FakeTensor":
+        made = Tensor._make_wrapper_subclass(  # pyright: ignore[reportAttributeAccessIssue]
+            cls, held.shape, strides=held.stride(), dtype=held.dtype, device=FAKE,
+            storage_offset=held.storage_offset(), requires_grad=False,
+        )  # fmt: skip
+        made.held = held
+        return made
+
+    def __repr__(self, **_: Any) -> str:
+        return f"FakeTensor({self.held})"
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return _run(func, args, kwargs or {}, Counter())
+
+
+class FakeDevice(TorchDispatchMode):
+    """Makes `device="meta"` the fake device; `waits` counts what the host waited for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waits: Counter[str] = Counter()
+        self._numbers = _Numbers()
+
+    def __enter__(self) -> "FakeDevice":
+        super().__enter__()
+        self._numbers.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._numbers.__exit__(*error)
+        super().__exit__(*error)
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return _run(func, args, kwargs or {}, self.waits)
+
+
+class _Numbers(TorchFunctionMode):
+    """Makes tensors of Python's numbers on the processor and takes them to the device."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = dict(kwargs or {})
+        if func is Tensor.new_tensor:
+            kwargs = {"device": args[0].device, "dtype": args[0].dtype} | kwargs
+            func, args = torch.tensor, args[1:]
+        if func in (torch.tensor, torch.as_tensor) and kwargs.get("device") is not None:
+            device = kwargs.pop("device")
+            return func(*args, **kwargs).to(device)
+        if func is Tensor.tolist:
+            return args[0].cpu().tolist()
+        if func in (torch.matmul, Tensor.matmul, Tensor.__matmul__) and args[0].ndim == 1:
+            return (args[0][None] @ args[1]).squeeze(-2)  # torch would change a shape in place
+        if func in (Tensor.__getitem__, Tensor.__setitem__) and isinstance(args[0], FakeTensor):
+            places = args[1] if isinstance(args[1], tuple) else (args[1],)
+            own = tuple(torch.tensor(k).to(FAKE) if isinstance(k, list) else k for k in places)
+            args = (args[0], own, *args[2:])
+        return func(*args, **kwargs)
+
+
+def _run(func: Any, args: Any, kwargs: dict[str, Any], waits: Counter[str]) -> Any:
+    name = func._schema.name.removeprefix("aten::")
+    flat = [*_tensors(args), *_tensors(tuple(kwargs.values()))]
+    fake = [one for one in flat if isinstance(one, FakeTensor)]
+    asked = kwargs.get("device")
+    target = None if asked is None else torch.device(asked)
+    goes = bool(fake) if target is None else target.type == FAKE.type
+    foreign = [one for one in flat if not isinstance(one, FakeTensor) and one.ndim > 0]
+    hands_over = name in _HANDS_OVER or target is not None
+    if fake and foreign and not hands_over:
+        raise RuntimeError(f"{name}: tensors of two devices at {_line()}")
+    masks = [one for one in args[1] if one is not None] if name in ("index", "index_put_") else []
+    by_mask = name == "index" and any(one.dtype == torch.bool for one in masks)
+    copied = bool(foreign) if goes else target is not None or name == "copy_"
+    if (fake or goes) and (name in WAITS or by_mask or copied):
+        waits[f"{name} at {_line()}"] += 1
+    kwargs = {
+        k: torch.device("cpu") if k == "device" and v is not None else v for k, v in kwargs.items()
+    }
+    out = func(*tree_map(_bare, args), **tree_map(_bare, kwargs))
+    if name.endswith("_") and fake and isinstance(args[0], FakeTensor):
+        return args[0]
+    return tree_map(_wrapped, out) if goes else out
+
+
+def _tensors(given: Any) -> list[Tensor]:
+    found: list[Tensor] = []
+    tree_map(lambda one: found.append(one) if isinstance(one, Tensor) else None, given)
+    return found
+
+
+def _bare(one: Any) -> Any:
+    return one.held if isinstance(one, FakeTensor) else one
+
+
+def _wrapped(one: Any) -> Any:
+    return FakeTensor(one) if isinstance(one, Tensor) and not isinstance(one, FakeTensor) else one
+
+
+def _line() -> str:
+    ours = [one for one in traceback.extract_stack() if "site-packages" not in one.filename]
+    ours = [one for one in ours if not one.filename.endswith("fake_device.py")]
+    return f"{ours[-1].filename}:{ours[-1].lineno}"
