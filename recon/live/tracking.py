@@ -153,8 +153,6 @@ _PERSISTS = 0.3
 """Seconds after which points in an impossible place are taken for the person."""
 _MIN_MOMENTS = 5
 """Moments with points of which a motion is made when no more come."""
-_MAX_STEPS_PER_PUSH = 1
-"""Gauss-Newton steps of a push, at most."""
 _FIRST_STEPS = 4
 """Gauss-Newton steps after the first motion."""
 _LEARNED = 300
@@ -206,7 +204,8 @@ class Tracking:
             self._extend(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        self.smoothed = self._now.refined(_MAX_STEPS_PER_PUSH)
+        # under the pose prior a look at the energy is cheap, and steps may be too long
+        self.smoothed = self._now.refined(1) if self.prior is None else self._now.stepped()
         return self._final_estimates(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
