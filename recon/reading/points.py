@@ -179,10 +179,11 @@ def _check_size(
     positions: np.ndarray, visible: np.ndarray, rest: Tensor, path: str | Path, *, told: bool
 ) -> None:
     """Refuse points that are spread unlike any body, naming the unit that would fit."""
+    frames = np.flatnonzero(visible.sum(1) >= 4)
+    frames = frames[:: max(len(frames) // _MOMENTS, 1)]
     ratios = [
-        _spread(frame[seen]) / _spread(rest.numpy()[seen])
-        for frame, seen in zip(positions, visible, strict=True)
-        if seen.sum() >= 4
+        _spread(positions[frame, seen]) / _spread(rest.numpy()[seen])
+        for frame, seen in zip(frames, visible[frames], strict=True)
     ]
     if not ratios or SIZE[0] <= (ratio := float(np.median(ratios))) <= SIZE[1]:
         return
