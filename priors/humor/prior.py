@@ -83,12 +83,12 @@ class Humor(Prior[HumorVariables]):
             ValueError: when it holds no HuMoR weights; the message names the layers.
         """
         body = BodyModel.load() if body is None else body.to(device="cpu")
+        if path in (None, "open") and mixture is None:
+            found = _bundled()
+            return found if body is found.body else replace(found, body=body)
         weights = read_weights("open" if path is None else path)
         networks = networks_from(weights)
-        if mixture is not None:
-            initial = Mixture.load(mixture)
-        else:
-            initial = mixture_from(weights) or mixture_from(read_weights("open"))
+        initial = mixture_from(weights) if mixture is None else Mixture.load(mixture)
         if path is not None and Path(path).suffix == ".pth" and body.name == "recon":
             _LOG.warning(
                 "%s learned from SMPL-H bodies; joints of the bundled body sit elsewhere, so give "
@@ -96,11 +96,12 @@ class Humor(Prior[HumorVariables]):
                 path,
             )
         whitening = whitening_from(weights)
-        if whitening is None:
-            whitening = whitening_from(read_weights("open"))
-        assert initial is not None
-        assert whitening is not None
-        return cls(networks.requires_grad_(False), initial, body, whitening)
+        return cls(
+            networks.requires_grad_(False),
+            _bundled().initial if initial is None else initial,
+            body,
+            _bundled().error_whitening if whitening is None else whitening,
+        )
 
     def stages(
         self,
@@ -179,3 +180,15 @@ class Humor(Prior[HumorVariables]):
 @lru_cache(maxsize=8)
 def _cast(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
     return humor.to(device=device, dtype=dtype)
+
+
+@lru_cache(maxsize=1)
+def _bundled() -> Humor:
+    """The prior with the weights in the package and the bundled body, read once."""
+    with torch.inference_mode(False):  # tensors of that mode could not be used outside of it
+        weights = read_weights("open")
+        initial, whitening = mixture_from(weights), whitening_from(weights)
+        assert initial is not None
+        assert whitening is not None
+        networks = networks_from(weights).requires_grad_(False)
+        return Humor(networks, initial, BodyModel.load(), whitening)
