@@ -172,7 +172,7 @@ def fit(
         clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
         checks,
     )  # fmt: skip
-    arguments = _plain(options) | {
+    arguments = _options_as_values(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
         "checks": "all" if checks is None else [one.__name__ for one in checks],
@@ -314,7 +314,7 @@ def _is_keypoints(path: Path) -> bool:
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
-    given = [name for name in options.given() if name not in heeded]
+    given = [name for name in options.changed_names() if name not in heeded]
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
@@ -376,7 +376,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
     )
 
 
-def _plain(options: FitOptions) -> dict[str, Any]:
+def _options_as_values(options: FitOptions) -> dict[str, Any]:
     """Options in plain values, for a report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {

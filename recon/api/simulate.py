@@ -48,7 +48,7 @@ class Simulated:
 
     @cached_property
     def clip(self) -> Clip:
-        """The observations as a fit takes them, read as from files."""
+        """The observations in the form that a fit takes, as if read from files."""
         named = [(name or self.kind, file) for name, file in self.files.items()]
         return together(named, (), DEFAULTS, self.body)
 

@@ -172,16 +172,17 @@ def along_body(
     """
     words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
 
-    def seen(pattern: re.Pattern[str]) -> np.ndarray:
+    def points_named(pattern: re.Pattern[str]) -> np.ndarray:
         return visible & np.array([bool(pattern.search(word)) for word in words])
 
-    feet, head, neck = seen(_LOW), seen(_HEAD), seen(_NECK)
-    high, pelvis = seen(_HIGH) & ~feet, seen(_PELVIS) & ~feet
+    feet, head, neck = points_named(_LOW), points_named(_HEAD), points_named(_NECK)
+    high, pelvis = points_named(_HIGH) & ~feet, points_named(_PELVIS) & ~feet
     of_feet = sum(bool(_LOW.search(word)) for word in words)
     both_feet = feet & (feet.sum(1, keepdims=True) > of_feet / 2)
     pairs = (
         (both_feet, high), (both_feet, pelvis), (pelvis, high | neck),
-        (seen(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high), (feet, pelvis),
+        (points_named(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high),
+        (feet, pelvis),
     )  # fmt: skip
     found = np.zeros((len(positions), 3))
     shown = np.zeros(len(positions), dtype=bool)

@@ -133,7 +133,7 @@ class SkinPoints(TensorStruct):
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Derivatives of Σ forces · points by the coordinates of a step."""
-        pull = self.levers.pull(poses.bones, forces)
+        pull = self.levers.gradient_of(poses.bones, forces)
         return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
 
     def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:

@@ -41,7 +41,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         ObservationError: for several kinds, geometries without points, or options that are missing
             or of files; says what to do.
     """
-    if others := sorted(set(settings.given()) - _HEEDED):
+    if others := sorted(set(settings.changed_names()) - _HEEDED):
         raise ObservationError(f"{', '.join(others)}: how to read files, not geometries in memory")
     if settings.frame_rate is None:
         raise ObservationError("geometries have no clock: give frame_rate, frames per second")
