@@ -254,6 +254,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             )
         rows = len(parts[0])
         poses = np.concatenate([part.reshape(rows, -1 if rows else 0) for part in parts], axis=1)
+    limits.check_rotation_vectors(poses, path, "poses")
     if poses.ndim == 3 and poses.shape[2] == 3:
         poses = poses.reshape(len(poses), -1)
     if poses.ndim != 2 or poses.shape[1] < 66 or poses.shape[1] % 3:
@@ -262,7 +263,6 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             f"{poses.shape}"
         )
     _check_finite(path, "poses", poses)
-    limits.ROTATION.check(poses[:, :66], path, "poses")
     return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
 
 
