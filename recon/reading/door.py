@@ -7,8 +7,9 @@ from typing import Any, Literal
 from recon.body.model import BodyModel
 from recon.core.arrays import geometries_given
 from recon.core.coordinates import missing_path
+from recon.core.motion import MotionFile
 from recon.fitting.settings import FitSettings
-from recon.formats.motions import MotionFile, holds_motion, load_motion
+from recon.formats.motions import holds_motion, load_motion
 from recon.method.sensor import Sensor
 from recon.reading.clip import load_clip
 

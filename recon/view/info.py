@@ -11,11 +11,12 @@ from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core.coordinates import missing_path
 from recon.core.hands import right_handed
+from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
 from recon.detections.tables import holds_detections
 from recon.formats.estimates import read_estimate
 from recon.formats.joint_table import JointCertainty
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import load_motion
 from recon.formats.observations import (
     CameraArrays,
     KeypointsFile,
