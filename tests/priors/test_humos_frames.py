@@ -19,7 +19,7 @@ from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
-from training.humos.corpus import relative_to_first_frame, mirrored
+from training.humos.corpus import mirrored, relative_to_first_frame
 from training.humos.train import fitted_basis
 
 BODY = BodyModel.load()
