@@ -30,7 +30,7 @@ class PackedMask:
 
 
 def read_packed_masks(path: Path) -> list[PackedMask]:
-    """The array `mask` (frames, height, width) of a file; not zero is the person.
+    """The array `mask` (frames, height, width) of an .npz file; the person is where it is not 0.
 
     Frames are unpacked one by one: a minute of video is as large as the memory of a computer.
 

@@ -16,7 +16,7 @@ from recon.formats.observations import CameraArrays
 from recon.formats.scan_times import timed
 from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
-from recon.reading.tracks import follow
+from recon.reading.tracks import tracks_of_people
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
 _LOOKED_AT = 5
@@ -83,7 +83,7 @@ def describe_detections(path: Path) -> dict[str, Any]:
     """
     # coordinates may stay fractions of the image: what is reported does not depend on its size
     found = read_keypoints(path, image_size=(1, 1))
-    people = follow(found)
+    people = tracks_of_people(found)
     first, last = int(found.frame_numbers[0]), int(found.frame_numbers[-1])
     return {
         "format": "2D keypoints of one view",
