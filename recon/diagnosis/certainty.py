@@ -79,7 +79,7 @@ def certainty(found: ClipFit) -> Deviations | None:
             return None
     if not views_of(found.observations):
         return known
-    # images alone leave the size of a person open
+    # images alone do not show how large a person is
     from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 
     with torch.no_grad():

@@ -85,7 +85,7 @@ class Images:
 
     @property
     def sensors(self) -> list[Keypoints2D]:
-        """The views with these keypoints and camera poses instead of the given ones.
+        """The views as sensors again, with the keypoints and camera poses of these arrays.
 
         Views of which nothing changed are the very same objects.
         """
@@ -104,7 +104,7 @@ class Images:
 
     @property
     def seen(self) -> Bool[np.ndarray, "views moments points"]:
-        """Keypoints that were found."""
+        """Mask of the keypoints that a detector found."""
         return self.confidence > 0
 
     @property
@@ -129,7 +129,7 @@ class Images:
 
     @cached_property
     def sided(self) -> Bool[np.ndarray, " points"]:
-        """Keypoints that have a counterpart on the other side."""
+        """Mask of the keypoints that have a counterpart on the other side of the body."""
         return self.counterparts != np.arange(len(self.points))
 
     @property
@@ -138,7 +138,7 @@ class Images:
         return self.matrix[:, [0, 1], [0, 1]].mean(-1)
 
     def view(self, rows: Sequence[int]) -> "Images":
-        """Some of the views."""
+        """The images of some of the views."""
         index = list(rows)
         return replace(
             self,
@@ -154,7 +154,7 @@ class Images:
         )
 
     def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":
-        """Left and right exchanged in some views at some moments."""
+        """The images with left and right exchanged in some views at some moments."""
         here = flags[..., None]
         order = self.counterparts
         return replace(
@@ -164,7 +164,7 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """Some keypoints made unseen; the scale is estimated again from the others."""
+        """The images without some keypoints; the scale is estimated again from the others."""
         pixels = np.where(hidden[..., None], 0.0, self.pixels)
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()
@@ -200,7 +200,7 @@ _KEEPS_FACING = 0.95
 def confirmed_sides(
     images: Images, flags: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """The stretches of one view's exchanged names that a fit of the body confirms.
+    """Those stretches of one view with left and right exchanged that fits of the body confirm.
 
     A quick fit of the second around each change must become better when the names do not change.
     A stretch from the first or to the last moment has one change only, and either side of it may
@@ -225,7 +225,7 @@ def confirmed_sides(
 
 
 def _keeps_facing(images: Images) -> bool:
-    """Whether the right of hips and shoulders is on the same side of the image in all frames."""
+    """Whether the right hip and shoulder are on the same side of the image in all frames."""
     seen = images.seen[0] & images.seen[0][:, images.counterparts]
     names = ("shoulder", "hip")
     pairs = [k for k, name in enumerate(images.points) if name in {f"left_{n}" for n in names}]
@@ -237,7 +237,7 @@ def _keeps_facing(images: Images) -> bool:
 def _costs_of_views(
     versions: Sequence[Keypoints2D], body: BodyModel
 ) -> Float[np.ndarray, " versions"]:
-    """Objectives of quick fits of what one camera saw, in equally long versions; metres²."""
+    """Objectives of quick fits to versions of one camera's keypoints, equally long; metres²."""
     seen = concatenate(list(versions))
     start = seen.start(body)
     noise = seen.noise(start, body)
