@@ -21,7 +21,7 @@ from recon.formats.replacing import (
     write_text,
 )
 from recon.formats.text_tables import write_rows
-from recon.ingest.conversion import Conversion, convert_skeletons, glitches
+from recon.ingest.conversion import Conversion, convert_skeletons, jump_frames
 from recon.ingest.maps import recognise
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
@@ -191,7 +191,7 @@ def split(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
     """The usable parts of a recording: runs between jumps that last a second or more."""
-    jumps = glitches(recording)
+    jumps = jump_frames(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]
     pieces: list[RecordingPiece] = []

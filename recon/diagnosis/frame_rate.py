@@ -16,7 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, stretches
-from recon.diagnosis.movement import Movement, outside
+from recon.diagnosis.movement import Movement, distance_outside_hull
 from recon.physics.mass import GRAVITY
 
 _FALL_SECONDS = 0.2
@@ -151,7 +151,7 @@ def _imbalance(movement: Movement, rate_factor: float) -> float:
     soles = movement.soles[step:-step][asked][..., :2]
     # a raised foot gets the corners of the standing one, which leaves the hull unchanged
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
-    return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
+    return float(distance_outside_hull(point, soles.reshape(len(soles), 4, 2)).mean())
 
 
 _TURN = 0.35

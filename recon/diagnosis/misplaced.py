@@ -12,8 +12,8 @@ from recon.diagnosis.named_points import (
     Predicted,
     joint_pairs,
     out_of_reach,
+    relative_body_size,
     rest_length,
-    size,
 )
 from recon.diagnosis.quick_fit import plausible
 
@@ -41,7 +41,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     """
     if not points.are_joints:
         return None
-    bones, ratio = joint_pairs(points), size(points) or 1.0
+    bones, ratio = joint_pairs(points), relative_body_size(points) or 1.0
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     misfit: dict[tuple[int, int], Float[np.ndarray, " points"]] = {}
     """By a bone's end that stays and the one that is replaced: the median difference, metres, of
