@@ -17,7 +17,7 @@ from recon.core.visible import visible
 from recon.formats.replacing import (
     clear_leftovers,
     file_checksum,
-    part_of,
+    temporary_path,
     write_text,
 )
 from recon.formats.text_tables import write_rows
@@ -170,7 +170,7 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
     The report comes first: there is never a motion without one, and a motion that a killed run
     left beside the report of its successor is known by it, too.
     """
-    beside, stage = path.with_suffix(".json"), part_of(path)
+    beside, stage = path.with_suffix(".json"), temporary_path(path)
     for place in (path, beside):
         clear_leftovers(place)
     try:

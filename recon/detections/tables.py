@@ -11,7 +11,7 @@ from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.detections.records import Detections, Row, gather
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import each_once, first_rows, numbers, read_rows
+from recon.formats.text_tables import first_rows, numbers, read_rows, refuse_repeated_columns
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -59,7 +59,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     places = {normalised(part): part for part in parts}
     kinds = [coordinate.lower() for coordinate in header["coords"]]
     triples = list(zip(individuals, parts, kinds, strict=False))
-    each_once([" ".join(triple) for triple in triples], name)
+    refuse_repeated_columns([" ".join(triple) for triple in triples], name)
     columns = {triple: column for column, triple in enumerate(triples)}
     index = [
         [
@@ -115,7 +115,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     """
     name = path.name
     head, *rows = read_rows(path, JSON)
-    each_once(head, name)
+    refuse_repeated_columns(head, name)
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
     SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)

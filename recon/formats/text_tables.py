@@ -1,4 +1,4 @@
-"""Tables of text, cells between commas, semicolons or tabs: rows, written and read; numbers."""
+"""Reads and writes tables of text with commas, semicolons or tabs between cells."""
 
 import csv
 import re
@@ -22,7 +22,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
-    """The cells of every row that is not blank, without white space around them.
+    """Read the cells of every row that is not blank, stripped of white space.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -37,7 +37,7 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
 
 
 def _split(text: str) -> list[list[str]]:
-    """The cells of every line, between semicolons or tabs where the first line has no commas.
+    """Split lines into cells at the commas, semicolons or tabs that the first line has.
 
     Numbers may then have a comma for a point, as spreadsheets of many countries write.
     """
@@ -52,7 +52,7 @@ def _split(text: str) -> list[list[str]]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write a table in one step: a column for every key, in the order in which keys come.
+    """Write a table atomically, with a column for every key in order of first appearance.
 
     Raises:
         FileNotFoundError: when the folder does not exist.
@@ -64,8 +64,8 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         writer.writerows(rows)
 
 
-def each_once(columns: Sequence[str], name: str) -> None:
-    """Refuse a table that has two columns of one name: only one of them could be used.
+def refuse_repeated_columns(columns: Sequence[str], name: str) -> None:
+    """Refuse a table in which two columns have the same name.
 
     Raises:
         ValueError: naming the column.
@@ -78,7 +78,7 @@ def each_once(columns: Sequence[str], name: str) -> None:
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:
-    """The first rows of a table, without reading the rest; none where it is no table.
+    """Read the first rows of a table only; none if the file is no table.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -99,7 +99,7 @@ def numbers(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """The numbers in some columns; NaN where a cell is blank or a short row has none.
+    """The numbers in some columns of a table; NaN where a cell is blank or missing.
 
     Args:
         rows: below the header.

@@ -68,8 +68,8 @@ def marker_findings(
         found.append(
             Finding(
                 "outliers",
-                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their places on "
-                f"the body in up to {100 * _most_far(far, seen, wild):.0f} % of their frames: look "
+                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their place "
+                f"it in up to {100 * _most_far(far, seen, wild):.0f} % of their frames: look "
                 "for exchanged labels, ghosts and loose markers",
                 names(wild),
                 stretches(np.any(far[:, wild], axis=1)),

@@ -29,7 +29,7 @@ from recon.keypoints3d.reader import (
     holds_markers,
     holds_points_3d,
     marker_recording,
-    markers_of_study,
+    opencap_markers,
     read_points_3d,
 )
 from recon.method.sensor import Sensor
@@ -145,7 +145,7 @@ def _labelled_points(
     places them; others are first met with the body, which finds their offsets.
     """
     recording = marker_recording(path, settings.unit, settings.up)
-    file = markers_of_study(recording)
+    file = opencap_markers(recording)
     skin = file is None and not are_keypoints(recording.marker_names)
     if skin or settings.mapping is not None:
         from recon.ingest.marker_observation import seen_markers

@@ -15,12 +15,12 @@ from recon.formats.calibration import Calibration, load_cameras
 from recon.formats.cameras import (
     CameraArrays,
     CameraPath,
+    checked_camera,
     guessed_camera,
     guessed_size,
-    settle_camera,
 )
 from recon.formats.observations import KeypointsFile
-from recon.formats.scan_times import crowded
+from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
@@ -98,7 +98,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
     if track is not None:
-        poses, reason = track.at(first, frames, fps)
+        poses, reason = track.poses_at_frames(first, frames, fps)
         carried = (_notes_of_views(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
@@ -134,7 +134,7 @@ def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions)
         )
     if stated is not None:
         camera = replace(
-            settle_camera(stated, size, how.camera_track or path), T_camera_world=None
+            checked_camera(stated, size, how.camera_track or path), T_camera_world=None
         )
         said = (f"{how.camera_track}: its intrinsics were taken",)
     else:
@@ -265,7 +265,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
         f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
     )
     span = last - first + 1
-    if span > _SPARSE * most or not crowded(span, most):
+    if span > _SPARSE * most or not fits_memory(span, most):
         raise ObservationError(
             f"expected frame numbers that count frames, got {described}, of which {most} have a "
             "file; cut the recording at its gap, or number its frames one by one"

@@ -14,7 +14,7 @@ from recon.formats.depth_images import read_png
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
 from recon.formats.scan_times import timed
-from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
+from recon.formats.scans import CLOUDS, naturally_sorted, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
 from recon.reading.tracks import tracks_of_people
 
@@ -161,7 +161,7 @@ def _scans(path: Path) -> dict[str, Any]:
 
 def _images(path: Path) -> dict[str, Any]:
     """Depth images, or pictures of other depth that may be masks, by the first of them."""
-    paths = naturally(one for one in path.iterdir() if one.suffix.lower() == ".png")
+    paths = naturally_sorted(one for one in path.iterdir() if one.suffix.lower() == ".png")
     image = read_png(paths[0])
     size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
     if image.dtype != np.uint16:
