@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
-from recon.detections.tables import normalised
+from recon.detections.tables import plain_part_name
 
 _PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")
 _ABBREVIATED = re.compile(
@@ -76,7 +76,7 @@ def _plain_spelling(label: str) -> str:
     if short := _ABBREVIATED.match(lowered):
         side = "left" if short[1] == "l" else "right"
         return _sided(side, short[2].replace("_", ""))
-    word = normalised(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
+    word = plain_part_name(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
     side, _, rest = word.partition("_")
     return _sided(side, rest) if side in ("left", "right") and rest else word
 
