@@ -1,4 +1,4 @@
-"""A motion file in the formats of other programs."""
+"""`recon export`'s function: writes a motion file in formats of other programs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -131,7 +131,7 @@ def export_file(
 
 
 def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
-    """Refuse options of the TRC file where none is written: they would do nothing.
+    """Refuse options of the TRC file if none is written.
 
     Raises:
         ReconError: naming the option.

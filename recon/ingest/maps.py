@@ -19,7 +19,7 @@ from recon.mocap.reader import (
     NEEDED,
     SkeletonTable,
     known_skeletons,
-    plain,
+    plain_joint_name,
     skeleton_among,
 )
 from recon.mocap.recording import SkeletonRecording
@@ -65,7 +65,7 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
         FileNotFoundError: when there is no such mapping file.
         ValueError: when the skeleton is not known, or the file names joints that do not exist.
     """
-    their_names = {plain(name): name for name in recording.joint_names}
+    their_names = {plain_joint_name(name): name for name in recording.joint_names}
     if mapping is not None:
         return _user_map(Path(mapping), their_names, recording)
     try:
@@ -95,7 +95,7 @@ def _user_map(
     for part in table.values():
         for ours, joint in part.items():
             joint_index(ours)
-            if not isinstance(joint, str) or plain(joint) not in their_names:
+            if not isinstance(joint, str) or plain_joint_name(joint) not in their_names:
                 raise ReconError(
                     f"{path}: {ours} = {joint!r}, but {recording.name} has "
                     f"{', '.join(recording.joint_names)}"
@@ -113,7 +113,7 @@ def _skeleton_map(name: str, table: SkeletonTable, their_names: Mapping[str, str
 
     def ordered(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
         numbers = sorted(map(joint_index, part), key=lambda j: (j in FEET, j))
-        return tuple((j, their_names[plain(part[JOINTS[j]])]) for j in numbers)
+        return tuple((j, their_names[plain_joint_name(part[JOINTS[j]])]) for j in numbers)
 
     return SkeletonMap(name, ordered(positions), ordered(orientations))
 
