@@ -29,8 +29,9 @@ from benchmarks.slips.recordings import SENSORS, Recording, Sensor, recording_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.windows import TrueWindows
 from recon.body.motion_files import copied
+from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import load_motion
 from recon.formats.observations import (
     KeypointsFile,
     PositionsFile,

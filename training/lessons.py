@@ -12,12 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import stretches
 from recon.diagnosis.frame_rate import rates_by_falls
 from recon.diagnosis.movement import Movement
-from recon.formats.motions import MotionFile
 from training.manifest import Row
 
 _RATE = 60.0

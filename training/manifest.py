@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recon.benchmark.dataset import Splits
-from recon.formats.motions import MotionFile, load_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import load_motion
 from recon.formats.text_tables import write_rows
 
 MANIFEST = "manifest.csv"

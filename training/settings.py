@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
-from recon.formats.motions import MotionFile
+from recon.core.motion import MotionFile
 from recon.formats.replacing import file_checksum, files_checksum
 from training.manifest import MANIFEST, Lesson, Row, read_manifest, taught
 from training.recordings import CorpusClip

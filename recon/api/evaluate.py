@@ -14,8 +14,7 @@ from recon.api.results import Tables, one_line, told
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, bool_tensor, float_tensor, require_shape
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile
+from recon.core.motion import Motion, MotionFile
 from recon.formats.observations import ObservationFile, PositionsFile, load_observation
 from recon.formats.writing import write_report
 from recon.method.protocols import Estimate

@@ -30,7 +30,7 @@ from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
-from recon.diagnosis.findings import Finding, Findings
+from recon.diagnosis.findings import Finding
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
@@ -288,13 +288,13 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    seen, start, repaired = as_measurement(given, known, model)
+    seen, start, found = as_measurement(given, known, model)
     seen = seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit(seen, prior, **how)
-    repairs = Findings(repaired)
-    examined = replace(result.examined, found=repairs + result.examined.found)
-    return replace(result, notes=(*notes, *result.notes), examined=examined)
+    examined = replace(result.examined, found=found + result.examined.found)
+    warnings = (*found.warnings, *result.warnings)
+    return replace(result, notes=(*notes, *result.notes), examined=examined, warnings=warnings)
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:

@@ -23,8 +23,8 @@ from recon.body.identities import doubts
 from recon.body.model import BodyModel
 from recon.core.arrays import device_at_hand, finite, positive
 from recon.core.errors import ReconError, WeightsError
+from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
-from recon.formats.motions import MotionFile
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.metrics.generation import stays_on_its_feet
 

@@ -15,9 +15,8 @@ from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, finite, float_tensor, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.fitting.methods import checked_method, class_of, trait_of
-from recon.formats.motions import MotionFile, load_motion, motion_from
 from recon.method.plugins import PRIORS, registered
 from recon.method.priors import PriorLike, is_prior
 
@@ -85,10 +84,14 @@ def motion_given(
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
+        from recon.formats.motions import load_motion  # arrays of joints are fitted without it
+
         path = Path(given)
         file = load_motion(path, body.template.dtype)
         return GivenMotion(of_body(file, path, body, remedy), str(given))
     if isinstance(given, Mapping):
+        from recon.formats.motions import motion_from
+
         arrays = {key: np.asarray(value) for key, value in given.items()}
         file = motion_from(arrays, Path(name), body.template.dtype)
     elif isinstance(given, MotionResult):

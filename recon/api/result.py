@@ -13,7 +13,7 @@ from recon.api.results import MotionResult, described_residual, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.residuals import Noise
 from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
@@ -21,7 +21,6 @@ from recon.diagnosis.examination import Examined, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
-from recon.formats.motions import MotionFile
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 from recon.method.sensor import unposed_camera

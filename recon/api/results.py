@@ -12,10 +12,9 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError, optional_module
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.formats.motions import MotionFile
 
 if TYPE_CHECKING:
     from recon.formats.joint_table import JointCertainty

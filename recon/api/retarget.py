@@ -27,11 +27,10 @@ from recon.body.motion_files import copied
 from recon.core import rotations as so3
 from recon.core.arrays import finite, positive
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.diagnosis.findings import Finding
 from recon.fitting import retargeting
 from recon.fitting.retargeting import OVERLAP, SHORTEST_MOTION, WINDOW
-from recon.formats.motions import MotionFile
 from recon.method.windows import Windows
 from recon.metrics.generation import FASTEST
 from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, physics_samples

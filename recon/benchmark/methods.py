@@ -14,8 +14,8 @@ from priors.pose.prior import PosePrior
 from recon.benchmark.protocols import noise_of, sensor_of
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
-from recon.formats.motions import MotionFile
 from recon.formats.observations import PositionsFile
 from recon.method.plugins import imported
 from recon.method.priors import Prior

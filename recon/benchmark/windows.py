@@ -14,10 +14,10 @@ from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import PARENTS
 from recon.core.struct import stack
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import load_motion
 from recon.formats.replacing import files_checksum
 from recon.metrics.evaluation import nearest_labels
 

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import TOES
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import load_motion
 
 WITH_BODY = "give the file of its body (--body, or body= in Python)"
 """What to do about a motion of another body, where one can be given."""

@@ -25,6 +25,10 @@ _FAR = 30.0
 """Metres from the origin from which on it must be the feet that say that they are metres."""
 _STEP_S = 0.15
 """Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_NO_MOVEMENT = 1e-4
+"""Range of a path, in any unit, below which it was not measured: every pelvis sways by more."""
+_BENDS = 0.05
+"""Range of the entries of rotation matrices from which on a body moves, about 3 degrees."""
 _USUAL = ("m", "cm", "mm")
 _NEAR_FLOOR = 0.2
 """Metres from zero height within which the joints of feet are on the floor."""
@@ -155,6 +159,26 @@ def unit_of_path(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
         f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
         "is so), or divide it by the scale of the body"
+    )
+
+
+def missing_path(
+    path: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time joints 3 3"]
+) -> str:
+    """What to know of a body that moves and whose path is one place; empty of other paths.
+
+    Args:
+        path: of the body, in any unit.
+        rotations: of its joints.
+    """
+    if len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT:
+        return ""
+    if np.ptp(rotations, axis=0).max() < _BENDS:
+        return ""
+    return (
+        "the translation is the same in every frame though the body moves: the file holds poses "
+        "and no path. The person stays on the spot, and feet that stood slide; save the "
+        "translation in the world (trans, transl) too"
     )
 
 

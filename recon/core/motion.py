@@ -1,4 +1,4 @@
-"""The record of a body's motion: translation, joint rotations and shape on a clock."""
+"""The records of a body's motion: `Motion` on a clock, and `MotionFile` with what a file adds."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,9 @@ from torch import Tensor
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
+
+MOTION_FORMAT = 1
+"""Version of the layout of motion files."""
 
 
 @dataclass(frozen=True)
@@ -164,3 +167,42 @@ def pad(motions: list[Motion]) -> Motion:
         fps=motions[0].fps,
         start_time=motions[0].start_time,
     )
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """The contents of a motion file; optional ones are None where the file lacks them."""
+
+    motion: Motion
+    """One clip, no batch axis; padded frames are not written."""
+    body: str | None = None
+    """Name of the body model whose shape coefficients the motion has."""
+    checksum: str | None = None
+    """`BodyModel.checksum` of that body model."""
+    gender: str = "neutral"
+    joints: Float[Tensor, "time 22 3"] | None = None
+    """Joint positions in the world, metres."""
+    contacts: Float[Tensor, "time 22"] | None = None
+    """Probability, from 0 to 1, that a joint touches the ground; a fit writes labels, 0 or 1."""
+    contact_probability: Float[Tensor, "time 22"] | None = None
+    """Probability of contact, by height, speed and standard deviation of the joint."""
+    ground: Float[Tensor, "4"] | None = None
+    """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
+    ground_std: Float[Tensor, "2"] | None = None
+    """Standard deviations of a ground that was found: of its normal about each horizontal axis,
+    radians, and of its height below the origin of the recording's frame, metres."""
+    joint_std: Float[Tensor, "time 22"] | None = None
+    """Standard deviation of every joint, metres."""
+    angle_std: Float[Tensor, "time 42"] | None = None
+    """Standard deviations of joint angles after the ISB, degrees, in the order of
+    `recon.body.angles.ISB_ANGLES`."""
+    observed: Bool[Tensor, "time 22"] | None = None
+    """False where a joint was inferred rather than seen."""
+    truth_visible: Bool[Tensor, "time 22"] | None = None
+    """Joints that a simulated sensor could see; only files of simulated truth have it."""
+    T_world_camera: Float[Tensor, "poses 4 4"] | None = None
+    """Pose of the camera, metres: one for the clip, or one per frame."""
+    in_camera: Float[Tensor, "time 6"] | None = None
+    """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
+    format_version: int = MOTION_FORMAT
+    """Version of the layout; 0 for files that other programs wrote, such as those of AMASS."""

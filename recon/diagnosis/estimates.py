@@ -10,9 +10,10 @@ from observations.estimated import Drifting, EstimatedPoints
 from observations.noise import estimate_noise
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
+from recon.core.coordinates import missing_path
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, MIRROR
-from recon.diagnosis.findings import Finding, stretches
+from recon.diagnosis.findings import Finding, Findings, stretches
 from recon.solver.viterbi import cheapest_path
 
 _SWITCH = 0.18
@@ -87,7 +88,7 @@ _LIMBS = {
 
 def as_measurement(
     motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
-) -> tuple[EstimatedPoints, Motion, tuple[Finding, ...]]:
+) -> tuple[EstimatedPoints, Motion, Findings]:
     """A network's motion as observed points: their noise, how long errors last, where they jump.
 
     Args:
@@ -97,7 +98,7 @@ def as_measurement(
 
     Returns:
         Points of the skin with their covariance, with a leading axis of one clip; the estimate
-        with its exchanges of limbs undone; and what was repaired.
+        with its exchanges of limbs undone; and what was repaired, or is to be warned of.
     """
     step = max(round(motion.fps / FASTEST), 1)
     if step > 1:
@@ -126,7 +127,8 @@ def as_measurement(
         segment=_segments(points - path)[None],
         start_time=motion.start_time,
     )
-    return seen, motion, tuple(repairs)
+    alone = missing_path(motion.translation[known].numpy(), motion.rotations[known].numpy())
+    return seen, motion, Findings(repairs, [Finding("no path", alone)] if alone else ())
 
 
 def _relative_error(

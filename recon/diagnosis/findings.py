@@ -31,6 +31,7 @@ Code = Literal[
     "guessed",  # a large part of the body was not seen, and its standard deviation is large
     "undecided",  # another motion explains the data nearly as well
     "treadmill",  # all standing feet move at one velocity
+    "no path",  # an estimate has poses, and the same translation in every frame
     "uneven ground",  # feet stand at several heights, or the person sits
     "residual",  # residuals are larger than the noise explains, for an unknown reason
     "body size",  # the fitted height or shape is outside the human range

@@ -240,11 +240,11 @@ def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 
         off = np.abs(found @ found.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
         limits.ORTHOGONALITY.check(off[np.isfinite(off)], path, "rotation matrices")
         return found
+    limits.check_rotation_vectors(values, path, "rotations")
     if values.size % (3 * max(len(values), 1)):
         raise FormatError(f"{path}: expected three numbers for every joint, got {values.shape}")
     vectors = values.reshape(len(values), -1, 3)
     finite = np.array(np.isfinite(vectors).all(-1), ndmin=2)
-    limits.ROTATION.check(vectors[finite], path, "rotations")
     turned = Rotation.from_rotvec(np.where(finite[..., None], vectors, 0.0).reshape(-1, 3))
     matrices = turned.as_matrix().reshape(*vectors.shape[:2], 3, 3)
     return np.where(finite[..., None, None], matrices, np.nan)

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
-from recon.formats.motions import MotionFile
 from recon.formats.replacing import replacing
 
 

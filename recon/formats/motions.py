@@ -4,64 +4,23 @@ Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints th
 eyes), which are left out; a file may give `root_orient` and `pose_body` instead.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core import limits
 from recon.core import rotations as so3
 from recon.core.errors import FormatError
 from recon.core.limits import Limit
-from recon.core.motion import Motion
+from recon.core.motion import MOTION_FORMAT, Motion, MotionFile
 from recon.core.units import snapped_rate
 from recon.formats.opening import load_arrays
 
-FORMAT_VERSION = 1
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _GENDERS = ("neutral", "male", "female")
-
-
-@dataclass(frozen=True)
-class MotionFile:
-    """The contents of a motion file; optional ones are None where the file lacks them."""
-
-    motion: Motion
-    """One clip, no batch axis; padded frames are not written."""
-    body: str | None = None
-    """Name of the body model whose shape coefficients the motion has."""
-    checksum: str | None = None
-    """`BodyModel.checksum` of that body model."""
-    gender: str = "neutral"
-    joints: Float[Tensor, "time 22 3"] | None = None
-    """Joint positions in the world, metres."""
-    contacts: Float[Tensor, "time 22"] | None = None
-    """Probability, from 0 to 1, that a joint touches the ground; a fit writes labels, 0 or 1."""
-    contact_probability: Float[Tensor, "time 22"] | None = None
-    """Probability of contact, by height, speed and standard deviation of the joint."""
-    ground: Float[Tensor, "4"] | None = None
-    """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
-    ground_std: Float[Tensor, "2"] | None = None
-    """Standard deviations of a ground that was found: of its normal about each horizontal axis,
-    radians, and of its height below the origin of the recording's frame, metres."""
-    joint_std: Float[Tensor, "time 22"] | None = None
-    """Standard deviation of every joint, metres."""
-    angle_std: Float[Tensor, "time 42"] | None = None
-    """Standard deviations of joint angles after the ISB, degrees, in the order of
-    `recon.body.angles.ISB_ANGLES`."""
-    observed: Bool[Tensor, "time 22"] | None = None
-    """False where a joint was inferred rather than seen."""
-    truth_visible: Bool[Tensor, "time 22"] | None = None
-    """Joints that a simulated sensor could see; only files of simulated truth have it."""
-    T_world_camera: Float[Tensor, "poses 4 4"] | None = None
-    """Pose of the camera, metres: one for the clip, or one per frame."""
-    in_camera: Float[Tensor, "time 6"] | None = None
-    """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
-    format_version: int = FORMAT_VERSION
-    """Version of the layout; 0 for files that other programs wrote, such as those of AMASS."""
 
 
 _EXTRA = {
@@ -151,7 +110,7 @@ def motion_from(
         )
     limits.FRAMES.check(len(poses), path, "poses")
     version = int(_scalar(path, numeric, "format_version", 0.0))
-    if version > FORMAT_VERSION or version < 0:
+    if version > MOTION_FORMAT or version < 0:
         raise FormatError(f"{path}: written by a newer version (format {version}); update recon")
     if (up := _text(arrays, "up_axis", "z")) != "z":
         raise FormatError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
@@ -254,6 +213,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             )
         rows = len(parts[0])
         poses = np.concatenate([part.reshape(rows, -1 if rows else 0) for part in parts], axis=1)
+    limits.check_rotation_vectors(poses, path, "poses")
     if poses.ndim == 3 and poses.shape[2] == 3:
         poses = poses.reshape(len(poses), -1)
     if poses.ndim != 2 or poses.shape[1] < 66 or poses.shape[1] % 3:
@@ -262,7 +222,6 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             f"{poses.shape}"
         )
     _check_finite(path, "poses", poses)
-    limits.ROTATION.check(poses[:, :66], path, "poses")
     return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
 
 

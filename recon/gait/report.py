@@ -11,9 +11,9 @@ from recon.api.results import MotionResult, Tables
 from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
+from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.movement import belt_velocity
-from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, read_report, versions
 from recon.gait.analysis import analyse

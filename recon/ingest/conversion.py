@@ -16,12 +16,12 @@ from recon.body.contacts import contact_labels, rest_heights
 from recon.body.levelling import levelling, turned
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from recon.ingest.skeleton import Solved, solve
 from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed

@@ -6,8 +6,10 @@ from typing import Any, Literal
 
 from recon.body.model import BodyModel
 from recon.core.arrays import geometries_given
+from recon.core.coordinates import missing_path
+from recon.core.motion import MotionFile
 from recon.fitting.settings import FitSettings
-from recon.formats.motions import MotionFile, holds_motion, load_motion
+from recon.formats.motions import holds_motion, load_motion
 from recon.method.sensor import Sensor
 from recon.reading.clip import load_clip
 
@@ -27,7 +29,11 @@ def read(path: Any, **options: Any) -> Sensor | list[Sensor] | MotionFile:
         FormatError: when something cannot be read, or arguments are missing; says what to do.
     """
     if not options and isinstance(path, Path | str) and holds_motion(path):
-        return load_motion(path)
+        file = load_motion(path)
+        motion = file.motion
+        if said := missing_path(motion.translation.numpy(), motion.rotations.numpy()):
+            _LOG.warning("%s: %s", path, said)
+        return file
     return load_observation(path, **options)
 
 

@@ -10,8 +10,7 @@ from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.core.camera import Ground
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile
+from recon.core.motion import Motion, MotionFile
 from recon.formats.outputs import Output
 from recon.formats.reports import checksums, versions
 from recon.formats.writing import writing

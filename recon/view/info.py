@@ -9,12 +9,14 @@ import numpy as np
 
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
+from recon.core.coordinates import missing_path
 from recon.core.hands import right_handed
+from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
 from recon.detections.tables import holds_detections
 from recon.formats.estimates import read_estimate
 from recon.formats.joint_table import JointCertainty
-from recon.formats.motions import MotionFile, load_motion
+from recon.formats.motions import load_motion
 from recon.formats.observations import (
     CameraArrays,
     KeypointsFile,
@@ -131,6 +133,7 @@ def _project(project: Project) -> dict[str, Any]:
 def _motion(path: Path) -> dict[str, Any]:
     file = load_motion(path)
     motion = file.motion
+    still = missing_path(motion.translation.numpy(), motion.rotations.numpy())
     return {
         "format": "motion (AMASS .npz)",
         "frames": motion.frames,
@@ -145,6 +148,7 @@ def _motion(path: Path) -> dict[str, Any]:
         **_certainty(file),
         **_alternatives(path),
         "units": "metres, z up",
+        **({"decisions": [still]} if still else {}),
     }
 
 
@@ -268,6 +272,7 @@ def _estimate(path: Path, up: Up | None) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path, up=up)
+    still = missing_path(found.translation[found.known], found.rotations[found.known])
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),
@@ -276,7 +281,7 @@ def _estimate(path: Path, up: Up | None) -> dict[str, Any]:
         "shape_coefficients": len(found.betas),
         "up": found.up,
         "units": "metres",
-        "decisions": list(found.notes),
+        "decisions": [*found.notes, *([still] if still else [])],
     }
 
 

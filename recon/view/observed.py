@@ -11,8 +11,7 @@ from torch import Tensor
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, transform
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile
+from recon.core.motion import Motion, MotionFile
 from recon.formats.observations import (
     KeypointsFile,
     PointsFile,

@@ -13,10 +13,9 @@ from recon.api.pipeline import observed
 from recon.api.results import MotionResult
 from recon.core.arrays import geometries_given
 from recon.core.errors import ReconError, optional_module
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.fitting.settings import ReadOptions
 from recon.formats.depth_images import back_projected
-from recon.formats.motions import MotionFile
 from recon.formats.observations import PointsFile
 from recon.formats.scans import thinned
 from recon.reading.clouds import cloud_of

@@ -11,7 +11,8 @@ import recon
 from recon.api import retarget as retarget_module
 from recon.api.given import motion_given
 from recon.body.motion_files import with_shape
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile
 from tests.filmed import bundled, walk
 

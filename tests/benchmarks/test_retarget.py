@@ -26,8 +26,8 @@ from benchmarks.retarget import (
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import Motion, MotionFile
+from recon.formats.motions import save_motion
 from tests.benchmarks.test_windows import splits_of
 
 BODY = BodyModel.load()

@@ -13,9 +13,9 @@ from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
 from recon.benchmark.windows import TrueWindows, draw_girth, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.struct import stack
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 
 
 def turning(frames: int, fps: float) -> Motion:

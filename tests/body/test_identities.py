@@ -8,7 +8,8 @@ import torch
 
 from recon.body.identities import doubts, identity, weight
 from recon.body.model import BodyModel
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from tests.walking import a_walk
 
 pytestmark = pytest.mark.numerics

@@ -9,8 +9,8 @@ import torch
 from recon import cli
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.core.motion import Motion, MotionFile
+from recon.formats.motions import load_motion, save_motion
 from tests.formats.test_smpl_files import model
 
 BODY = BodyModel.load()

@@ -10,9 +10,9 @@ from recon import cli
 from recon.body.landmarks import landmark, landmarks
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.export.tables import markers_of, places_of
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from recon.mocap.marker_tables import read_trc
 
 

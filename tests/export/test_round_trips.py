@@ -8,10 +8,11 @@ import torch
 
 import recon
 from recon.body.angles import isb_angles
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.tables import markers_of
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.formats.motions import load_motion, save_motion
 from recon.mocap.bvh import read_bvh
 from recon.mocap.marker_tables import read_trc, write_trc
 from tests.export.test_opensim_files import make_motion

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from recon import cli
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.usd import joint_paths, write_usd
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from tests.export.test_opensim_files import make_motion
 
 

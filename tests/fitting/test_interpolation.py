@@ -6,10 +6,10 @@ import torch
 from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import joint_index
 from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.formats.motions import load_motion, save_motion
 from tests.priors.tiny_anchor import tiny_prior
 from tests.verbs import report_of
 from training.weights import save_anchor

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from recon.core import rotations as so3
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from tests.filmed import bundled, walk
 
 FRAMES = 12

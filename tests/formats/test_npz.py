@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.core.motion import Motion, pad
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.core.motion import Motion, MotionFile, pad
+from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import (
     CameraArrays,
     KeypointsFile,

@@ -12,7 +12,8 @@ import torch
 from recon.api.evaluate import evaluate
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, load_observation
 from recon.simulation.points import Corruption
 from tests.verbs import simulate_file

@@ -11,8 +11,8 @@ from priors.humor.mixture import Mixture
 from priors.humor.state import canonical, distinct_features, initial_features, states_of
 from recon import cli
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.core.motion import Motion, MotionFile
+from recon.formats.motions import load_motion, save_motion
 from recon.view.files import view
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging

@@ -11,8 +11,8 @@ from recon import cli
 from recon.body.identities import identity
 from recon.body.model import BodyModel
 from recon.body.motion_files import with_shape
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.core.motion import Motion, MotionFile
+from recon.formats.motions import load_motion, save_motion
 from tests.standing_body import path, standing, times
 
 BODY = BodyModel.load()

@@ -11,9 +11,9 @@ import torch
 import recon
 from recon.body.soles import sole_heights
 from recon.core import rotations as so3
+from recon.core.motion import MotionFile
 from recon.core.rotations import transform
 from recon.fitting.settings import FitSettings
-from recon.formats.motions import MotionFile
 from recon.people.camera import shared_camera
 from recon.people.together import load_people
 from recon.reading.clip import load_clip

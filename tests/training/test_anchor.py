@@ -10,7 +10,8 @@ from priors.anchor.frames import Anchors, rest_pelvis
 from priors.anchor.networks import AnchorWeights
 from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor.corpus import CycleCorpus, CycleVariation

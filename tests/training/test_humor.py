@@ -15,9 +15,9 @@ from priors.humor.state import rest_pelvis, states_of
 from recon.body.contacts import rest_heights
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
 from training.humor.corpus import Corpus, StateWindows, Variation, kind_of
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll

@@ -12,7 +12,8 @@ from priors.humos.prior import Humos
 from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.humos.corpus import BodyCorpus, BodyVariation

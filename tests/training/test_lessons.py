@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from recon.body.model import BodyModel
-from recon.formats.motions import MotionFile
+from recon.core.motion import MotionFile
 from tests.standing_body import path, standing, times
 from training.lessons import Source, judged
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from recon.benchmark.dataset import SPLITS, Splits
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import MotionFile
+from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
 from training.manifest import MANIFEST, Row, minutes, read_manifest, taught, write_manifest
 from training.settings import CorpusSettings, identity

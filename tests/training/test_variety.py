@@ -11,9 +11,9 @@ from torch import Tensor
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, FEET
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from tests.training.test_humor import AS_RECORDED, SPLITS
 from training.humor import moments as limits
 from training.humor.corpus import Corpus, StateWindows, Variation

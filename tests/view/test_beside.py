@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
-from recon.formats.motions import MotionFile, save_motion
+from recon.core.motion import Motion, MotionFile
+from recon.formats.motions import save_motion
 from recon.view import Figure
 from recon.view.files import at_common_times, put_beside, view
 from recon.view.viewpoint import follow

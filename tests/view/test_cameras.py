@@ -11,8 +11,9 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Ground, looking
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS, joint_index
-from recon.formats.motions import MotionFile, load_motion, save_motion
+from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, save_observation
 from recon.view import Figure, Show, View
 from recon.view.files import view

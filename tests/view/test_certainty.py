@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from recon.body.model import BodyModel
+from recon.core.motion import MotionFile
 from recon.core.skeleton import joint_index
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from recon.view import Figure, Show
 from recon.view.files import shown, view
 from recon.view.html import write_html

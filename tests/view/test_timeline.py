@@ -12,8 +12,9 @@ import recon
 from recon import cli
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
+from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
-from recon.formats.motions import MotionFile, save_motion
+from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
 from recon.view.timeline import write_rrd
 

@@ -19,9 +19,9 @@ from priors.humor.state import State
 from recon.benchmark.dataset import Part, Splits, notes
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.motion import MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
 from recon.core.struct import TensorStruct
-from recon.formats.motions import MotionFile
 from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
