@@ -262,4 +262,4 @@ def test_a_real_recording_is_met_as_lbfgs_met_it(data: Path) -> None:
     away = np.linalg.norm(fit.predicted.numpy() - some.positions, axis=-1)[some.visible]
     assert away.mean() < 0.0062
     assert not fit.repaired.any()
-    assert not fit.unmade.any()
+    assert not fit.unsupported.any()
