@@ -19,7 +19,7 @@ from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
 from recon.mocap.marker_tables import write_trc
-from recon.view.files import draw_html, shown
+from recon.view.files import draw_html, show_of_files
 
 
 def export_file(
@@ -117,7 +117,7 @@ def export_file(
         (robot, Kind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
         (smpl, Kind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
         (ply, Kind.FOLDER, meshes),
-        (html, Kind.FILE, lambda path: draw_html(path, shown(motion, body=body))),
+        (html, Kind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
