@@ -1,4 +1,4 @@
-"""`recon bench`: methods on the same windows as everybody else's."""
+"""`recon bench`: evaluates methods on the same windows as everybody else's."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,7 +22,7 @@ def bench(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Judge methods by the same windows and noise as everybody else's.
+    """Evaluate methods on the same windows and noise as everybody else's.
 
     The windows are those of the free CMU recordings that the package lists, 2 s each. Without
     --corpus they are two of the bundled walk, which shows that a method runs, not how good it is.
@@ -45,11 +45,11 @@ def bench(
     """
     del quiet  # used by the decorator `writes`
     from recon.cli import console
-    from recon.cli.looks import find_here
+    from recon.cli.looks import allow_current_folder
 
     if write is not None and (method or predictions or json is not None):
-        raise ValueError("--write only writes the observations; evaluate in another run")
-    find_here(method)
+        raise ValueError("--write writes observations only; evaluate methods in another run")
+    allow_current_folder(method)
     from recon.benchmark import judged as work
 
     if write is not None:

@@ -181,7 +181,7 @@ def test_frame_numbers_are_what_differs_between_names():
         ("{}", "all 1 frames are empty"),
         ('{"bodies": []}', "expected OpenPose"),
         ('[{"keypoints": [[1, 2]], "keypoint_scores": [1, 2]}]', "with scores"),
-        ('{"people": [{"pose_keypoints_2d": [1, 2, 1]}]}', "1 keypoints are no layout"),
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 1]}]}', "no known layout has 1 keypoints"),
         ("3", "expected OpenPose"),
         ("[]", "expected OpenPose"),
         ("null", "expected OpenPose"),
