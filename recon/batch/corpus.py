@@ -94,7 +94,7 @@ def convert_clips(
         ValueError: when another run is writing to OUT.
     """
     out = Path(out)
-    settings = settings_checksum(BodyModel.load(body))
+    settings = conversion_checksum(BodyModel.load(body))
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "report.json").exists():
         write_report(out, [])
@@ -304,7 +304,7 @@ def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:
     return [list(half) for half in (clips[:middle], clips[middle:]) if half]
 
 
-def settings_checksum(body: BodyModel) -> str:
+def conversion_checksum(body: BodyModel) -> str:
     """Checksum of everything besides the recording on which a converted motion depends."""
     with resources.as_file(resources.files("recon") / "assets" / "skeletons.toml") as skeletons:
         known = file_checksum(skeletons)

@@ -49,8 +49,8 @@ it. Arguments of other types, such as functions and arrays, no command line can 
 class Verb:
     """A verb, whose command line is made from a function's signature and docstring."""
 
-    place: str
-    """Place of the function, "module:name"."""
+    function_name: str
+    """The function as "module:name"."""
     places: tuple[Place, ...] = (Place("out"),)
     """Its outputs; what it does not write itself is its result, which is saved at the first."""
     out: str = (
@@ -66,18 +66,18 @@ class Verb:
 
 def command(name: str, verb: Verb) -> Callable[..., None]:
     """Make the function of a verb, which checks, computes, writes and reports."""
-    node = _function(verb.place)
+    function = _function(verb.function_name)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
-    own = [one for one in _parameters(node) if one.name not in taken]
+    own = [one for one in _parameters(function) if one.name not in taken]
     shown = [*own, *_further_options(verb, {one.name for one in own})]
     given = [one for one in shown if one.annotation is not Parameter.empty]
     given.sort(key=lambda one: one.default is not Parameter.empty)
 
     def run(**arguments: Any) -> None:
-        running.run(verb.place, [place.parameter for place in verb.places], arguments)
+        running.run(verb.function_name, [place.parameter for place in verb.places], arguments)
 
     for one in {run, unwrap(run)}:  # both, since the tests' type checker wraps functions
-        one.__name__, one.__doc__ = name, ast.get_docstring(node)
+        one.__name__, one.__doc__ = name, ast.get_docstring(function)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
         vars(one)["__signature__"] = Signature(given)
     return writes(*verb.places)(run)

@@ -235,7 +235,7 @@ def with_jumps_spread(
             break
         turning = torch.ones(len(JOINTS))
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
-            # a joint moves fast when its parent or its grandparent turns fast
+            # a joint jumps because its parent or grandparent turns, so these are made stiffer
             parent = max(PARENTS[joint], 0)
             turning[[parent, max(PARENTS[parent], 0)]] = stiffer
         tried = solve(*_interpolated_over(motion, around), turning)

@@ -246,8 +246,8 @@ def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) 
         return camera
     if len(pose) < first + frames:
         raise ObservationError(
-            f"camera {name}: expected 1 pose, or {frames} from frame {first} on, or more from "
-            f"frame 0 on, got {len(pose)}"
+            f"camera {name}: expected 1 pose, {frames} from frame {first} on, or all "
+            f"from frame 0 on, got {len(pose)}"
         )
     return replace(camera, T_camera_world=pose[first : first + frames])
 

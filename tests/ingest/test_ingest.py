@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from recon.batch.collection import SourceClip, collections, contents, skeleton_key
-from recon.batch.corpus import config_hash, convert_corpus
+from recon.batch.corpus import conversion_checksum, convert_corpus
 from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
@@ -264,7 +264,7 @@ def test_a_corpus_is_resumed(recording: SkeletonRecording, tmp_path: Path) -> No
 
 def test_settings_have_a_hash(bundled: BodyModel) -> None:
     other = dataclasses.replace(bundled, checksum="another")
-    assert config_hash(bundled) != config_hash(other)
+    assert conversion_checksum(bundled) != conversion_checksum(other)
 
 
 def marker_recording(planted: Motion, body: BodyModel) -> tuple[MarkerRecording, Tensor]:
