@@ -46,15 +46,15 @@ def fit_clips(
     """
     every = _list_of_clips(clips)
     if not subject:
-        return _fitted(every, prior, arguments)
+        return _fit_each(every, prior, arguments)
     if arguments.get("shape") is not None:
         raise ReconError(
             "subject: estimates the shape that all clips share, but a shape is given; leave one "
             "of them out"
         )
     first = {name: value for name, value in arguments.items() if name not in _FIRST}
-    shapes = [one.motion.shape for one in _fitted(every, "pose", first)]
-    return _fitted(every, prior, arguments | {"shape": shared_shape(shapes)})
+    shapes = [one.motion.shape for one in _fit_each(every, "pose", first)]
+    return _fit_each(every, prior, arguments | {"shape": shared_shape(shapes)})
 
 
 def shared_shape(shapes: Sequence[Float[Tensor, " shape"]]) -> Float[Tensor, " shape"]:
@@ -83,7 +83,7 @@ def _list_of_clips(given: Any) -> list[Any]:
     return every
 
 
-def _fitted(
+def _fit_each(
     clips: Sequence[Any], prior: str | PriorLike, arguments: dict[str, Any]
 ) -> list[Result]:
     results: list[Result] = []

@@ -145,9 +145,13 @@ class _Corpus:
         waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
         # in small groups, so that a killed run loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
-            self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums)
+            self._calibrate_and_convert(
+                waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums
+            )
 
-    def _convert(self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]) -> None:
+    def _calibrate_and_convert(
+        self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]
+    ) -> None:
         """Calibrate skeletons and convert their clips."""
         tasks: dict[str, Task] = {}
         jobs = [(group.some, self.body) for group in waiting]
@@ -160,7 +164,7 @@ class _Corpus:
             )
             for clip, key in group.left:
                 if isinstance(found, SubjectModel):
-                    tasks[clip.id] = self._task(clip, key, checksums[clip.id], found)
+                    tasks[clip.id] = self._task_of(clip, key, checksums[clip.id], found)
                 elif isinstance(found, str):
                     self._log_result(clip, {"outputs": {}, "rows": [rejection(clip, found)]}, key)
                 else:
@@ -224,7 +228,7 @@ class _Corpus:
             for name, checksum in known["outputs"].items()
         )
 
-    def _task(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
+    def _task_of(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
         pieces = clip.name + "."
         return Task(
             clip,
@@ -246,14 +250,14 @@ class _Corpus:
     def _log_failure(self, clip: SourceClip, failure: Failure) -> None:
         """Log a clip whose conversion failed."""
         rows = [rejection(clip, failure.reason)]
-        self._log(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
+        self._log_clip(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
 
     def _log_result(self, clip: SourceClip, found: Record, key: str) -> None:
         """Log a clip that was converted or rejected."""
         status = "ok" if found["outputs"] else "rejected"
-        self._log(clip, {"id": clip.id, "status": status, "key": key, **found})
+        self._log_clip(clip, {"id": clip.id, "status": status, "key": key, **found})
 
-    def _log(self, clip: SourceClip, record: Record) -> None:
+    def _log_clip(self, clip: SourceClip, record: Record) -> None:
         """Log a clip, and remove outputs of a former run that this run did not make."""
         folder = self.out / clip.collection
         former = self.log.records.get(clip.id, {}).get("outputs", {})

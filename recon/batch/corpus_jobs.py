@@ -117,7 +117,7 @@ def calibrate_group(
         skeleton = recognise(recordings[0])
     except ValueError as error:
         return str(error)
-    return calibrate(recordings, skeleton, _body(body_path))
+    return calibrate(recordings, skeleton, _loaded_body(body_path))
 
 
 def convert_task(task: Task, content: Content) -> Record:
@@ -136,7 +136,7 @@ def convert_task(task: Task, content: Content) -> Record:
         raise ValueError(
             f"{task.clip.source}: it changed while the folder was converted; run again"
         )
-    body = _body(task.body)
+    body = _loaded_body(task.body)
     pieces, rows = split(task.clip, recording)
     for piece in pieces:
         _check_target(task, piece)
@@ -212,7 +212,7 @@ def split(
 
 
 @lru_cache(maxsize=1)
-def _body(path: str | Path | None) -> BodyModel:
+def _loaded_body(path: str | Path | None) -> BodyModel:
     """The body model, read once by every process."""
     return BodyModel.load(path)
 

@@ -47,7 +47,7 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Ru
         ) from error
     joined = not ray.is_initialized()
     if joined:
-        _join(ray, address, cpus)
+        _join_cluster(ray, address, cpus)
     try:
         known = ray.cluster_resources().get("CPU", 1)
         yield max(int(known), 1), partial(_run_on_cluster, ray)
@@ -69,7 +69,7 @@ def with_absolute_paths(settings: FitSettings) -> FitSettings:
     return replace(settings, **found)
 
 
-def _join(ray: Any, address: str, cpus: int | None) -> None:
+def _join_cluster(ray: Any, address: str, cpus: int | None) -> None:
     # do not send usage statistics
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"log_to_driver": False, "logging_level": "ERROR"}

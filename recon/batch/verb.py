@@ -26,11 +26,11 @@ def _is_former(folder: Path) -> bool:
     return any(b"\n" not in log.read_bytes() or read_log(log) for log in logs)
 
 
-def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
+def _batch_output(out: Path, _: Arguments) -> tuple[Output, ...]:
     return (Output(out, Kind.CONTINUED, is_former=_is_former),)
 
 
-def _observations(given: Arguments) -> Iterator[Path]:
+def _observations_in_manifest(given: Arguments) -> Iterator[Path]:
     from recon.batch.worklog import read_manifest
 
     if given["manifest"].is_file():
@@ -38,7 +38,7 @@ def _observations(given: Arguments) -> Iterator[Path]:
             yield from clip.observations
 
 
-@writes(Place("out", _results), reads=_observations)
+@writes(Place("out", _batch_output), reads=_observations_in_manifest)
 def batch(
     manifest: Positional[Path],
     out: Path,
@@ -135,12 +135,12 @@ def _is_former_corpus(folder: Path) -> bool:
     return isinstance(rows, list) and all(isinstance(row, dict) and "clip" in row for row in rows)
 
 
-def _corpus(out: Path, _: Arguments) -> tuple[Output, ...]:
+def _corpus_output(out: Path, _: Arguments) -> tuple[Output, ...]:
     # OUT may lie in the folder of recordings, since motion files are no recordings
     return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
 
 
-@writes(Place("out", _corpus))
+@writes(Place("out", _corpus_output))
 def convert_all(
     recordings: Positional[Path],
     out: Positional[Path],

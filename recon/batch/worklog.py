@@ -46,7 +46,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        clip = _clip(line, path, number)
+        clip = _parsed_clip(line, path, number)
         # many file systems do not distinguish ids that differ only in case
         same = unicodedata.normalize("NFC", clip.name).casefold()
         if same in clips:
@@ -59,7 +59,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     return tuple(clip for _, clip in clips.values())
 
 
-def _clip(line: str, path: Path, number: int) -> BatchClip:
+def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
     """Parse the clip in one line of a manifest."""
     where = f"{path}, line {number}"
     try:

@@ -139,11 +139,11 @@ def _smoothing_method(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> 
     return run
 
 
-def _humor(fit_method: str) -> Callable[[BodyModel], BenchMethod]:
+def _fit_under_humor(fit_method: str) -> Callable[[BodyModel], BenchMethod]:
     return lambda body: _fit_under_prior(body, Humor.load(body=body), fit_method)
 
 
-def _pose(body: BodyModel) -> BenchMethod:
+def _fit_under_pose_prior(body: BodyModel) -> BenchMethod:
     return _fit_under_prior(body, PosePrior.load(body=body))
 
 
@@ -151,8 +151,8 @@ BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {
     "linear": lambda _: _interpolated_joints,
     "butterworth": lambda _: _smoothing_method(lambda x, fps: butterworth(x, fps, CUTOFF)),
     "least-squares": lambda _: _smoothing_method(lambda x, _: whittaker(x, STIFFNESS)),
-    "pose": _pose,
-    **{way: _humor(way) for way in Humor.methods},
+    "pose": _fit_under_pose_prior,
+    **{way: _fit_under_humor(way) for way in Humor.methods},
 }
 """Names of the built-in methods: the data on straight lines, two smoothers, stages 1-2 under the
 pose prior, and the ways to fit under HuMoR."""

@@ -150,7 +150,7 @@ class BenchTable:
         columns = tuple(self.protocol.columns.items())
         for method in self.values:
             found[method] = {
-                heading: _cell(
+                heading: _interval_as_text(
                     self.mean(method, metric), factor, self._has_intervals and column < 2
                 )
                 for column, (metric, (heading, factor)) in enumerate(columns)
@@ -181,14 +181,15 @@ class BenchTable:
             "data": self.data,
             "versions": versions(),
             "windows": {"names": self.names, "subjects": self.subjects, "counted": self.counted},
-            "methods": {method: self._method(method) for method in self.values},
+            "methods": {method: self._method_as_json(method) for method in self.values},
         }
 
-    def _method(self, method: str) -> dict[str, Any]:
+    def _method_as_json(self, method: str) -> dict[str, Any]:
         rows = self.values[method]
         return {
             "mean": {
-                metric: _numbers(self.mean(method, metric), self._has_intervals) for metric in rows
+                metric: _interval_as_numbers(self.mean(method, metric), self._has_intervals)
+                for metric in rows
             },
             "feet_balanced": self.feet[method],
             "subjects": {metric: self.by_subject(method, metric) for metric in rows},
@@ -210,7 +211,7 @@ class BenchTable:
         return "\n".join([f"{self.protocol.name}, {self.source}: {heading} ({metric})", *lines])
 
 
-def _cell(found: Interval | None, factor: float, with_interval: bool) -> str:
+def _interval_as_text(found: Interval | None, factor: float, with_interval: bool) -> str:
     if found is None:
         return "–"
     mean = f"{factor * found.mean:.2f}"
@@ -219,7 +220,9 @@ def _cell(found: Interval | None, factor: float, with_interval: bool) -> str:
     return f"{mean} [{factor * found.low:.2f}, {factor * found.high:.2f}]"
 
 
-def _numbers(found: Interval | None, with_interval: bool) -> dict[str, float | None] | None:
+def _interval_as_numbers(
+    found: Interval | None, with_interval: bool
+) -> dict[str, float | None] | None:
     if found is None:
         return None
     low, high = (found.low, found.high) if with_interval else (None, None)

@@ -61,14 +61,14 @@ def bench(
     with console.progress() as bar:
         tasks = {}
 
-        def show(name: str, window: str) -> None:
+        def advance_bar(name: str, window: str) -> None:
             if name not in tasks:
                 tasks[name] = bar.add_task(name, total=None)
             bar.update(tasks[name], description=f"{name}: {window}", advance=1)
 
         table = work.bench(
             protocol, method, corpus, predictions=predictions, part=part, splits=splits, only=only,
-            callback=show,
+            callback=advance_bar,
         )  # fmt: skip
     console.table(f"{protocol}, {table.source}", table.rows())
     if json is None:

@@ -34,29 +34,29 @@ def quietly(is_quiet: bool) -> Iterator[None]:
 def say(message: str) -> None:
     """Print a line about progress to stderr."""
     if not _quiet.get():
-        _line(message)
+        _print_line(message)
 
 
 def note(message: str) -> None:
     """Print a remark, such as an assumption that explains the result."""
     if not _quiet.get():
-        _line(message, _DIM)
+        _print_line(message, _DIM)
 
 
 def warn(message: str) -> None:
     """Print a warning: a line that should be read before the result is used."""
     if not _quiet.get():
-        _line(f"warning: {message}", _YELLOW)
+        _print_line(f"warning: {message}", _YELLOW)
 
 
 def complain(message: str) -> None:
     """Print an error that concerns only a part of the work."""
-    _line(message)
+    _print_line(message)
 
 
 def last(message: str) -> None:
     """Print the last line of a verb, which says where its result is."""
-    _line(message)
+    _print_line(message)
 
 
 def findings(report: Mapping[str, Any]) -> None:
@@ -96,12 +96,12 @@ def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -
         justify = "right" if column else "left"
         shown.add_column(Text(visible(column)), justify=justify, overflow="fold")
     for name, row in rows.items():
-        cells = (name, *(_cell(row.get(column)) for column in columns))
+        cells = (name, *(_cell_text(row.get(column)) for column in columns))
         shown.add_row(*(Text(visible(cell)) for cell in cells))
     Console(stderr=stderr).print(shown)
 
 
-def _cell(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
@@ -148,7 +148,7 @@ def progress(*columns: Any) -> "Progress":
     return Progress(*columns, console=Console(stderr=True), transient=True, disable=_quiet.get())
 
 
-def _line(message: str, colour: str = "") -> None:
+def _print_line(message: str, colour: str = "") -> None:
     coloured = colour and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
     shown = visible(message)
     sys.stderr.write(f"{colour}{shown}{_PLAIN}\n" if coloured else f"{shown}\n")

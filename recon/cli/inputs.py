@@ -51,7 +51,7 @@ def check_inputs(given: Mapping[str, Any]) -> None:
         # of FILE::MEMBER, FILE must exist
         if not path.exists() and not Path(str(path).partition("::")[0]).exists():
             raise FileNotFoundError(
-                f"there is nothing at {path}: expected {EXPECTED[name]}{_hint(path)}"
+                f"there is nothing at {path}: expected {EXPECTED[name]}{_hint_at_missing(path)}"
             )
 
 
@@ -64,7 +64,7 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
                 yield from _named_paths({f.name: getattr(one, f.name) for f in fields(one)})
 
 
-def _hint(path: Path) -> str:
+def _hint_at_missing(path: Path) -> str:
     """Hint for a missing file: similar names, or that its folder is missing."""
     folder = path.parent
     if not folder.is_dir():

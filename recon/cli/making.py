@@ -83,9 +83,9 @@ def command(name: str, verb: Verb) -> Callable[..., None]:
     return writes(*verb.places)(run)
 
 
-def _function(place: str) -> ast.FunctionDef:
+def _function(function_place: str) -> ast.FunctionDef:
     """Parse the definition of a function "module:name"."""
-    module, _, name = place.partition(":")
+    module, _, name = function_place.partition(":")
     path = Path(recon.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return next(one for one in tree.body if isinstance(one, ast.FunctionDef) and one.name == name)
@@ -97,10 +97,10 @@ def _parameters(node: ast.FunctionDef) -> list[Parameter]:
     missing = [None] * (len(plain) - len(node.args.defaults))
     defaults = [*missing, *node.args.defaults, *node.args.kw_defaults]
     every = zip((*plain, *node.args.kwonlyargs), defaults, strict=True)
-    return [_parameter(one, default) for one, default in every]
+    return [_parameter_of_argument(one, default) for one, default in every]
 
 
-def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
+def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter:
     assert node.annotation is not None
     try:
         kind = _type_of(node.annotation)

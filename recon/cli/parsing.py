@@ -29,12 +29,12 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
         return _parsed_verb(first, words[1:])
     names = listing.names()
     if first and not first.startswith("-"):
-        _refuse(
+        _exit_with_error(
             f"there is no verb {first}{_did_you_mean(first, names)}; the verbs are "
             f"{', '.join(names)}. `recon --help` tells what they do"
         )
-    if unknown := _unknown(words, ("-h", "--help", *_COMPLETION)):
-        _refuse(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
+    if unknown := _unknown_options(words, ("-h", "--help", *_COMPLETION)):
+        _exit_with_error(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
     app = tyro.extras.SubcommandApp()
     for name in names:
         app.command(name=name)(_with_short_help(listing.verb(name)))
@@ -71,9 +71,9 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     except SystemExit as end:
         if not end.code:
             raise
-    if unknown := _unknown(words, options):
+    if unknown := _unknown_options(words, options):
         word = unknown[0]
-        _refuse(
+        _exit_with_error(
             f"`recon {name}` has no option {word}{_did_you_mean(word, options)}; "
             f"`recon {name} --help` lists its options"
         )
@@ -140,7 +140,7 @@ def _description(name: str, verb: Callable[..., None]) -> str:
     return "\n".join((text, "", "Examples:", *(f"  {one}" for one in EXAMPLES[name])))
 
 
-def _unknown(words: Sequence[str], options: Iterable[str]) -> list[str]:
+def _unknown_options(words: Sequence[str], options: Iterable[str]) -> list[str]:
     """Words that look like options but are not known ones."""
     known = set(options)
     names = [word.partition("=")[0] for word in words]
@@ -156,6 +156,6 @@ def _did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
-def _refuse(message: str) -> NoReturn:
+def _exit_with_error(message: str) -> NoReturn:
     sys.stderr.write(f"recon: {visible(message)}\n")
     raise SystemExit(BAD_USAGE)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import FormatError
-from recon.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.json_files import (
     Frames,
     as_floats,
@@ -96,7 +96,7 @@ def read_frames(
         rows += [(number, points, identity) for points, identity in people or []]
     if producer is _people_of_mediapipe:
         rows, layout = _in_pixels(rows, image_size, name), layout or "mediapipe33"
-    return gather(name, [number for number, _ in frames], rows, layout=layout)
+    return detections_of_rows(name, [number for number, _ in frames], rows, layout=layout)
 
 
 def is_alphapose(value: Any) -> bool:
@@ -122,7 +122,7 @@ def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None)
         scale = (1.0, 1.0, _COCO_RANGE)
         rows = [(number, points / scale, identity) for number, points, identity in rows]
     rows.sort(key=lambda row: row[0])
-    return gather(name, sorted(numbers), rows, layout=layout)
+    return detections_of_rows(name, sorted(numbers), rows, layout=layout)
 
 
 def _people_of_openpose(entry: Any, place: str) -> People | None:

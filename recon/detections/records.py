@@ -138,7 +138,7 @@ class Detections:
     """What was decided about the file and why."""
 
 
-def gather(
+def detections_of_rows(
     name: str,
     frame_numbers: Sequence[int],
     rows: Sequence[Row],

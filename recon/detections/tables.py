@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
-from recon.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import first_rows, numbers, read_rows, refuse_repeated_columns
 
@@ -72,7 +72,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     seen = np.argwhere(np.isfinite(points).all(-1).any(-1)).tolist()
     found_rows: list[Row] = [(frames[t], points[t, person], person) for t, person in seen]
     named = (f"body parts not in {chosen}: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, frames, found_rows, layout=chosen, decisions=named)
+    return detections_of_rows(name, frames, found_rows, layout=chosen, decisions=named)
 
 
 def plain_part_name(part: str) -> str:
@@ -140,7 +140,9 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
         for frame, person, who in zip(frames, points, identity, strict=True)
     ]
     said = (f"nodes left out: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, sorted({row[0] for row in found}), found, layout=chosen, decisions=said)
+    return detections_of_rows(
+        name, sorted({row[0] for row in found}), found, layout=chosen, decisions=said
+    )
 
 
 _KEYPOINTS = ("keypoints", "kpts", "keypoints_2d", "keypoints2d", "pred_keypoints")
@@ -178,7 +180,7 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         for person in people
         if np.isfinite(person).all(-1).any() and (person[:, 2] > 0).any()
     ]
-    return gather(path.name, list(range(len(values))), rows, layout=layout)
+    return detections_of_rows(path.name, list(range(len(values))), rows, layout=layout)
 
 
 def _pixels_and_confidence(

@@ -74,7 +74,9 @@ def certainty(found: ClipFit) -> Deviations | None:
     with torch.no_grad():
         try:
             body = estimate.body.model.to(device="cpu", dtype=torch.float64)
-            known = deviations(estimate, seen, noises, density, _ground(found), angle_slopes(body))
+            known = deviations(
+                estimate, seen, noises, density, _ground_uncertainty(found), angle_slopes(body)
+            )
         except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
     if not views_of(found.observations):
@@ -86,7 +88,7 @@ def certainty(found: ClipFit) -> Deviations | None:
         return with_unknown_size(known, found) if size_is_unknown(found) else known
 
 
-def _ground(found: ClipFit) -> GroundBelief | None:
+def _ground_uncertainty(found: ClipFit) -> GroundBelief | None:
     """The assumed uncertainty of the ground; None where there is no ground."""
     if not found.grounded:
         return None

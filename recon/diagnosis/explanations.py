@@ -54,7 +54,7 @@ class DoubtedView:
     def of(cls, images: Images, view: int) -> "DoubtedView":
         """A view, with the points that the other views see."""
         rest = [v for v in range(len(images.names)) if v != view]
-        return cls(images, view, *Rays.of(images.view(rest)).meet())
+        return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
     def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
         """Distances of the view's rays from the points of the others, metres; NaN: unknown."""
@@ -201,11 +201,11 @@ def robust_turns(
 
 
 def averaged(
-    values: Float[np.ndarray, "moments dims"], reach: int
+    values: Float[np.ndarray, "moments dims"], half_width: int
 ) -> Float[np.ndarray, "moments dims"]:
     """Moving average over as many moments to either side, fewer at the ends: lines stay lines."""
     last = len(values) - 1
-    reaches = [min(reach, t, last - t) for t in range(len(values))]
+    reaches = [min(half_width, t, last - t) for t in range(len(values))]
     return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
 
 

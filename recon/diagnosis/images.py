@@ -72,7 +72,7 @@ class Images:
                 [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
             ),
             pose=np.stack([np.broadcast_to(one, (moments, 4, 4)) for one in poses]),
-            scale=np.stack([_scale(*own, points, rest, views[0].fps) for own in each]),
+            scale=np.stack([_pixels_per_metre(*own, points, rest, views[0].fps) for own in each]),
             size=tuple(view.camera.image_size for view in views),
             names=tuple(names),
             points=points,
@@ -89,9 +89,9 @@ class Images:
 
         Views of which nothing changed are the very same objects.
         """
-        return [self._sensor(v, view) for v, view in enumerate(self.views)]
+        return [self._sensor_of_view(v, view) for v, view in enumerate(self.views)]
 
-    def _sensor(self, v: int, view: Keypoints2D) -> Keypoints2D:
+    def _sensor_of_view(self, v: int, view: Keypoints2D) -> Keypoints2D:
         pixels = torch.from_numpy(self.pixels[v]).to(view.pixels)[None]
         confidence = torch.from_numpy(self.confidence[v]).to(view.confidence)[None]
         if not (torch.equal(pixels, view.pixels) and torch.equal(confidence, view.confidence)):
@@ -169,11 +169,13 @@ class Images:
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()
         for v in np.flatnonzero(hidden.any((1, 2)) & (confidence > 0).any((1, 2))):
-            scale[v] = _scale(pixels[v], confidence[v], self.points, self.rest, self.fps)
+            scale[v] = _pixels_per_metre(
+                pixels[v], confidence[v], self.points, self.rest, self.fps
+            )
         return replace(self, pixels=pixels, confidence=confidence, scale=scale)
 
 
-def _scale(
+def _pixels_per_metre(
     pixels: Float[np.ndarray, "moments points 2"],
     confidence: Float[np.ndarray, "moments points"],
     points: Sequence[str],

@@ -290,7 +290,7 @@ def _close_velocities(
 
 def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
     """Points from the room's frame in the frame of a treadmill's belt (velocity in m/s)."""
-    path = _path(points.positions.shape[-3], points.fps, points.start_time, belt)
+    path = _path_of_belt(points.positions.shape[-3], points.fps, points.start_time, belt)
     moved = points.positions - path.to(points.positions)[:, None]
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
@@ -302,11 +302,11 @@ def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
 
 def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
     """Distance that the belt has moved at every frame of a motion, metres."""
-    path = _path(motion.frames, motion.fps, motion.start_time, belt)
+    path = _path_of_belt(motion.frames, motion.fps, motion.start_time, belt)
     return path.to(motion.translation)
 
 
-def _path(
+def _path_of_belt(
     count: int, fps: float, start: float, belt: Float[Tensor, " 2"]
 ) -> Float[Tensor, "time 3"]:
     times = start + torch.arange(count, dtype=torch.float64) / fps

@@ -22,7 +22,7 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.images import Images
-from recon.diagnosis.rigs import Agreement, agreement, corrected_rig, median_miss
+from recon.diagnosis.rigs import Agreement, best_agreement, corrected_rig, median_miss
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -226,7 +226,7 @@ def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
         return images, NOTHING
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
-    timed = agreement(images, ("clock",))
+    timed = best_agreement(images, ("clock",))
     by, clear = _clock_shift_in_words(images, timed), timed.remains < _MAX_MIRRORED_RATIO * given
     if clear and timed.remains <= floor:
         text = (
@@ -235,7 +235,7 @@ def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
         )
         done = Finding("views out of step", text, value=timed.late / images.fps)
         return timed.images, Findings((done,))
-    turned, both = agreement(images, ("pose",)), agreement(images, ("clock", "pose"))
+    turned, both = best_agreement(images, ("pose",)), best_agreement(images, ("clock", "pose"))
     if both.remains < turned.remains / _SIMPLER:
         turned = both
     code: Code = "view at odds"

@@ -106,9 +106,9 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [_middle_seconds(one) for one in versions]
-    fits = _fitted(excerpts[:1], method, body)
+    fits = _fits_of_versions(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
-        fits += _fitted(
+        fits += _fits_of_versions(
             excerpts[1:], partial(quick_stages, noise, max_iterations=_ITERATIONS_OF_OTHERS), body
         )
     if excerpts[0] is first:
@@ -118,20 +118,20 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     # imported here: only long recordings need it
     from recon.fitting.long import fit_long
 
-    motion = fit_long([_robust(versions[best])], method, body, start=start).motion
+    motion = fit_long([_with_robust_kernel(versions[best])], method, body, start=start).motion
     estimate = Estimate.of_clip(motion[0].detach(), body)
     return [QuickFit(given[best], estimate, fits[best].cost)]
 
 
-def _robust(points: TrackedPoints) -> TrackedPoints:
+def _with_robust_kernel(points: TrackedPoints) -> TrackedPoints:
     return points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
 
 
-def _fitted(
+def _fits_of_versions(
     versions: Sequence[TrackedPoints], method: Stages, body: BodyModel, start: Motion | None = None
 ) -> list[QuickFit]:
     """Fits of all versions at once, from the medians of their points or from a given motion."""
-    robust = _robust(concatenate(list(versions)))
+    robust = _with_robust_kernel(concatenate(list(versions)))
     if start is None:
         smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
         start = concatenate([one.start(body) for one in smooth])
@@ -159,7 +159,7 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
     noise = estimate_noise(points.positions, points.visible)
     method, start = partial(quick_stages, noise), fit.estimate.motion
     reached = solve([points.replace(kernel=squared)], method, body, start=start).motion
-    (again,) = _fitted([points], method, body, reached.detach())
+    (again,) = _fits_of_versions([points], method, body, reached.detach())
     return replace(again, points=fit.points) if again.cost < fit.cost else fit
 
 

@@ -30,7 +30,7 @@ class Rays:
         origin = -(images.pose[..., None, :3, 3] @ turn)
         return cls(origin, in_front(images) @ turn, images.confidence**2)
 
-    def meet(
+    def triangulated(
         self,
     ) -> tuple[Float[np.ndarray, "moments points 3"], Bool[np.ndarray, "moments points"]]:
         """Triangulated points, and a mask of those that two views see under a sufficient angle.
@@ -79,7 +79,7 @@ _MIN_MOMENTS = 10
 
 def body_size(images: Images) -> float | None:
     """Size of the triangulated body relative to the average; None if too little is seen."""
-    points, exists = Rays.of(images).meet()
+    points, exists = Rays.of(images).triangulated()
     ratios: list[float] = []
     for side, bone in product(("left", "right"), _BONES):
         if {*(names := [f"{side}_{part}" for part in bone])} <= {*images.points}:
@@ -147,7 +147,7 @@ class Trajectories:
             images: the views.
             noise: standard deviation of a pixel coordinate in every view.
         """
-        points, exists = Rays.of(images).meet()
+        points, exists = Rays.of(images).triangulated()
         local, front = in_camera(images.pose, points[None])
         seen = images.seen & front & exists
         slope = derivatives_of_projection(local, front) * images.focal[:, None, None, None, None]

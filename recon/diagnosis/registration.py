@@ -212,7 +212,10 @@ class Alignment(Problem[_View]):
         if found.there.sum() < _MIN_KEYPOINTS:
             return None
         normal, _, inflation = self._equations((late, pose), found)
-        covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
+        covariance, unknown = (
+            np.zeros((7, 7)),
+            np.ix_(self._unknown_indices, self._unknown_indices),
+        )
         covariance[unknown] = np.linalg.inv(normal[unknown])
         turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
         values = np.concatenate(([late], turn, self._shift(pose)))
@@ -230,7 +233,7 @@ class Alignment(Problem[_View]):
         )  # fmt: skip
 
     @property
-    def _unknown(self) -> list[int]:
+    def _unknown_indices(self) -> list[int]:
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
     def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
@@ -248,7 +251,7 @@ class Alignment(Problem[_View]):
 
     def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:
         """Quadratic model about a correction (reweighted); flat if too little is seen."""
-        found, own = self._residuals(*x), self._unknown
+        found, own = self._residuals(*x), self._unknown_indices
         normal, slope = np.eye(7), np.zeros(7)
         if found.there.sum() >= _MIN_KEYPOINTS:
             normal, slope, _ = self._equations(x, found)
@@ -259,7 +262,7 @@ class Alignment(Problem[_View]):
         """The correction after a step that changes the clock by at most two frames."""
         del rows
         step = np.zeros(7)
-        step[self._unknown] = steps[0].numpy()
+        step[self._unknown_indices] = steps[0].numpy()
         return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved(x[1], step[1:4], step[4:])
 
     def _best_offset(
@@ -276,7 +279,7 @@ class Alignment(Problem[_View]):
         some = replace(self, frames=self.frames[::step])
         lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
         for late in sorted(lates.tolist(), key=abs):
-            turned = some._turned(late, pose) if "pose" in self.parts else pose
+            turned = some._pose_turned_onto_points(late, pose) if "pose" in self.parts else pose
             found = some._residuals(late, turned)
             if found.there.sum() < _MIN_KEYPOINTS / step:
                 continue
@@ -285,7 +288,9 @@ class Alignment(Problem[_View]):
                 best = (away, late, turned)
         return best[1], best[2]
 
-    def _turned(self, late: float, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    def _pose_turned_onto_points(
+        self, late: float, pose: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "4 4"]:
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
         rays = in_front(self.images)[0, self.rows]

@@ -50,7 +50,7 @@ class Agreement:
     """Median distance by which rays then miss each other's points, metres."""
 
 
-def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
+def best_agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
     """Find the clock and rotation of the second view with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
     turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
@@ -74,7 +74,7 @@ def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
 def median_miss(images: Images) -> float:
     """Median distance of rays from the points triangulated from them, metres."""
     rays = Rays.of(images)
-    points, exists = rays.meet()
+    points, exists = rays.triangulated()
     there = exists & (rays.weight > 0)
     return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
 
@@ -195,7 +195,7 @@ def corrections(images: Images) -> Corrections:
     applied: tuple[Registration, ...] = ()
     for _ in range(len(images.names) - 2):
         found = candidates(images)
-        if not found or not certain(found[0], images.fps):
+        if not found or not is_certain(found[0], images.fps):
             break
         best = found[0]
         alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
@@ -208,7 +208,7 @@ def corrections(images: Images) -> Corrections:
 def corrected_rig(images: Images) -> tuple[Images, Findings]:
     """The views after `corrections`, and these corrections as findings."""
     found = corrections(images)
-    repairs = tuple(_finding(images, one) for one in found.applied)
+    repairs = tuple(_finding_of_correction(images, one) for one in found.applied)
     if not found.undecided:
         return found.images, Findings(repairs)
     every = [
@@ -236,18 +236,18 @@ def candidates(images: Images) -> list[Registration]:
     )
     if not any(one.doubted for one in given):
         return []
-    every = [_simplest(images, one) for one in given]
+    every = [_simplest_correction(images, one) for one in given]
     return sorted((one for one in every if one is not None), key=lambda one: one.cost)
 
 
-def certain(found: Registration, fps: float) -> bool:
+def is_certain(found: Registration, fps: float) -> bool:
     """Whether a correction is significant and leaves only noise as residuals."""
     if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
     return any(_is_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
-def _simplest(images: Images, given: Alignment) -> Registration | None:
+def _simplest_correction(images: Images, given: Alignment) -> Registration | None:
     """The correction with the fewest parts (clock, rotation, shift) that suffices for a view."""
     both = given.solved()
     if both is None:
@@ -263,7 +263,7 @@ def _is_needed(found: Registration, part: Part, fps: float, least: float) -> boo
     return large and found.squared_deviations(part) >= least
 
 
-def _finding(images: Images, found: Registration) -> Finding:
+def _finding_of_correction(images: Images, found: Registration) -> Finding:
     code: Code = "views out of step" if found.late else "view at odds"
     advice = ["Number the frames of all cameras from the same moment"] if found.late else []
     if found.values[1:].any() or not found.late:

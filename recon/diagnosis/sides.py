@@ -102,7 +102,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
         flags[v] = _cheapest_exchanges(group, [len(first)])[-1]
     if views > 1:
         rays = Rays.of(images.exchanged(flags))
-        points, exists = rays.meet()
+        points, exists = rays.triangulated()
         miss, there = rays.miss(points), exists & (rays.weight > 0)
         for own, near, seen in zip(flags, miss, there, strict=True):
             if seen[own].any() and np.median(near[own][seen[own]]) > _MEET:
@@ -140,7 +140,7 @@ def _misfit_per_frame(
         return cost
     named = images.exchanged(np.repeat(exchanged[:, None], moments, 1))
     rays = Rays.of(named)
-    points, exists = rays.meet()
+    points, exists = rays.triangulated()
     miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     cost += counted[:, named.sided].sum(-1)

@@ -45,7 +45,7 @@ def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) 
         "endheader",
         "\t".join(("time", *columns)),
     ]
-    _write(path, header, motion, columns, "\t")
+    _write_table(path, header, motion, columns, "\t")
 
 
 def write_angles(
@@ -70,10 +70,10 @@ def write_angles(
     if std is not None:
         known = zip(ISB_ANGLES, std.double().cpu().numpy().T, strict=True)
         columns |= {f"{name}_std": values for name, values in known}
-    _write(path, [",".join(("time", *columns))], motion, columns, ",")
+    _write_table(path, [",".join(("time", *columns))], motion, columns, ",")
 
 
-def _write(
+def _write_table(
     path: Path,
     header: list[str],
     motion: Motion,

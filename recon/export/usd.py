@@ -46,7 +46,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
     with replacing(path) as beside, TemporaryDirectory() as folder:
         # written under a plain name, since the library parses arguments in file names
         staged = Path(folder) / f"motion{path.suffix.lower()}"
-        _save(staged, motion, body)
+        _write_stage(staged, motion, body)
         shutil.copyfile(staged, beside)
 
 
@@ -58,7 +58,7 @@ def joint_paths() -> list[str]:
     return paths
 
 
-def _save(path: Path, motion: Motion, body: BodyModel) -> None:
+def _write_stage(path: Path, motion: Motion, body: BodyModel) -> None:
     """Make a USD stage with one person and write it."""
     pxr: Any = import_module("pxr")
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
@@ -79,11 +79,11 @@ def _save(path: Path, motion: Motion, body: BodyModel) -> None:
     skeleton.CreateBindTransformsAttr(_translation_matrices(pxr, rest))
     skeleton.CreateRestTransformsAttr(_translation_matrices(pxr, rest_offsets(rest)))
     animation = pxr.UsdSkel.Animation.Define(stage, "/person/motion")
-    _animate(pxr, animation, motion, rest)
+    _write_animation(pxr, animation, motion, rest)
     binding = pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
-    _skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
+    _write_skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
     # viewers need bounding boxes over time to show the body
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
@@ -100,7 +100,7 @@ def _translation_matrices(pxr: Any, places: Float[np.ndarray, "joints 3"]) -> An
     return pxr.Vt.Matrix4dArray(moved)
 
 
-def _animate(
+def _write_animation(
     pxr: Any, animation: Any, motion: Motion, rest: Float[np.ndarray, "joints 3"]
 ) -> None:
     """Write the rotations of all joints and the path of the pelvis into an animation."""
@@ -116,7 +116,7 @@ def _animate(
         translations.Set(pxr.Vt.Vec3fArray.FromNumpy(place), frame)
 
 
-def _skin(
+def _write_skin(
     pxr: Any, mesh: Any, skeleton: Any, body: BodyModel, vertices: Float[np.ndarray, "vertices 3"]
 ) -> None:
     """Write the unposed surface and its skinning weights into a mesh."""

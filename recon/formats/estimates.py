@@ -78,7 +78,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         FileNotFoundError: when there is no such file.
         FormatError: when it is damaged, holds nothing of this kind or not so many people.
     """
-    tree = _tree(path)
+    tree = _read_tree(path)
     people = list(_people(tree, ()))
     in_world = [
         one for one in people if not any(word in str(key) for key in one[0] for word in _IN_CAMERA)
@@ -110,7 +110,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         raise FormatError(f"{path}: no frame of the person holds finite numbers")
     limits.POSITION.check(translation[known], path, "translation")
     rotations, translation, known = _on_clock(path, arrays, rotations, translation, known)
-    axis = _up(path, rotations[known], up, notes)
+    axis = _up_axis_of(path, rotations[known], up, notes)
     betas = next((_numbers(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
     known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
     betas = betas.reshape(-1, betas.shape[-1]).mean(0) if known_shape else np.zeros(1)
@@ -120,7 +120,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     return BodyEstimate(rotations, translation, known, betas, rate, axis, tuple(notes))
 
 
-def _tree(path: Path) -> Tree:
+def _read_tree(path: Path) -> Tree:
     """Read a file as nested dictionaries of arrays, without running code in it."""
     existing(path)
     suffix = path.suffix.lower()
@@ -305,7 +305,7 @@ def _on_clock(
     return rotations[held], translation[held], there
 
 
-def _up(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
+def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
     """The axis along which the trunk stands, by the pelvis' y axis, which points to the head."""
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:

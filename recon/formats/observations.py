@@ -131,11 +131,11 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
         "truth_T_world_camera": found.poses("truth_T_world_camera", (4, 4)),
     }
     if kind == "points":
-        return _points(found, common)
+        return _points_file(found, common)
     if kind == "keypoints2d":
-        file, frames = _keypoints(found, common), len(found.arrays["confidence"])
+        file, frames = _keypoints_file(found, common), len(found.arrays["confidence"])
     else:
-        file = _positions(found, kind, METRES[unit or "m"], common)
+        file = _positions_file(found, kind, METRES[unit or "m"], common)
         frames = len(file.visible)
     if frames == 0:
         raise FormatError(f"{path}: expected at least one frame, got none")
@@ -160,67 +160,67 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
     save_arrays(Path(path), arrays)
 
 
-def _positions(
-    found: "_Arrays", kind: Any, metres: float, common: dict[str, Any]
+def _positions_file(
+    arrays: "_Arrays", kind: Any, metres: float, common_fields: dict[str, Any]
 ) -> PositionsFile:
-    visible = found.checked("visible", (None, None), "b")
-    positions = found.checked("positions", (*visible.shape, 3))
-    limits.JOINTS.check(visible.shape[1], found.path, "visible")
+    visible = arrays.checked("visible", (None, None), "b")
+    positions = arrays.checked("positions", (*visible.shape, 3))
+    limits.JOINTS.check(visible.shape[1], arrays.path, "visible")
     scaled = positions if metres == 1 else positions * metres
-    limits.POSITION.check(scaled, found.path, "positions", seen=visible)
-    std = found.optional("std", visible.shape)
+    limits.POSITION.check(scaled, arrays.path, "positions", seen=visible)
+    std = arrays.optional("std", visible.shape)
     if std is not None:
-        limits.POINT_DEVIATION.check(std * metres, found.path, "std", seen=visible)
+        limits.POINT_DEVIATION.check(std * metres, arrays.path, "std", seen=visible)
         std = np.where(visible, std, 0.0)
-    names = found.checked("names", visible.shape[1:], "US")
+    names = arrays.checked("names", visible.shape[1:], "US")
     return PositionsFile(
         kind=kind,
-        positions=np.where(visible[..., None], positions @ found.rotation_to_z_up().T, 0.0),
+        positions=np.where(visible[..., None], positions @ arrays.rotation_to_z_up().T, 0.0),
         visible=visible,
         names=tuple(names.astype(str).tolist()),
         std=std,
-        **{key: bool(found.number(key, 1.0)) for key in ("ground_known", "level", "placed")},
-        **common,
+        **{key: bool(arrays.number(key, 1.0)) for key in ("ground_known", "level", "placed")},
+        **common_fields,
     )
 
 
-def _keypoints(found: "_Arrays", common: dict[str, Any]) -> KeypointsFile:
-    confidence = found.checked("confidence", (None, None), limit=limits.CONFIDENCE)
-    pixels = found.checked("pixels", (*confidence.shape, 2))
-    limits.PIXEL.check(pixels, found.path, "pixels", seen=confidence > 0)
-    limits.JOINTS.check(confidence.shape[1], found.path, "confidence")
+def _keypoints_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> KeypointsFile:
+    confidence = arrays.checked("confidence", (None, None), limit=limits.CONFIDENCE)
+    pixels = arrays.checked("pixels", (*confidence.shape, 2))
+    limits.PIXEL.check(pixels, arrays.path, "pixels", seen=confidence > 0)
+    limits.JOINTS.check(confidence.shape[1], arrays.path, "confidence")
     return KeypointsFile(
         pixels=np.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
-        layout=found.text("layout"),
-        camera=_camera(found, len(confidence)),
-        **common,
+        layout=arrays.text("layout"),
+        camera=_camera(arrays, len(confidence)),
+        **common_fields,
     )
 
 
-def _points(found: "_Arrays", common: dict[str, Any]) -> PointsFile:
-    path = found.path
-    points = found.checked("points", (None, 3), limit=limits.POSITION)
-    frame = found.checked("frame", points.shape[:1], "iu")
+def _points_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> PointsFile:
+    path = arrays.path
+    points = arrays.checked("points", (None, 3), limit=limits.POSITION)
+    frame = arrays.checked("frame", points.shape[:1], "iu")
     if len(points) == 0:
         raise FormatError(f"{path}: expected at least one point")
     limits.FRAME_NUMBER.check(frame, path, "frame")
     limits.CLOUD.check(len(points), path, "points")
-    camera, rotation_to_z_up = None, found.rotation_to_z_up()
-    if {"camera_matrix", "image_size"} <= found.arrays.keys():
-        camera = _camera(found, int(frame.max()) + 1)
+    camera, rotation_to_z_up = None, arrays.rotation_to_z_up()
+    if {"camera_matrix", "image_size"} <= arrays.arrays.keys():
+        camera = _camera(arrays, int(frame.max()) + 1)
     if camera is None or camera.T_camera_world is not None:
         points = points @ rotation_to_z_up.T
     if camera is not None and camera.T_camera_world is not None:
         pose = camera.T_camera_world.copy()
         pose[:, :3, :3] = pose[:, :3, :3] @ rotation_to_z_up.T
         camera = replace(camera, T_camera_world=pose)
-    clock = PointClock(frame.astype(np.int64), common["fps"], common["start_time"])
+    clock = PointClock(frame.astype(np.int64), common_fields["fps"], common_fields["start_time"])
     moving = camera is not None and camera.poses > 1
-    if not moving and common["truth_visible"] is None:
+    if not moving and common_fields["truth_visible"] is None:
         clock = settled_clock(clock.frame, clock.fps, clock.start_time, path)
     limits.FRAME_RATE.check(clock.fps, path, "fps")
-    return PointsFile(points=points, camera=camera, **{**common, **vars(clock)})
+    return PointsFile(points=points, camera=camera, **{**common_fields, **vars(clock)})
 
 
 def _camera(found: "_Arrays", frames: int) -> CameraArrays:

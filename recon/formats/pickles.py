@@ -73,7 +73,7 @@ def array_in(value: object, name: str, path: Path) -> np.ndarray:
         ValueError: when it is none, damaged, or has more numbers than a body model.
     """
     try:
-        array = _plain(value)
+        array = _unwrapped(value)
     except (
         KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
     ) as error:  # fmt: skip
@@ -100,8 +100,10 @@ class _Chumpy(_Inert):
 
     def value(self) -> object:
         if "x" in self.state:
-            return _plain(self.state["x"])
-        picked = np.asarray(_plain(self.state["a"])).reshape(-1)[np.asarray(self.state["idxs"])]
+            return _unwrapped(self.state["x"])
+        picked = np.asarray(_unwrapped(self.state["a"])).reshape(-1)[
+            np.asarray(self.state["idxs"])
+        ]
         return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
 
 
@@ -134,7 +136,7 @@ class _CompressedColumns(_CompressedRows):
         return self._dense(columns, rows).T
 
 
-def _plain(value: object) -> object:
+def _unwrapped(value: object) -> object:
     return value.value() if isinstance(value, _Chumpy | _CompressedRows) else value
 
 
@@ -145,7 +147,7 @@ def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin-1")
 
 
-def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
+def _empty_array(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
     """Replacement for the function with which numpy's pickles begin an array.
 
     Only size zero is allowed.
@@ -218,7 +220,7 @@ _CONTAINERS = (object, set, frozenset, dict, list, tuple, slice, int, float, boo
 _ALLOWED: dict[tuple[str, str], object] = {
     ("numpy", "ndarray"): np.ndarray,
     ("numpy", "dtype"): np.dtype,
-    **{(f"{core}.multiarray", "_reconstruct"): _empty for core in _NUMPY},
+    **{(f"{core}.multiarray", "_reconstruct"): _empty_array for core in _NUMPY},
     **{(f"{core}.multiarray", "scalar"): np.float64(0).__reduce__()[0] for core in _NUMPY},
     **{(f"{core}.numeric", "_frombuffer"): np.zeros(1).__reduce_ex__(5)[0] for core in _NUMPY},
     **{(module, kind.__name__): kind for module in _BUILTINS for kind in _CONTAINERS},

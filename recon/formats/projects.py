@@ -55,9 +55,9 @@ def project_at(folder: Path) -> Project | None:
     if not folder.is_dir():
         return None
     if (folder / _METADATA).is_file() or (folder / "MarkerData").is_dir():
-        return _opencap(folder)
+        return _opencap_project(folder)
     if any((folder / name).is_dir() for name in (*_POSES, "pose-3d")):
-        return _pose2sim(folder)
+        return _pose2sim_project(folder)
     if (folder / _CONFIG).is_file():
         trials = sorted(
             one.parent for depth in ("*", "*/*") for one in folder.glob(f"{depth}/pose*")
@@ -71,13 +71,13 @@ def project_at(folder: Path) -> Project | None:
     return None
 
 
-def _pose2sim(folder: Path) -> Project | None:
+def _pose2sim_project(folder: Path) -> Project | None:
     levels = [folder, *folder.resolve().parents][:_LEVELS]
     configs = [level / _CONFIG for level in levels if (level / _CONFIG).is_file()]
     # without a configuration file, folders above do not belong to the project
     calibration = _calibration(levels if configs else levels[:1])
     detections = next((folder / name for name in _POSES if (folder / name).is_dir()), None)
-    points = _points(folder)
+    points = _triangulated_points_file(folder)
     if not configs and calibration is None and points is None:
         return None  # a folder of detections without a project
     stated: dict[str, Any] = {}
@@ -124,7 +124,7 @@ def _calibration(levels: list[Path]) -> Path | None:
     return None
 
 
-def _points(folder: Path) -> Path | None:
+def _triangulated_points_file(folder: Path) -> Path | None:
     """The file of triangulated keypoints; the unfiltered one if possible, since fits smooth."""
     found = sorted((folder / "pose-3d").glob("*.trc"))
     raw = [one for one in found if "filt" not in one.name and "_LSTM" not in one.name]
@@ -186,7 +186,7 @@ def _frame_range(stated: Any, folder: Path) -> tuple[int, int] | None:
     return stated[0], stated[1]
 
 
-def _opencap(folder: Path) -> Project:
+def _opencap_project(folder: Path) -> Project:
     markers = folder / "MarkerData"
     trials = sorted(markers.glob("*.trc")) or sorted(markers.glob("*/*.trc"))
     moving = [one for one in trials if one.stem.lower() not in ("neutral", "static")]

@@ -63,7 +63,7 @@ def read_colmap(path: Path) -> "CameraTrack":
     found = {name: re.findall(r"\d+", Path(name).stem)[-1:] for name in images}
     names = sorted(images, key=lambda name: (int((found[name] or "0")[0]), name))
     rows = np.array([_numbers(images[name][1:8], path) for name in names])
-    T = np.linalg.inv(rigid(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
+    T = np.linalg.inv(rigid_transforms(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
     numbers = [int(found[name][0]) for name in names if found[name]]
     counted = len(set(numbers)) == len(names)
     cameras = path.with_name("cameras.txt")
@@ -92,7 +92,9 @@ def read_tum(path: Path) -> "CameraTrack":
     if len(table) < 2 or not (np.diff(times) > 0).all():
         raise FormatError(f"{path}: expected rising timestamps, got {len(table)} poses")
     frames = times.astype(np.int64) if (times == np.round(times)).all() else None
-    return CameraTrack(rigid(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM")
+    return CameraTrack(
+        rigid_transforms(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM"
+    )
 
 
 def _camera(path: Path, camera_id: str) -> CameraFields:
@@ -122,7 +124,7 @@ def _numbers(fields: list[str], path: Path) -> list[float]:
         raise FormatError(f"{path}: expected numbers, got {' '.join(fields)[:80]!r}") from error
 
 
-def rigid(
+def rigid_transforms(
     quaternion: Float[np.ndarray, "poses 4"],
     translations: Float[np.ndarray, "poses 3"],
     path: Path,
@@ -226,7 +228,7 @@ def read_track(path: Path) -> CameraTrack:
         case ".txt" | ".tum":
             return (read_colmap if path.name == "images.txt" else read_tum)(path)
         case ".npy":
-            return _droid(load_array(path), None, None, path)
+            return _track_of_droid(load_array(path), None, None, path)
         case ".npz":
             arrays = load_arrays(path)
             name = next((name for name in _SEVEN if name in arrays), None)
@@ -235,9 +237,11 @@ def read_track(path: Path) -> CameraTrack:
                     f"{path}: expected poses of DROID-SLAM or DPVO in one of {', '.join(_SEVEN)}, "
                     f"found {', '.join(sorted(arrays))}"
                 )
-            return _droid(arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path)
+            return _track_of_droid(
+                arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path
+            )
         case ".json":
-            return _arkit(path)
+            return _track_of_arkit(path)
     raise FormatError(f"{path}: expected the track of a camera: {_WRITTEN}")
 
 
@@ -254,7 +258,7 @@ def _interpolated(
     return _transforms(turns, places)
 
 
-def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
+def _track_of_droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
     if rows.ndim != 2 or rows.shape[1] != 7 or rows.dtype.kind not in "fiu" or len(rows) < 2:
         raise FormatError(
             f"{path}: expected poses of DROID-SLAM or DPVO, an array (frames, 7) of tx ty tz qx "
@@ -268,10 +272,12 @@ def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
     if intrinsics is not None:
         fx, fy, cx, cy = np.atleast_2d(np.asarray(intrinsics, np.float64))[0, :4]
         camera = CameraFields("track", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return CameraTrack(rigid(rows[:, 3:], rows[:, :3], path), frames, None, camera, "DROID-SLAM")
+    return CameraTrack(
+        rigid_transforms(rows[:, 3:], rows[:, :3], path), frames, None, camera, "DROID-SLAM"
+    )
 
 
-def _arkit(path: Path) -> CameraTrack:
+def _track_of_arkit(path: Path) -> CameraTrack:
     value = read_json(path)
     entries = value.get("frames", value) if isinstance(value, dict) else value
     keys = [key for key in _ARKIT if isinstance(entries, list) and entries and key in entries[0]]
@@ -279,7 +285,7 @@ def _arkit(path: Path) -> CameraTrack:
         raise FormatError(
             f"{path}: expected frames of ARKit, each with one of {', '.join(_ARKIT)}"
         )
-    matrices = np.array([_square(one[keys[0]], 4, path) for one in entries])
+    matrices = np.array([_square_matrix(one[keys[0]], 4, path) for one in entries])
     times = [next((one[key] for key in _TIMES if key in one), None) for one in entries]
     T = matrices @ _FLIPPED
     level = np.eye(4)
@@ -288,12 +294,14 @@ def _arkit(path: Path) -> CameraTrack:
         "intrinsics", value.get("intrinsics") if value is not entries else None
     )
     size = entries[0].get("imageResolution")
-    camera = None if stated is None else CameraFields("track", _square(stated, 3, path), size)
+    camera = (
+        None if stated is None else CameraFields("track", _square_matrix(stated, 3, path), size)
+    )
     known = None if None in times else np.array(times, np.float64)
     return CameraTrack(level @ T, None, known, camera, "ARKit", metric=True, level=True)
 
 
-def _square(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
+def _square_matrix(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
     """A rigid or camera matrix, written by rows or, as Swift does, by columns."""
     try:
         matrix = np.array(value, np.float64).reshape(size, size)

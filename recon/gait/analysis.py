@@ -103,14 +103,25 @@ def over_cycle(
 
 
 def _cycle(
-    feet: Feet, side: int, strike: int, off: int, after: int, other: Sequence[GaitStance]
+    feet: Feet,
+    side: int,
+    strike: int,
+    toe_off: int,
+    next_strike: int,
+    other_stances: Sequence[GaitStance],
 ) -> GaitCycle:
-    period = after - strike
-    opposite_off = [s.off for s in other if s.off is not None and strike <= s.off < off]
-    opposite = [s.strike for s in other if s.strike is not None and strike < s.strike <= after]
+    period = next_strike - strike
+    opposite_off = [
+        s.off for s in other_stances if s.off is not None and strike <= s.off < toe_off
+    ]
+    opposite = [
+        s.strike
+        for s in other_stances
+        if s.strike is not None and strike < s.strike <= next_strike
+    ]
     begin, end = (
         _place_of_heel(feet, side, strike, period),
-        _place_of_heel(feet, side, after, period),
+        _place_of_heel(feet, side, next_strike, period),
     )
     stride = end - begin
     length = float(np.linalg.norm(stride))
@@ -120,14 +131,16 @@ def _cycle(
         between = _place_of_heel(feet, 1 - side, opposite[0], period) - begin
         step = length - float(between @ along)
         width = abs(float(between[0] * along[1] - between[1] * along[0]))
-    angles = np.unwrap(np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : after + 1])
+    angles = np.unwrap(
+        np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : next_strike + 1]
+    )
     return GaitCycle(
         side=SIDES[side],
         strike=float(feet.times[strike]),
         opposite_off=float(feet.times[opposite_off[0]]) if opposite_off else None,
         opposite_strike=float(feet.times[opposite[0]]) if opposite else None,
-        off=float(feet.times[off]),
-        next_strike=float(feet.times[after]),
+        off=float(feet.times[toe_off]),
+        next_strike=float(feet.times[next_strike]),
         length=length,
         step_length=step,
         step_width=width,

@@ -187,7 +187,7 @@ def _figures_html(gait: Gait) -> str:
     rows = [
         [
             f"{name} ({unit})",
-            *(_cell(cells.get((name, side))) for side in ("both", *SIDES)),
+            *(_figure_as_text(cells.get((name, side))) for side in ("both", *SIDES)),
         ]
         for name, unit in names
     ]
@@ -204,7 +204,7 @@ def _figures_html(gait: Gait) -> str:
     return _html_table(head, rows) + caption + (_warning_box(turning) if turns else "")
 
 
-def _cell(figure: GaitFigure | None) -> str:
+def _figure_as_text(figure: GaitFigure | None) -> str:
     if figure is None:
         return "–"
     digits = _DECIMALS[figure.unit]

@@ -21,11 +21,11 @@ def table_of(gait: Gait) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)
     for rows in (_figure_rows(gait), _event_rows(gait), _cycle_rows(gait), _angle_rows(gait)):
-        writer.writerows([_cell(value) for value in row] for row in rows)
+        writer.writerows([_cell_text(value) for value in row] for row in rows)
     return text.getvalue()
 
 
-def _cell(value: str | int | float | None) -> str:
+def _cell_text(value: str | int | float | None) -> str:
     if value is None:
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -111,11 +111,11 @@ def _skeleton_map(name: str, table: SkeletonTable, their_names: Mapping[str, str
     positions = both | dict(table.get("positions", {}))
     orientations = both | dict(table.get("orientations", {}))
 
-    def ordered(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
+    def joints_feet_last(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
         numbers = sorted(map(joint_index, part), key=lambda j: (j in FEET, j))
         return tuple((j, their_names[plain_joint_name(part[JOINTS[j]])]) for j in numbers)
 
-    return SkeletonMap(name, ordered(positions), ordered(orientations))
+    return SkeletonMap(name, joints_feet_last(positions), joints_feet_last(orientations))
 
 
 _WORST_BONE = 40.0

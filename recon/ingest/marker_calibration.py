@@ -73,7 +73,7 @@ class SubjectEnergies(Problem[Calibrated]):
 
     def value(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The total energy of poses, shape and marker offsets."""
-        value, _ = self.of(x.shape, x.offsets).look(x.poses, self._frames)
+        value, _ = self.of(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
         return self._total_energy(x, value).expand(len(rows), 1)
 
     def _total_energy(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
@@ -98,7 +98,7 @@ class SubjectEnergies(Problem[Calibrated]):
     def model(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Quadratic:
         """Quadratic model of the energy, in which shape and offsets border the poses' blocks."""
         energies, poses = self.of(x.shape, x.offsets), x.poses
-        value, gradient = energies.look(poses, self._frames)
+        value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
         grown = energies.markers.by_shape(poses, self.body)
@@ -162,13 +162,13 @@ def calibrated(
     robust = replace(energies, poses=replace(energies.poses, sigma=sigma), with_offsets=True)
     average = plain.of(shape, energies.nominal)
     rough = LevenbergMarquardt(tolerance=_ROUGH, damping=_DAMPING)
-    poses = minimise_frames(average, average.begun(translation, rotations), rough).state
+    poses = minimise_frames(average, average.poses_of(translation, rotations), rough).state
     few = torch.arange(0, len(translation), _EVERY)
     state = Calibrated(poses[few], shape, energies.nominal)
     state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
     state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
     of_subject = robust.of(state.shape, state.offsets)
-    began = of_subject.begun(poses.translation, poses.rotations)
+    began = of_subject.poses_of(poses.translation, poses.rotations)
     poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
     state = Calibrated(poses, state.shape, state.offsets)
     return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

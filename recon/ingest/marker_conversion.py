@@ -75,7 +75,9 @@ def convert_markers(
     with one_thread():
         markers = full_body_markers(recording, body, mapping)
         recording = right_handed_markers(recording, markers, hand)
-        return _converted(fitted_markers(recording, body, markers), markers, body, keep_frame)
+        return _conversion_of_fit(
+            fitted_markers(recording, body, markers), markers, body, keep_frame
+        )
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def _left_out_finding(labels: list[str]) -> tuple[Finding, ...]:
     return (Finding("outliers", said, tuple(labels), value=float(len(labels))),)
 
 
-def _converted(
+def _conversion_of_fit(
     found: FittedMarkers, markers: MarkerSet, body: BodyModel, keep_frame: bool
 ) -> Conversion:
     fit, chosen = found.fit, found.recording

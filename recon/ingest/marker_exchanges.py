@@ -32,7 +32,7 @@ def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Fin
     """
     positions, visible = recording.positions.copy(), recording.visible.copy()
     wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]] = {}
-    for a, b in _candidates(recording):
+    for a, b in _pairs_that_jump(recording):
         flips = _frames_of_exchange(positions[:, [a, b]], visible[:, [a, b]])
         if not flips.any() or flips.sum() > max(2, len(flips) // 8):
             continue
@@ -47,7 +47,7 @@ def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Fin
     return repaired, _stretch_findings(recording.marker_names, wrong)
 
 
-def _candidates(recording: MarkerRecording) -> list[tuple[int, int]]:
+def _pairs_that_jump(recording: MarkerRecording) -> list[tuple[int, int]]:
     """Pairs of markers that both move far between the same two frames."""
     both = recording.visible[1:] & recording.visible[:-1]
     steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=-1) * both

@@ -50,16 +50,16 @@ def marker_findings(
     found: list[Finding] = []
     labels = recording.marker_names
 
-    def names(flags: np.ndarray) -> tuple[str, ...]:
+    def flagged(flags: np.ndarray) -> tuple[str, ...]:
         return tuple(label for label, flag in zip(labels, flags, strict=True) if flag)
 
     if constant.any():
         found.append(
             Finding(
                 "constant point",
-                f"{listed(names(constant))} stay in one place in the room while the body moves; "
+                f"{listed(flagged(constant))} stay in one place in the room while the body moves; "
                 "they hardly count, but delete or relabel them",
-                names(constant),
+                flagged(constant),
                 value=float(constant.sum()),
             )
         )
@@ -68,10 +68,10 @@ def marker_findings(
         found.append(
             Finding(
                 "outliers",
-                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their place "
+                f"{listed(flagged(wild))} are more than {100 * FAR:.0f} cm from their place "
                 f"it in up to {100 * _most_far(far, seen, wild):.0f} % of their frames: look "
                 "for exchanged labels, ghosts and loose markers",
-                names(wild),
+                flagged(wild),
                 stretches(np.any(far[:, wild], axis=1)),
                 _most_far(far, seen, wild),
             )
@@ -82,9 +82,9 @@ def marker_findings(
         found.append(
             Finding(
                 "offset point",
-                f"{listed(names(elsewhere))} sit up to {100 * most:.0f} cm from where their names "
-                "say: check the labels, or say where they sit with --mapping",
-                names(elsewhere),
+                f"{listed(flagged(elsewhere))} sit up to {100 * most:.0f} cm from where their "
+                "names say: check the labels, or say where they sit with --mapping",
+                flagged(elsewhere),
                 value=most,
             )
         )

@@ -103,7 +103,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
             )
         chosen = _frames_with_most_markers(visible, shown)
         subject = _energies(recording, markers, body)
-        found = _calibrated(subject.frames(chosen), bones)
+        found = _calibrated_to_frames(subject.frames(chosen), bones)
         offsets, poses = found.offsets, found.poses
         motion = Motion.create(poses.translation, poses.rotations, found.shape, recording.fps)
         energies = subject.of(found.shape, offsets)
@@ -129,8 +129,8 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         offsets,
         predicted,
         observed=observed_joints(visible, markers.vertices, body),
-        repaired=_spread(changed, placed, recording.frames),
-        unsupported=_spread(unsupported, placed[1:] - 1, recording.frames - 1),
+        repaired=_among_all_frames(changed, placed, recording.frames),
+        unsupported=_among_all_frames(unsupported, placed[1:] - 1, recording.frames - 1),
     )
 
 
@@ -166,7 +166,7 @@ def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -
     )
 
 
-def _calibrated(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
+def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
     """Shape, marker offsets and poses of some frames, taken as independent of each other."""
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)
@@ -194,10 +194,12 @@ def _marker_positions(
     return points.places(Poses.of(motion.translation, motion.rotations, rest)).mT
 
 
-def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) -> Tensor:
+def _among_all_frames(
+    values: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int
+) -> Tensor:
     """Flags of `count` rows: those given, at the rows `index`, and false elsewhere."""
-    everything = torch.zeros(count, *some.shape[1:], dtype=torch.bool)
-    everything[index] = some
+    everything = torch.zeros(count, *values.shape[1:], dtype=torch.bool)
+    everything[index] = values
     return everything
 
 

@@ -66,8 +66,8 @@ def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: 
 
 def solved_near(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
     """Solve some frames to a coarse tolerance, from a good guess."""
-    begun = energies.begun(start.translation, start.rotations)
-    found = minimise_frames(energies, begun, _solver_settings(energies, tolerance)).state
+    poses_of = energies.poses_of(start.translation, start.rotations)
+    found = minimise_frames(energies, poses_of, _solver_settings(energies, tolerance)).state
     return Motion.create(found.translation, found.rotations, start.shape, start.fps)
 
 
@@ -80,7 +80,7 @@ def solved_together(energies: PoseEnergies, start: Motion) -> Motion:
     settings = replace(_solver_settings(energies, _EXACT), stride=stride)
     motion = start
     for part in torch.arange(start.frames).split(_CHUNK):
-        motion = _solved(energies, part, motion, settings)
+        motion = _with_frames_solved(energies, part, motion, settings)
     return motion
 
 
@@ -101,7 +101,7 @@ def repaired_frames(
     positions, visible = energies.positions.mT, energies.visible > 0
 
     def residuals(motion: Motion) -> Float[Tensor, "frames markers"]:
-        poses = energies.begun(motion.translation, motion.rotations)
+        poses = energies.poses_of(motion.translation, motion.rotations)
         away = energies.markers.places(poses).mT - positions
         return away.norm(dim=-1).where(visible, 0.0)
 
@@ -113,21 +113,21 @@ def repaired_frames(
     def solved_again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
         # first without a robust kernel, which would ignore the markers of wrongly turned limbs
         plain = replace(energies, sigma=None)
-        start = _solved(plain, frames, start, _solver_settings(energies, _NEAR))
-        return _solved(energies, frames, start, _solver_settings(energies, _EXACT))
+        start = _with_frames_solved(plain, frames, start, _solver_settings(energies, _NEAR))
+        return _with_frames_solved(energies, frames, start, _solver_settings(energies, _EXACT))
 
-    def stiffer(
+    def solved_with_stiffer_joints(
         frames: Int[Tensor, " frames"], start: Motion, turning: Float[Tensor, " 22"]
     ) -> Motion:
         stiff = replace(energies, turning=energies.turning * turning)
-        return _solved(stiff, frames, start, _solver_settings(energies, _EXACT))
+        return _with_frames_solved(stiff, frames, start, _solver_settings(energies, _EXACT))
 
     motion, changed = with_doubtful_frames_solved(motion, unsupported, residuals, solved_again)
-    motion, spread = with_jumps_spread(motion, unsupported, stiffer)
+    motion, spread = with_jumps_spread(motion, unsupported, solved_with_stiffer_joints)
     return motion, changed | spread, unsupported(motion)
 
 
-def _solved(
+def _with_frames_solved(
     energies: PoseEnergies,
     frames: Int[Tensor, " frames"],
     start: Motion,
@@ -137,7 +137,7 @@ def _solved(
     around = torch.unique(torch.cat((frames - 1, frames, frames + 1)))
     around = around[(around >= 0) & (around < start.frames)]
     inside = torch.searchsorted(around, frames)
-    poses = energies.begun(start.translation[around], start.rotations[around])
+    poses = energies.poses_of(start.translation[around], start.rotations[around])
     found = minimise_frames(energies.frames(around), poses, settings, inside).state[inside]
     return with_poses(start, frames, found)
 
@@ -226,7 +226,7 @@ def with_jumps_spread(
         solve: solves frames with the weights of all joints' turns from frame to frame multiplied.
     """
     changed = torch.zeros(motion.frames, dtype=torch.bool)
-    for stiffer in _STIFFER:
+    for solved_with_stiffer_joints in _STIFFER:
         jumps = unsupported(motion)
         around = _doubtful_frames(
             jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps
@@ -237,7 +237,7 @@ def with_jumps_spread(
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
             # a joint jumps because its parent or grandparent turns, so these are made stiffer
             parent = max(PARENTS[joint], 0)
-            turning[[parent, max(PARENTS[parent], 0)]] = stiffer
+            turning[[parent, max(PARENTS[parent], 0)]] = solved_with_stiffer_joints
         tried = solve(*_interpolated_over(motion, around), turning)
         better = _stretches_where(
             around, partial(_fewer_unsupported_steps, jumps, unsupported(tried))

@@ -119,7 +119,7 @@ def _tied_energies(
 ) -> PoseEnergies:
     """The energies with a pull to the rotations that neighbouring frames suggest."""
     natural = _smoothed_rotations(
-        energies, energies.begun(motion.translation, motion.rotations), moments, step
+        energies, energies.poses_of(motion.translation, motion.rotations), moments, step
     )
     return replace(energies, natural=natural, pull=natural.new_full((len(natural),), _PULL))
 
@@ -128,7 +128,7 @@ def _offset_changes(
     energies: PoseEnergies, motion: Motion, bones: tuple[int, ...]
 ) -> Float[Tensor, "markers 3"]:
     """Changes of marker offsets towards where the markers are seen; zero for unseen markers."""
-    poses = energies.begun(motion.translation, motion.rotations)
+    poses = energies.poses_of(motion.translation, motion.rotations)
     force, weight = energies.forces(poses)
     turns = poses.orientations[:, list(bones)]
     away = (turns.mT @ force.mT[..., None])[..., 0].sum(0)
@@ -147,17 +147,17 @@ def _smoothed_rotations(
         step: seconds.
     """
     count = step * REFERENCE_FPS / energies.weight
-    known = _information(energies, poses) * (count / _MARKER**2)
+    known = _inverse_covariances(energies, poses) * (count / _MARKER**2)
     natural = natural_pose().to(known)
     away = so3.log(natural.mT @ poses.rotations[:, 1:].to(known))
     told = (known @ away[..., None])[..., 0]
     prior = _MEAN * torch.eye(3).to(known)
     mean = torch.linalg.solve(known.sum(0) + prior, told.sum(0)[..., None])[..., 0]
-    turn = mean + _smoothed(known, away - mean, moments, step)
+    turn = mean + _smoothed_over_time(known, away - mean, moments, step)
     return (natural @ so3.exp(turn)).to(poses.rotations)
 
 
-def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
+def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
     """Inverse covariance of every joint's rotation, given the markers; m² / radian².
 
     The other joints are free: two joints that only turn against each other unseen are not known.
@@ -186,7 +186,7 @@ def _variances(
     return blocks.permute(0, 3, 1, 2)[:, 1:]
 
 
-def _smoothed(
+def _smoothed_over_time(
     known: Float[Tensor, "frames 21 3 3"],
     values: Float[Tensor, "frames 21 3"],
     moments: Int[Tensor, " frames"],
@@ -197,7 +197,7 @@ def _smoothed(
 
     at = moments.numpy()
     time = int(at[-1]) + 1
-    process = _precision(time, step)
+    process = _precision_band(time, step)
     told = (known @ values[..., None])[..., 0].numpy()
     found = np.zeros((len(at), len(JOINTS) - 1, 3))
     for joint in range(found.shape[1]):
@@ -211,7 +211,7 @@ def _smoothed(
     return torch.from_numpy(found)
 
 
-def _precision(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
+def _precision_band(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
     """Lower band of the precision matrix of three random processes over time.
 
     The energy of a Matérn 3/2 process is ∫ (κ⁴ x² + 2 κ² x'² + x''²) dt / (4 κ³ σ²).

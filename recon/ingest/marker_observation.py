@@ -64,7 +64,7 @@ def seen_markers(
         shown.start_time,
         squared if robust is None else partial(geman_mcclure, sigma=robust),
         ground_known=grounded,
-        std=_deviations(found),
+        std=_standard_deviations(found),
         offsets=offsets,
         labels=shown.marker_names,
     )
@@ -82,7 +82,7 @@ def seen_markers(
     return seen, (*found.decisions, ground, *bare, *changed)
 
 
-def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
+def _standard_deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
     """Standard deviation of each marker's coordinates about its fitted position, metres."""
     seen = found.recording.visible
     square = np.where(seen, np.square(marker_distances(found.fit, found.recording)), 0.0).sum(

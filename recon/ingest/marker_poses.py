@@ -204,30 +204,30 @@ class PoseEnergies(TiedFrames[Poses]):
             positions=self.positions[index],
             visible=self.visible[index],
             linked=linked,
-            natural=_some(self.natural, index),
-            pull=_some(self.pull, index),
+            natural=_values_of_rows(self.natural, index),
+            pull=_values_of_rows(self.pull, index),
         )
 
     def untied(self) -> "PoseEnergies":
         """The same energies without ties between frames."""
         return replace(self, linked=torch.zeros_like(self.linked))
 
-    def begun(
+    def poses_of(
         self, translation: Float[Tensor, "frames 3"], rotations: Float[Tensor, "frames 22 3 3"]
     ) -> Poses:
         """The poses of this body with a translation and joint rotations."""
         return Poses.of(translation, rotations, self.rest)
 
-    def look(
+    def energies_and_gradients(
         self, state: Poses, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 69"]]:
         """Energies of some frames, without ties, and their gradients."""
-        some = _rows(state, rows)
+        some = _poses_of_rows(state, rows)
         value, slope, away = self._residuals(some, rows)
         gradient = self.markers.pull(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
-        natural, pull = _some(self.natural, rows), _some(self.pull, rows)
+        natural, pull = _values_of_rows(self.natural, rows), _values_of_rows(self.pull, rows)
         value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
         bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
         gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
@@ -241,18 +241,18 @@ class PoseEnergies(TiedFrames[Poses]):
 
     def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
         """Gauss-Newton Hessians of the energies of some frames."""
-        some = _rows(state, rows)
+        some = _poses_of_rows(state, rows)
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
         diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
-        diagonal[..., 1:] += _some(self.pull, rows)[:, None, None]
+        diagonal[..., 1:] += _values_of_rows(self.pull, rows)[:, None, None]
         if self.soles is not None:
             _, weight = self.depths(some)
             touching = weight.any(-1).nonzero()[:, 0]
             self.soles.levers.add_rising(out, touching, some.bones[touching], weight[touching])
         return self.weight * out
 
-    def alike(
+    def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Mask of the pairs of frames in which the same markers are visible."""
@@ -273,7 +273,7 @@ class PoseEnergies(TiedFrames[Poses]):
 
     def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
         """All poses after a step of some of the frames."""
-        found = _rows(state, rows).moved(steps, self.rest)
+        found = _poses_of_rows(state, rows).moved(steps, self.rest)
         if len(rows) == len(state.translation):
             return found
         fresh = iter(found.tensors().values())
@@ -297,8 +297,8 @@ class PoseEnergies(TiedFrames[Poses]):
 
     def _residuals(self, some: Poses, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Robust kernel of squared distances, its derivative, and predicted minus observed."""
-        away = self.markers.places(some) - _some(self.positions, rows)
-        seen, size = _some(self.visible, rows), away.square().sum(1)
+        away = self.markers.places(some) - _values_of_rows(self.positions, rows)
+        seen, size = _values_of_rows(self.visible, rows), away.square().sum(1)
         if self.sigma is None:
             return size * seen, seen, away
         scale = self.sigma**2
@@ -306,11 +306,11 @@ class PoseEnergies(TiedFrames[Poses]):
         return share * size * seen, share.square() * seen, away
 
 
-def _rows(state: Poses, rows: Tensor) -> Poses:
+def _poses_of_rows(state: Poses, rows: Tensor) -> Poses:
     # avoid the copy that indexing makes when all frames are asked for
     return state if len(rows) == len(state.translation) else state[rows]
 
 
-def _some(values: Tensor, rows: Tensor) -> Tensor:
+def _values_of_rows(values: Tensor, rows: Tensor) -> Tensor:
     # a single value is shared by all frames
     return values if len(values) in (1, len(rows)) else values[rows]

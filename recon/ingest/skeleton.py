@@ -48,7 +48,7 @@ def solve(
     """
     frames = [Frames.of(r, subject.skeleton) for r in recordings]
     motion = pad(
-        [_start(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
+        [_first_guess(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
     )
     points = subject.skeleton.joints
     seen = Joints3D(
@@ -86,7 +86,7 @@ def solve(
     ]
 
 
-def _start(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
+def _first_guess(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
     """First guess: recorded orientations; bones without one keep their rest rotation."""
     targets = frames.orientations @ subject.alignments
     recorded = {bone: targets[:, row] for row, bone in enumerate(subject.skeleton.bones)}

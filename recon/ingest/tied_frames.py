@@ -44,7 +44,7 @@ class TiedFrames(ABC, Generic[S]):
         """Second derivatives of a tie by the variables of one of its frames."""
 
     @abstractmethod
-    def look(
+    def energies_and_gradients(
         self, state: S, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows n"]]:
         """Energies of some frames without ties, and their gradients by each frame's variables."""
@@ -54,7 +54,7 @@ class TiedFrames(ABC, Generic[S]):
         """Gauss-Newton Hessians of some frames without ties; positive semidefinite."""
 
     @abstractmethod
-    def alike(
+    def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Mask of pairs of frames with the same kind of data, which can share a Hessian."""
@@ -126,7 +126,7 @@ def minimise_frames(
     count = len(energies.linked) + 1
     every = torch.arange(count)
     rows = every if rows is None else rows
-    value, gradient = energies.look(state, every)
+    value, gradient = energies.energies_and_gradients(state, every)
     between, pull = energies.tied(state)
     curvatures = _Curvatures.none(gradient)
     damping = torch.full_like(value, settings.damping)
@@ -135,7 +135,7 @@ def minimise_frames(
     moves = torch.zeros(count, dtype=torch.bool)
     moves[rows] = True
     converged = ~moves
-    curvatures.renew(energies, state, rows, damping, settings.stride)
+    curvatures.recompute(energies, state, rows, damping, settings.stride)
     iterations = 0
     while len(rows) > 0 and iterations < settings.max_iterations:
         iterations += 1
@@ -151,12 +151,12 @@ def minimise_frames(
         promise = 0.5 * (down * steps).sum(-1)
         scale = (value[rows] + _half_of_adjacent_ties(between)[rows]).clamp(min=settings.floor)
         tried = energies.moved(state, rows, steps)
-        values, slopes = energies.look(tried, rows)
+        values, slopes = energies.energies_and_gradients(tried, rows)
         ends, pulls = energies.tied(tried)
         # predicted change of the ties, so that a frame's step is judged by its
         # own effect and not by the effect of its neighbours' steps
-        drawn = pull[rows] + energies.stiffness * steps - 0.5 * ties.drawn(steps)
-        change = values - value[rows] + (drawn * steps).sum(-1)
+        times_vector = pull[rows] + energies.stiffness * steps - 0.5 * ties.times_vector(steps)
+        change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
         rising = (change > rounding * scale).nonzero()[:, 0]
         size = curvatures.size(rows[rising], steps[rising])
@@ -184,7 +184,7 @@ def minimise_frames(
             ~converged & (damping < _MAX_DAMPING), energies.linked
         )
         rows = rows.nonzero()[:, 0]
-        curvatures.renew(energies, state, worn[torch.isin(worn, rows)], damping, 1)
+        curvatures.recompute(energies, state, worn[torch.isin(worn, rows)], damping, 1)
     return Minimised(state, value, between, converged, iterations, curvatures.count)
 
 
@@ -214,7 +214,7 @@ class _Curvatures:
         """Half of each step's squared length in the metric of its frame's Hessian."""
         return 0.5 * (self.of(rows).mT @ steps[..., None]).square().sum((1, 2))
 
-    def renew(
+    def recompute(
         self,
         energies: TiedFrames[S],
         state: S,
@@ -224,7 +224,7 @@ class _Curvatures:
     ) -> None:
         """Recompute the factors of some frames; up to `stride` similar frames share one."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
-        self.owner[rows] = middle.where(energies.alike(rows, middle), rows)
+        self.owner[rows] = middle.where(energies.share_data_kind(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
             curvature = energies.curvature(state, some)
             diagonal = curvature.diagonal(dim1=1, dim2=2)
@@ -259,7 +259,7 @@ class Ties:
     linked: Bool[Tensor, " between"]
     """l_i: whether block i is tied to block i + 1; one fewer than there are blocks."""
 
-    def drawn(self, x: Float[Tensor, "blocks n"]) -> Float[Tensor, "blocks n"]:
+    def times_vector(self, x: Float[Tensor, "blocks n"]) -> Float[Tensor, "blocks n"]:
         """The springs' product with a vector: T (l_i x_(i+1) + l_(i-1) x_(i-1))."""
         out = torch.zeros_like(x)
         if len(x) > 1:
@@ -289,23 +289,23 @@ def solve_tied(
         tolerance: of the residual's norm in the inverse of the blocks, relative to the first one.
         iterations: at most so many; without any the ties are left out.
     """
-    x = _solved(factors, right)
+    x = _solved_blocks(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
     # the residual of the solution without ties is the force of the ties
-    residual = ties.drawn(x)
+    residual = ties.times_vector(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)
     before = 1.0
     for _ in range(iterations):
-        z = _solved(factors, residual)
+        z = _solved_blocks(factors, residual)
         size = float((residual * z).sum())
         if not size > target:
             break
         share = size / before
         direction = z + share * direction
         product = residual + share * product
-        bent = product - ties.drawn(direction)
+        bent = product - ties.times_vector(direction)
         curvature = float((direction * bent).sum())
         if not curvature > 0:
             break
@@ -316,7 +316,7 @@ def solve_tied(
     return x
 
 
-def _solved(
+def _solved_blocks(
     factors: Float[Tensor, "blocks n n"], right: Float[Tensor, "blocks n"]
 ) -> Float[Tensor, "blocks n"]:
     # two triangular solves: several times faster than cholesky_solve for single columns

@@ -141,7 +141,7 @@ def _every_few(count: int) -> Int[np.ndarray, " some"]:
     return np.arange(0, count, max(1, count // _POINTS))
 
 
-def _posed(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
+def _posed_with_states(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
     """The target body posed with several states, one frame each."""
     turns = states[:, _TURNS].unflatten(-1, (len(JOINTS), 3))
     motion = Motion.create(
@@ -155,7 +155,7 @@ def _points_and_derivatives(
 ) -> tuple[Float[Tensor, "points 3"], Float[Tensor, "points 3 n"]]:
     """Vertices of the target, or its limbs' joints, and their derivatives by the state."""
     states = torch.cat((state[None], state + _STEP * torch.eye(len(state)).to(state)))
-    posed = _posed(target, states)
+    posed = _posed_with_states(target, states)
     if vertices is None:
         points = posed.joints[:, 0, list(_LIMBS)]
     else:
@@ -201,7 +201,7 @@ class _Alignment(Problem[Tensor]):
             away = (here - self.goal).flatten()
             return slopes.flatten(0, 1), away, torch.full_like(away, _JOINTS_WEIGH)
         every = torch.arange(len(self.target.template))
-        here = _posed(self.target, x[None]).points(every)[0, 0].numpy()
+        here = _posed_with_states(self.target, x[None]).points(every)[0, 0].numpy()
         pairs = self.goal.pairs(here, self.target.faces.numpy())
         _, slopes = _points_and_derivatives(self.target, x, pairs.vertices)
         across = torch.einsum("rd,rdk->rk", pairs.directions, slopes)
@@ -253,7 +253,7 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
     rest = align(body, motion.shape, target)
     moved = _first_guess(motion, body, target, rest)
-    return Transferred(moved.to(dtype=dtype), _distances(motion, body, moved, target))
+    return Transferred(moved.to(dtype=dtype), _surface_distances(motion, body, moved, target))
 
 
 def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned) -> Motion:
@@ -302,7 +302,7 @@ def carried(
     return local, place - pelvis
 
 
-def _distances(
+def _surface_distances(
     motion: Motion, body: BodyModel, moved: Motion, target: BodyModel
 ) -> Float[np.ndarray, "frames vertices"]:
     frames = np.unique(np.linspace(0, motion.frames - 1, _JUDGED).round().astype(int))

@@ -64,7 +64,9 @@ def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray]
         The points of the cluster in every frame, and the number of frames in which another cluster
         of a person's size is seen; 0 for a few.
     """
-    frames = {k: _frame(cloud, reach) for k, cloud in enumerate(clouds) if len(cloud) > 0}
+    frames = {
+        k: _clusters_of_frame(cloud, reach) for k, cloud in enumerate(clouds) if len(cloud) > 0
+    }
     kept, beside = [cloud[:0] for cloud in clouds], 0
     if not frames:
         return kept, 0
@@ -83,7 +85,7 @@ def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray]
     return kept, beside if beside > _OFTEN * len(frames) else 0
 
 
-def _frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
+def _clusters_of_frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
     label = clusters(cloud, reach)
     size = np.bincount(label)
     large = int((size >= _LARGE * size[0]).sum())
@@ -178,7 +180,7 @@ def cloud_of(
     T = np.eye(4)
     if not known:
         given = T_recording_camera
-        T = _levelling(file.points, found.ground) if given is None else given
+        T = _pose_above_ground(file.points, found.ground) if given is None else given
     clouds = [cloud @ T[:3, :3].T + T[:3, 3] for cloud in clouds]
     walls = _walls(file.camera, clouds, T)
     seen = found.ground is not None
@@ -234,7 +236,7 @@ def cloud_of(
         fps=file.fps,
         start_time=file.start_time,
         camera=camera,
-        std=None if camera is None else _noise(padded, present, camera),
+        std=None if camera is None else _distance_noise(padded, present, camera),
         ground_known=known,
         ground_seen=found.ground is not None,
     )
@@ -290,7 +292,7 @@ def _walls(
     return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]
 
 
-def _noise(
+def _distance_noise(
     points: Float[np.ndarray, "1 moments points 3"],
     present: Bool[np.ndarray, "1 moments points"],
     camera: Camera,
@@ -315,7 +317,7 @@ def _checked_frame_count(file: PointsFile, points_per_frame: int) -> int:
     return frames
 
 
-def _levelling(
+def _pose_above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground | None
 ) -> Float[np.ndarray, "4 4"]:
     """T_recording_camera: z up, y the horizontal part of the view, the sensor above the origin."""

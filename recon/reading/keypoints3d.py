@@ -67,10 +67,10 @@ def settled(
     """
     check_override(unit)
     known = _upper_neck_renamed(_named(with_rate(raw, fps), body, layout))
-    metres, unit_reason = _unit(known, body, unit)
+    metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
-    up, up_reason = _up(known.names, positions, visible, up, known.name)
+    up, up_reason = _up_axis(known.names, positions, visible, up, known.name)
     names = known.names
     positions = positions @ (to_z_up(up).T * metres)
     factors, mirrored = right_handed(names, positions, visible, hand)
@@ -85,7 +85,7 @@ def settled(
         said.append("the frame is a camera's, which may be tilted: gravity is estimated")
     ground_known = level
     if placed:
-        ground_known, reason = _ground(names, positions, visible, level=level)
+        ground_known, reason = _ground_is_zero(names, positions, visible, level=level)
         said.append(reason)
     else:
         said.append(
@@ -151,7 +151,7 @@ def _first_names(names: tuple[str, ...] | list[str]) -> str:
     return ", ".join(names[:8]) + more
 
 
-def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
+def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
     """Metres per unit of the file, and the reason."""
     name = known.name
     found = bone_lengths(known.positions, BodyPoints.of_names(known.names, body), body)
@@ -186,7 +186,7 @@ def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, s
     return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
 
 
-def _up(
+def _up_axis(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
@@ -244,7 +244,7 @@ def _stands_upright(
     return bool(np.linalg.norm(mean[:2]) < _STRAIGHT * mean[2])
 
 
-def _ground(
+def _ground_is_zero(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],

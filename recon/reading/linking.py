@@ -177,9 +177,9 @@ class _Linking:
         here = self._distinct(here, alive[0].people, frame)
         after: list[_Assignment] = []
         for one in alive:
-            costs = self._costs(one.people, here, frame)
+            costs = self._costs_of_links(one.people, here, frame)
             after += [
-                self._extended(one, here, frame, pairs, costs)
+                self._with_frame_linked(one, here, frame, pairs, costs)
                 for pairs in cheapest_assignments(costs)
             ]
         self.followed = self._best_distinct(after)
@@ -188,7 +188,7 @@ class _Linking:
         """The best assignment; tracks that may be exchanged end there and new ones begin."""
         best, *others = self.followed
         for other in others:
-            best = _doubted(best, other)
+            best = _marked_if_doubtful(best, other)
         labels = dict[int, int]()
         step = best.frames
         while step is not None:
@@ -244,7 +244,7 @@ class _Linking:
         usual = np.median(near) if near else np.inf
         return float(np.clip(usual, *_SPREADS))
 
-    def _costs(
+    def _costs_of_links(
         self, people: Sequence[_Person], rows: Sequence[int], frame: int
     ) -> Float[np.ndarray, "people rows"]:
         """Costs of links; infinite where somebody cannot have moved so far."""
@@ -276,7 +276,7 @@ class _Linking:
                 out[k, p] = place + pose + trunk
         return out
 
-    def _extended(
+    def _with_frame_linked(
         self,
         assignment: _Assignment,
         rows: Sequence[int],
@@ -348,11 +348,11 @@ class _Linking:
             if same is None:
                 kept[one.nameless] = one
             else:
-                kept[one.nameless] = _doubted(same, one)
+                kept[one.nameless] = _marked_if_doubtful(same, one)
         return list(kept.values())[:_KEPT]
 
 
-def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
+def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     """The best assignment, marked as doubtful where another one is about as good."""
     if other.cost - best.cost >= CERTAIN:
         return best

@@ -268,7 +268,9 @@ def settle_body_layout(
     """
     count = positions.shape[1]
     misfits = {
-        one: _misfit(positions, one, body) for one, names in LAYOUTS.items() if len(names) == count
+        one: _misfit_of_layout(positions, one, body)
+        for one, names in LAYOUTS.items()
+        if len(names) == count
     }
     fitting = [one for one, misfit in misfits.items() if misfit <= GOOD]
     if layout is not None:
@@ -309,6 +311,6 @@ def _hint_at_layout(fitting_layouts: list[str]) -> str:
     )
 
 
-def _misfit(positions: np.ndarray, layout: str, body: BodyModel) -> float:
+def _misfit_of_layout(positions: np.ndarray, layout: str, body: BodyModel) -> float:
     found = bone_lengths(positions, BodyPoints.of_layout(layout, body), body)
     return np.inf if found is None else found.misfit

@@ -104,7 +104,9 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
-    inside = [_inside(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    inside = [
+        _without_border_keypoints(one, camera) for one, camera in zip(found, cameras, strict=True)
+    ]
     found, left_out = [one for one, _ in inside], [note for _, note in inside if note]
     layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
     return SeenViews(
@@ -281,7 +283,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     return first, last - first + 1
 
 
-def _inside(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
     """The detections without keypoints at the image border or beyond, and a note about these.
 
     Detectors guess what the image does not show, and many clamp the guess to the border.

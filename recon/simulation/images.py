@@ -198,7 +198,7 @@ def cameras_around(
         placed = dome(truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first)
         cameras = {f"cam{k}": camera for k, camera in enumerate(placed, 1)}
     else:
-        cameras = _calibrated(Path(film.camera), truth, body, film.views)
+        cameras = _cameras_of_calibration(Path(film.camera), truth, body, film.views)
     if film.orbit == 0:
         return cameras
     if any(camera.T_camera_world.ndim == 3 for camera in cameras.values()):
@@ -207,7 +207,9 @@ def cameras_around(
     return {n: orbiting(c, middle, truth.frames, film.orbit) for n, c in cameras.items()}
 
 
-def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[str, Camera]:
+def _cameras_of_calibration(
+    path: Path, truth: Motion, body: BodyModel, views: int
+) -> dict[str, Camera]:
     if not path.exists():
         raise FileNotFoundError(
             f"{path}: no such calibration; expected a file, or one of {', '.join(_PRESETS)}"
@@ -217,7 +219,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
         raise ReconError(f"{path} already lists the cameras ({len(found)}); leave views out")
     cameras = {}
     for name, arrays in found.items():
-        camera = _camera(arrays, truth)
+        camera = _camera_of_arrays(arrays, truth)
         if arrays.T_camera_world is None:
             if len(found) > 1:
                 raise ReconError(f"{path}: camera {name} has no pose, so it cannot be placed")
@@ -234,7 +236,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
     return cameras
 
 
-def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
+def _camera_of_arrays(arrays: CameraArrays, truth: Motion) -> Camera:
     """A camera as tensors; a fixed camera's pose has no time axis."""
     poses = arrays.T_camera_world
     if poses is not None and len(poses) == 1:

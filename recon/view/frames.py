@@ -55,7 +55,7 @@ def write_png(
         width, wanted = width or 360, 5
         size = (width, 11 * width // 9)
     chosen = _evenly_spread(show.frames, wanted) if frames is None else frames
-    _check(width, chosen, show.frames)
+    _check_width_and_frames(width, chosen, show.frames)
     stands = viewpoints(show, size)
     rows = [_scene_pictures(one, chosen, stands) for one in shows]
     for view in show.cameras:
@@ -86,7 +86,7 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
     """
     parts = [clip_region(show, view) for view in show.cameras]
     width = width or (480 if parts else 640)
-    _check(width, range(show.frames), show.frames)
+    _check_width_and_frames(width, range(show.frames), show.frames)
     size = (width, width + width // 16)
     if parts:
         size = (width, max(min(parts[0].size(width)[1], width), width // 2))
@@ -183,7 +183,7 @@ def _evenly_spread(count: int, wanted: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 
-def _check(width: int, frames: Sequence[int], count: int) -> None:
+def _check_width_and_frames(width: int, frames: Sequence[int], count: int) -> None:
     if not 64 <= width <= 2048:
         raise ValueError(f"a picture is 64 to 2048 pixels wide, got {width}")
     if len(frames) == 0 or not all(0 <= frame < count for frame in frames):

@@ -76,12 +76,12 @@ def write_html(path: str | Path, show: Show) -> None:
     with replacing(Path(path)) as scratch, contextlib.redirect_stdout(io.StringIO()):
         server = ViserServer(host="127.0.0.1", verbose=False)
         try:
-            page = _record(server, show)
+            page = _recorded_page(server, show)
         finally:
             server.stop()
         title = f"<title>{html.escape(visible(show.title))}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
-        page = page.replace("</body>", _legend(show) + "</body>", 1)
+        page = page.replace("</body>", _legend_html(show) + "</body>", 1)
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
 
@@ -99,7 +99,7 @@ def prune_weights(
     return kept / kept.sum(1, keepdims=True)
 
 
-def _record(server: ViserServer, show: Show) -> str:
+def _recorded_page(server: ViserServer, show: Show) -> str:
     """Play the show on a local server, and return the page that replays its messages."""
     scene = server.scene
     scene.set_up_direction("+z")
@@ -290,7 +290,7 @@ def _darker_colour(colour: Colour) -> Colour:
     return red, green, blue
 
 
-def _legend(show: Show) -> str:
+def _legend_html(show: Show) -> str:
     """HTML of the title and a legend with switches, in the page's upper left corner."""
     rows = [
         _legend_row(

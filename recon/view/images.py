@@ -73,7 +73,7 @@ def whole_image(view: View) -> Region:
 
 def clip_region(show: Show, view: View) -> Region:
     """The part of a camera's image in which people are during the clip; same aspect ratio."""
-    low, high, seen = _extents(show, view)
+    low, high, seen = _bounds_over_time(show, view)
     if not seen.any():
         return whole_image(view)
     size = np.array(view.camera.image_size, float)
@@ -85,7 +85,7 @@ def clip_region(show: Show, view: View) -> Region:
 
 def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[Region]:
     """Squares of one size around the people in some frames."""
-    low, high, seen = (values[list(frames)] for values in _extents(show, view))
+    low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)
     side = (high - low)[seen].max() * (1 + 2 * MARGIN) if seen.any() else size.max()
     side = float(np.clip(side, SMALLEST * size[0], size.max()))
@@ -103,7 +103,7 @@ def drawable(
     return straight.in_front & near.all(-1)
 
 
-def _extents(
+def _bounds_over_time(
     show: Show, view: View
 ) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time 2"], Bool[np.ndarray, " time"]]:
     """Bounding box of people and of confident points in every frame, and a mask of frames."""

@@ -76,7 +76,7 @@ def test_calibration_frames_are_apart_and_count_as_thirty_a_second(
     for rate in (markers.fps, 4 * markers.fps):
         subject = fit._energies(dataclasses.replace(markers, fps=rate), known, single)
         with pytest.raises(InterruptedError):
-            fit._calibrated(subject.frames(torch.arange(5)), known.bones)
+            fit._calibrated_to_frames(subject.frames(torch.arange(5)), known.bones)
     for one in poses:
         assert one.weight == 1.0
         assert not one.linked.any()

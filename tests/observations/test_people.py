@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, detections_of_rows
 from recon.reading.tracks import Track, chosen_track, tracks_of_people
 from tests.keypoint_scene import camera, figure, image
 
@@ -17,7 +17,7 @@ def seen(place: tuple[float, float], keep: slice = slice(None)) -> np.ndarray:
 
 
 def scene(rows: list[Row], frames: int = 20) -> Detections:
-    return gather("cam", range(frames), rows, layout="coco17")
+    return detections_of_rows("cam", range(frames), rows, layout="coco17")
 
 
 def test_two_people_in_any_order_stay_themselves():

@@ -198,7 +198,7 @@ def test_bad_views_are_refused(body: BodyModel) -> None:
     seen = camera()
     with pytest.raises(ValueError, match="but no pixels"):
         View("a", seen, confidence=torch.ones(3, 2))
-    with pytest.raises(ValueError, match=r"one \(time, points\)"):
+    with pytest.raises(ValueError, match="arrays of different lengths"):
         View(
             "a", seen, torch.zeros(3, 2, 2), reprojected=seen.project(torch.ones(3, 1, 3).double())
         )

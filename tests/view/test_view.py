@@ -283,7 +283,7 @@ def test_bad_input_is_refused_and_leaves_files_alone(body: BodyModel, tmp_path: 
         Show("uneven", show.figures, Points(torch.zeros(3, 1, 3), torch.ones(3, 1).bool()))
     with pytest.raises(ValueError, match="different names"):
         Show("twins", (Figure(body, motion), Figure(body, motion)))
-    with pytest.raises(ValueError, match="one rate"):
+    with pytest.raises(ValueError, match="same frame rate"):
         Show("rates", (Figure(body, motion), Figure(body, motion.replace(fps=20.0), "b")))
     with pytest.raises(ValueError, match="one clip"):
         Figure(body, motion.map(lambda tensor: tensor[None]))
