@@ -13,6 +13,7 @@ from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
+from recon.formats.opening import files_of
 from recon.formats.scan_times import timed
 from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
@@ -29,7 +30,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: when it holds nothing that recon reads, or something damaged.
     """
-    endings = {one.suffix.lower() for one in path.iterdir() if one.is_file()}
+    endings = {one.suffix.lower() for one in files_of(path)}
     if endings & CLOUDS.keys():
         return _scans(path)
     if ".png" in endings:
@@ -161,7 +162,7 @@ def _scans(path: Path) -> dict[str, Any]:
 
 def _images(path: Path) -> dict[str, Any]:
     """Depth images, or pictures of other depth that may be masks, by the first of them."""
-    paths = naturally(one for one in path.iterdir() if one.suffix.lower() == ".png")
+    paths = naturally(files_of(path, (".png",)))
     image = read_png(paths[0])
     size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
     if image.dtype != np.uint16:
