@@ -159,7 +159,8 @@ def detections_of_rows(
     if len(rows) == 0:
         raise FormatError(
             f"{name}: expected people, but all {len(frame_numbers)} frames are empty of 2D "
-            "keypoints; run the detector again, or leave this view out"
+            "keypoints with a confidence above zero; run the detector again, write its "
+            "confidences, or leave this view out"
         )
     lengths = sorted({len(row[1]) for row in rows})
     if len(lengths) > 1:

@@ -29,7 +29,8 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     """Read DeepLabCut's CSV: header rows, then x, y, likelihood of every body part.
 
     Parts that the layout does not have are left out and named. Without `layout`, it is the one
-    that has most of the parts by name, of equals the shortest. The confidence is the likelihood.
+    that has most of the parts by name, of equals the shortest. The confidence is the likelihood,
+    or 1 where a table has none.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -69,6 +70,8 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
         for one in people
     ]
     points = np.pad(values, ((0, 0), (0, 1)), constant_values=np.nan)[:, index]
+    if "likelihood" not in kinds:
+        points[..., 2] = 1.0
     seen = np.argwhere(np.isfinite(points).all(-1).any(-1)).tolist()
     found_rows: list[Row] = [(frames[t], points[t, person], person) for t, person in seen]
     named = (f"body parts not in {chosen}: {', '.join(unknown)}",) if unknown else ()

@@ -11,7 +11,7 @@ from recon.core.camera import Camera
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
 from recon.formats.observations import CameraArrays, PointsFile
-from recon.formats.opening import existing
+from recon.formats.opening import existing, files_of
 from recon.formats.scans import POINTS, naturally_sorted, thinned
 
 _HEAD = struct.Struct(">8s4x4sIIBB")
@@ -171,7 +171,7 @@ def _camera_at_origin(camera: CameraArrays) -> Camera:
 def _png_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder; expected one of .png images")
-    paths = naturally_sorted(path for path in folder.iterdir() if path.suffix.lower() == ".png")
+    paths = naturally_sorted(files_of(folder, (".png",)))
     if not paths:
         raise FormatError(f"{folder}: expected .png images, one per frame, got none")
     return paths

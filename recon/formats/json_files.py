@@ -12,6 +12,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_NUMBER, JSON, PERSON, Limit
+from recon.formats.opening import files_of
 from recon.formats.texts import decode, read_bytes
 
 Frames = list[tuple[int, Any]]
@@ -74,7 +75,7 @@ def read_frame_folder(folder: Path) -> Frames:
     Raises:
         ValueError: when there are none, one is damaged, or their names do not number them.
     """
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
+    paths = files_of(folder, (".json",))
     if len(paths) == 0:
         raise FormatError(f"{folder}: expected one .json file per frame, found none")
     JSON.check(sum(path.stat().st_size for path in paths), folder)

@@ -4,6 +4,7 @@ import lzma
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Container
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,6 +110,17 @@ def _header(
 
 _SAID = 200
 """Letters of another library's error that are repeated: some quote the whole damaged file."""
+
+
+def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
+    """Files directly in a folder, by name, but hidden ones, which systems write beside others.
+
+    Args:
+        folder: that is there.
+        endings: in small letters, of which a file has one; None takes all.
+    """
+    seen = (one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+    return sorted(one for one in seen if endings is None or one.suffix.lower() in endings)
 
 
 def existing(path: Path) -> Path:

@@ -249,7 +249,7 @@ def producer_of(path: Path) -> Producer | None:
     """The program that wrote a file or folder, by endings and first bytes; None if unknown."""
     if not path.is_dir():
         return _of_file(path) if path.is_file() else None
-    inside = list(path.iterdir())
+    inside = [one for one in path.iterdir() if not one.name.startswith(".")]
     listed = "\n".join(one.name for one in (*inside, *path.glob("output_data/*"))).encode()
     for one in PRODUCERS:
         if "/" in one.endings and re.search(one.mark, listed):

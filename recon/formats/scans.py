@@ -13,11 +13,11 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing
+from recon.formats.opening import existing, files_of
 from recon.formats.pcd import read_pcd
 from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import timed
-from recon.formats.texts import decode, numbers_in, read_bytes
+from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
 
 _BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -28,8 +28,8 @@ _LONGEST = 1 << 16
 """Bytes a header may have."""
 
 
-def check_counts(path: Path) -> None:
-    """Refuse a PLY file whose header promises more than its size allows.
+def check_counts(path: Path) -> int:
+    """Number of vertices of a PLY file, refused if its header promises more than its size allows.
 
     Raises:
         ValueError: when it has no header of a PLY file, or is cut short or too large.
@@ -42,7 +42,7 @@ def check_counts(path: Path) -> None:
         raise FormatError(f"{path}: expected a PLY file, with a header from 'ply' to 'end_header'")
     words = [line.split() for line in head[:end].decode("latin-1").splitlines()]
     text = ["format", "ascii"] in [line[:2] for line in words]
-    needed, count = 0, 0
+    needed, count, vertices = 0, 0, 0
     for line in words:
         if line[:1] == ["element"]:
             if len(line) != 3 or not line[2][:20].isdecimal():
@@ -51,6 +51,7 @@ def check_counts(path: Path) -> None:
                 )
             count = int(line[2][:20])
             CLOUD.check(count, path, f"element {line[1][:20]}")
+            vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
             # at least: of a list the bytes of its length, of a number in text two characters
             kind = line[2] if line[1] == "list" else line[1]
@@ -62,6 +63,7 @@ def check_counts(path: Path) -> None:
             f"{path}: the PLY header promises {needed} bytes or more; the file has "
             f"{path.stat().st_size} and is cut short or damaged"
         )
+    return vertices
 
 
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
@@ -103,34 +105,30 @@ def write_ply_sequence(
     return paths
 
 
-def read_ply(
-    path: Path,
-) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-    """Read vertices and triangles of a PLY file; a point cloud has no triangles.
+def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
+    """Read the vertices of a PLY file, without invalid ones (NaN).
 
     Raises:
         FileNotFoundError: when there is no such file.
-        ValueError: when it is damaged or holds no finite vertices.
+        ValueError: when it is damaged.
     """
-    check_counts(existing(path))
+    if check_counts(existing(path)) == 0:
+        return np.zeros((0, 3))
     # imported only when needed, since it loads slowly
     import trimesh
 
     try:
         mesh = trimesh.load(path, process=False, file_type="ply")
         vertices = np.asarray(mesh.vertices, dtype=np.float64)  # type: ignore[union-attr]
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
     except (
         ValueError, KeyError, IndexError, TypeError, AttributeError, EOFError, MemoryError,
         OverflowError, RuntimeError, struct.error, AssertionError, NotImplementedError,
     ) as error:  # fmt: skip
         # trimesh raises all of these on damaged files
         raise FormatError(f"{path}: damaged PLY file ({error})") from error
-    if vertices.ndim != 2 or len(vertices) == 0 or not np.isfinite(vertices).all():
-        raise FormatError(f"{path}: expected finite vertices, got an array {vertices.shape}")
-    if faces.size > 0 and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise FormatError(f"{path}: damaged PLY file, a face names a vertex that is not there")
-    return vertices, faces.reshape(-1, 3)
+    if vertices.ndim != 2:
+        raise FormatError(f"{path}: expected vertices x, y, z, got an array {vertices.shape}")
+    return vertices[np.isfinite(vertices).all(1)]
 
 
 POINTS = 4096
@@ -254,7 +252,7 @@ def scan_paths(folder: Path) -> list[Path]:
         raise FileNotFoundError(
             f"{folder}: no such folder; expected one of {', '.join(CLOUDS)} files"
         )
-    found = [path for path in folder.iterdir() if path.suffix.lower() in CLOUDS]
+    found = files_of(folder, CLOUDS)
     kinds = sorted({path.suffix.lower() for path in found})
     if len(kinds) != 1:
         raise FormatError(
@@ -304,12 +302,14 @@ def is_outlier(
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Read the points, or the vertices, of a PLY, PCD, OBJ or text file.
+    """Read the points of a cloud or mesh; several at zero are pixels that measured nothing.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
     """
-    return CLOUDS[path.suffix.lower()](path)
+    found = CLOUDS[path.suffix.lower()](path)
+    measured = (found != 0).any(1)
+    return found[measured] if (~measured).sum() > 1 else found
 
 
 def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
@@ -326,13 +326,18 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     return found
 
 
+_BETWEEN = re.compile(r"\d\s*[;\s]\s*-?\d+,\d+\s*[;\s]\s*-?\d")
+"""A number with a decimal comma between two others."""
+
+
 def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     """Read points from lines of x, y, z; further columns, such as colours, are left out.
 
     Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
     .pts how many lines follow. Invalid points (NaN) are left out.
     """
-    text = decode(read_bytes(path)).replace(",", " ").replace(";", " ").strip()
+    text = with_decimal_points(decode(read_bytes(path)), _BETWEEN)
+    text = text.replace(",", " ").replace(";", " ").strip()
     first, _, rest = text.partition("\n")
     promised = int(first[:20]) if first[:20].strip().isdecimal() else None
     text = rest if promised is not None or first.startswith(("#", "//")) else text
@@ -351,7 +356,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 
 
 CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
-    ".ply": lambda path: read_ply(path)[0],
+    ".ply": read_ply,
     ".pcd": read_pcd,
     ".obj": _vertices_of_obj,
     **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),

@@ -18,6 +18,8 @@ _CELLS = Limit(
     "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
 )
 
+_COMMENTS = 20
+"""Most lines of comments before a table."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -37,18 +39,35 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
 
 
 def _split(text: str) -> list[list[str]]:
-    """Split lines into cells at the commas, semicolons or tabs that the first line has.
+    """Split lines into cells at the separator that the first line has.
 
+    Without commas these are semicolons, tabs, bars or, between seven words or more, spaces.
     Numbers may then have a comma for a point, as spreadsheets of many countries write.
     """
-    lines = text.splitlines()
-    first = next((line for line in lines if line.strip()), "")
-    mark = next((one for one in ";\t" if one in first and "," not in first), ",")
+    lines = _without_comments([line for line in text.splitlines() if line.strip()])
+    first = lines[0] if lines else ""
+    mark = next((one for one in ";\t|" if one in first and "," not in first), ",")
+    if mark == "," not in first and len(first.split()) >= _WORDS:
+        lines, mark = ["|".join(line.split()) for line in lines], "|"
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     if mark == ",":
         return rows
     comma = _DECIMAL_COMMA.fullmatch
     return [[cell.replace(",", ".") if comma(cell) else cell for cell in row] for row in rows]
+
+
+_WORDS = 7
+"""Words of a first line from which on spaces are between cells: a number and two points."""
+
+
+def _without_comments(lines: list[str]) -> list[str]:
+    """The lines without leading comments (#), the last of which may be the header (numpy)."""
+    count = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+    if count == 0:
+        return lines
+    header = lines[count - 1].lstrip("# ")
+    cells = [len(re.split(r"[,;\t|]|\s+", line.strip())) for line in (header, lines[count])]
+    return [header] * (cells[0] == cells[1]) + lines[count:]
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
@@ -84,9 +103,9 @@ def first_rows(path: Path, count: int = 4) -> list[list[str]]:
         FileNotFoundError: when there is no such file.
     """
     with path.open("rb") as file:
-        head = b"".join(line for line, _ in zip(file, range(count), strict=False))
+        head = b"".join(line for line, _ in zip(file, range(count + _COMMENTS), strict=False))
     try:
-        return _split(decode(head).replace("\0", ""))
+        return _split(decode(head).replace("\0", ""))[:count]
     except csv.Error:
         return []
 

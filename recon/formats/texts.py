@@ -40,13 +40,22 @@ def read_binary(path: Path) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Decode bytes as UTF-16 if they have its mark, else as UTF-8, else as Latin-1."""
+    """Decode bytes as UTF-16 or 32 if they have its mark, else as UTF-8, else as Latin-1."""
+    if data[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
+        return data.decode("utf-32", errors="replace")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def with_decimal_points(text: str, comma: re.Pattern[str]) -> str:
+    """The text, with points for commas where it has no decimal points and commas are found."""
+    if re.search(r"\d\.\d", text) or not comma.search(text):
+        return text
+    return text.replace(",", ".")
 
 
 _PIECE = 1 << 20

@@ -78,6 +78,7 @@ def read_session(folder: Path) -> Points3D:
     return points.with_rate_of_times(times[first], stamps.name)
 
 
+_TABLES = (".csv", ".tsv", ".txt")
 _HEAD = 1 << 16
 """Bytes at the start of a JSON file that show of which kind it is."""
 
@@ -102,7 +103,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         # the `joints` of a motion file are results, not observations
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
-    if ending == ".csv" and not holds_markers(path):
+    if ending in _TABLES and path.is_file() and not holds_markers(path):
         return is_table_3d(first_rows(path))
     if found is None or found.holds != POINTS_3D:
         return False
@@ -148,7 +149,7 @@ def read_points_3d(
             found = read_arrays(path)
         case _ if holds_markers(path):
             found = from_recording(marker_recording(path, unit, up))
-        case ".csv":
+        case ".csv" | ".tsv" | ".txt":
             found = read_table(path)
         case ".json":
             found = read_json_points(path, person)

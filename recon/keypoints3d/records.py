@@ -84,7 +84,8 @@ class Points3D:
         """The points with NaN for missing ones; an error if none is seen at all.
 
         Exact zeros in all three coordinates and infinity are missing points too, unless they are
-        the same point in all frames: the origin of what is relative to it.
+        the same point in all frames: the origin of what is relative to it. So is another number
+        in all three coordinates (-9999) that comes again.
 
         Raises:
             ValueError: when there are too many, or none at all is seen.
@@ -97,6 +98,13 @@ class Points3D:
         seen = np.isfinite(self.positions).all(-1)
         zero = (self.positions == 0).all(-1)
         seen &= ~zero | zero.all(0)
+        same = seen & ~zero & (self.positions == self.positions[..., :1]).all(-1)
+        found, counts = np.unique(self.positions[same][:, 0], return_counts=True)
+        codes, said = found[counts > 1], self.decisions
+        if len(codes) > 0:
+            coded = same & np.isin(self.positions[..., 0], codes)
+            seen &= ~coded
+            said += (f"{coded.sum()} points with {codes[0]:g} as all coordinates are not seen",)
         if not seen.any() or zero.all():
             raise FormatError(f"{self.name}: expected keypoints, but none is seen in any frame")
         largest = float(np.abs(self.positions[seen]).max())
@@ -105,7 +113,8 @@ class Points3D:
                 f"{self.name}: expected coordinates of a person, of at most {_LARGEST:g} in any "
                 f"unit, got {largest:.3g}"
             )
-        return replace(self, positions=np.where(seen[..., None], self.positions, np.nan))
+        positions = np.where(seen[..., None], self.positions, np.nan)
+        return replace(self, positions=positions, decisions=said)
 
 
 Person = Float[np.ndarray, "points numbers"]

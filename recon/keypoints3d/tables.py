@@ -2,18 +2,25 @@
 
 import re
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
+from recon.core.units import METRES, parse_unit
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
 from recon.formats.text_tables import numbers, read_rows, refuse_repeated_columns
 from recon.keypoints3d.records import Points3D
 
-_COORDINATE = re.compile(r"^(?P<name>.+?)[\s_.:\-]?(?P<axis>[xyzXYZ])$")
+_COORDINATE = re.compile(
+    r"^(?P<name>.+?)[\s_.:\-]*[(\[]?(?P<axis>[xyzXYZ])[)\]]?(?:[\s_(\[]+(?:mm|cm|m)[)\]]?)?$"
+)
+"""Such as left_hip_x, "left hip (x)" and left_hip_x [mm]."""
+_AXIS_FIRST = re.compile(r"^(?P<axis>[xyzXYZ])[\s_.:\-](?P<name>.+)$")
+_TIME_OF_DAY = re.compile(r"(\d+):(\d\d?):(\d\d?(?:\.\d+)?)")
 _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index")
 _TIME = ("timestamp", "time", "t", "seconds", "time_s", "timestamp_s")
@@ -49,6 +56,8 @@ def read_table(path: Path) -> Points3D:
     """
     name = path.name
     rows = read_rows(path, TEXT)
+    if len(rows) == 1 and is_table_3d(rows):
+        raise FormatError(f"{name}: expected a row for every frame below the header, got none")
     if len(rows) < 2 or not is_table_3d(rows[:4]):
         raise FormatError(
             f"{name}: expected columns such as left_hip_x, left_hip_y, left_hip_z, or frame, "
@@ -68,6 +77,8 @@ def read_table(path: Path) -> Points3D:
 
 def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     columns = _triples(header)
+    if rows and {parse_unit(cell) for cell in rows[0] if cell} <= METRES.keys():
+        rows = rows[1:]  # a second header row, with units
     refuse_repeated_columns([cell for cell in header if _COORDINATE.match(cell)], name)
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
@@ -131,17 +142,33 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
 def _column(
     rows: list[list[str]], header: list[str], words: Sequence[str], name: str
 ) -> np.ndarray | None:
-    """The numbers of the column named by the first of some words; None if there is none."""
+    """The numbers of the column named by the first of some words; None if there is none.
+
+    Times of day and dates become seconds.
+    """
     found = next((header.index(word) for word in words if word in header), None)
-    most = max(map(len, [header, *rows]))
-    return None if found is None else numbers(rows, [found], name, most=most)[:, 0]
+    if found is None:
+        return None
+    return numbers(
+        [[_time_in_seconds(cell) for cell in row[found : found + 1]] for row in rows], [0], name, most=1
+    )[:, 0]
+
+
+def _time_in_seconds(cell: str) -> str:
+    if match := _TIME_OF_DAY.fullmatch(cell):
+        hours, minutes, seconds = map(float, match.groups())
+        return str(3600 * hours + 60 * minutes + seconds)
+    try:
+        return str(datetime.fromisoformat(cell).timestamp()) if ":" in cell else cell
+    except ValueError:
+        return cell
 
 
 def _triples(header: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     """Column numbers of x, y and z, keyed by the point's name."""
     found: dict[str, dict[str, int]] = {}
     for k, cell in enumerate(header):
-        if match := _COORDINATE.match(cell):
+        if match := _COORDINATE.match(cell) or _AXIS_FIRST.match(cell):
             found.setdefault(match["name"], {})[match["axis"].lower()] = k
     whole = {name: axes for name, axes in found.items() if len(axes) == len("xyz")}
     return {name: (axes["x"], axes["y"], axes["z"]) for name, axes in whole.items()}

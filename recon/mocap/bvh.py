@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.texts import decode, numbers_in, read_bytes
+from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -57,8 +57,13 @@ def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
     )
 
 
+_DECIMAL_COMMA = re.compile(r"\d,\d")
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)
+
+
+_TURNS = 0.5
+"""Range of a channel, in any unit, from which on a body moves."""
 
 
 @dataclass
@@ -84,11 +89,12 @@ def parse_bvh(
     text: str, name: str, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
     """Parse the text of a BVH file, as `read_bvh` does."""
-    head, keyword, body = text.partition("MOTION")
-    if not keyword:
+    text = with_decimal_points(text, _DECIMAL_COMMA)
+    head, *body = re.split(r"^\s*MOTION\b", text, maxsplit=1, flags=re.IGNORECASE | re.MULTILINE)
+    if not body:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
     joints = parse_hierarchy(head, name)
-    values, (fps, said) = _parse_motion(body, joints, name)
+    values, (fps, said) = _parse_motion(body[0], joints, name)
     parents = tuple(joint.parent for joint in joints)
     positions, orientations = posed_skeleton(parents, _local_poses(joints, values), len(values))
     raw = SkeletonRecording(
@@ -171,12 +177,17 @@ def _parse_motion(
     if timing is None:
         raise FormatError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
     try:
-        frames, step = int(timing[1]), float(timing[2])
+        frames, step = int(timing[1]), float(timing[2].replace(",", "."))
     except ValueError as error:
         raise FormatError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
     width = sum(len(joint.channels) for joint in joints)
     FRAMES.check(frames, name, "Frames")
     SAMPLES.check(frames * len(joints), name, "Frames")
+    if step > 1:
+        raise FormatError(
+            f"{name}: expected 'Frame Time' in seconds, got {step:g}, as if in milliseconds or "
+            "frames per second: write 0.033333 for 30 frames per second"
+        )
     rate = stated_rate(1 / step if step > 0 else 0.0, name, "Frame Time")
     try:
         values = numbers_in(body, frames * width, timing.end())
@@ -190,6 +201,10 @@ def _parse_motion(
     values = values.reshape(frames, width)
     turns = [turn for joint in joints for _, turn in joint.channels]
     ANGLE.check(values, name, "[frame, channel]", seen=np.broadcast_to(turns, values.shape))
+    moved = values[:, turns]
+    if (np.abs(moved) <= np.pi).all() and np.ptp(moved, axis=0).max(initial=0.0) > _TURNS:
+        said = "no angle is larger than 3.14: if they are radians, write them in degrees"
+        return values, (rate[0], f"{rate[1]}; {said}")
     return values, rate
 
 

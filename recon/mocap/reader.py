@@ -43,7 +43,7 @@ def read_recording(
 
     Args:
         path: of the file; FILE::NAME is one recording of an archive or .mat file.
-        unit: of the file (m, cm, mm, inch, cmu); None finds it out.
+        unit: of the file (m, cm, mm, inch, ft, cmu); None finds it out.
         up: axis of the file that points up; None finds it out.
 
     Raises:

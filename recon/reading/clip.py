@@ -20,6 +20,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.opening import files_of
 from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import CLOUDS, read_scans
@@ -325,4 +326,4 @@ def _file_endings(path: Path) -> set[str]:
     """Endings of the files in a folder."""
     if not path.is_dir():
         return set()
-    return {one.suffix.lower() for one in path.iterdir() if one.is_file()}
+    return {one.suffix.lower() for one in files_of(path)}

@@ -10,6 +10,7 @@ from typing import Any
 
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
+from recon.formats.opening import files_of
 from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
@@ -214,8 +215,4 @@ def _bundled_checksums(package: str, folder: str, names: Sequence[str]) -> list[
 
 
 def _inside(folder: Path, endings: Sequence[str]) -> tuple[Path, ...]:
-    """Files directly in a folder with one of the endings, in the order of their names."""
-    if not folder.is_dir():
-        return ()
-    found = (one for one in folder.iterdir() if one.suffix.lower() in endings)
-    return tuple(sorted(one for one in found if one.is_file()))
+    return tuple(files_of(folder, endings)) if folder.is_dir() else ()

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import settled_up
+from recon.core.coordinates import settled_up, unusual_unit
 from recon.core.errors import FormatError, UnitsError
 from recon.core.hands import right_handed
 from recon.core.layouts import JOINT, keypoint_names
@@ -23,6 +23,8 @@ from recon.reading.points import GOOD, bone_lengths, settle_body_layout
 
 _SMALLEST, _LARGEST = 0.5, 1.4
 """Sizes against the average body between which a unit is right."""
+_STATURE = 1.7
+"""Metres that the average person is tall."""
 _FEWEST = 8
 """Keypoints that must be known by name."""
 _ROOT = 0.04
@@ -171,8 +173,8 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
     if unit is None and not fitting:
         raise UnitsError(
             f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
-            "average person in metres, which no person is in m, cm or mm; scale them to metres, "
-            "or give --unit"
+            "average person in metres, which no person is in m, cm or mm"
+            f"{unusual_unit(_STATURE * found.size)}; scale them to metres, or give --unit"
         )
     size = found.size * METRES[unit or fitting[0]]
     if unit is None:

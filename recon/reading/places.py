@@ -15,6 +15,7 @@ from recon.detections.tables import holds_detections
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
+from recon.formats.opening import files_of
 from recon.reading.masks import PackedMask, read_packed_masks
 
 FEWEST_KEYPOINTS = 4
@@ -131,10 +132,10 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     for path in paths:
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file or folder")
-        inside = [path] if path.is_file() or _has_file_ending(path, ".json") else _views_in(path)
+        inside = [path] if path.is_file() or files_of(path, (".json",)) else _views_in(path)
         project = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
         if len(inside) == 0 and project is not None:
-            inside = [project] if _has_file_ending(project, ".json") else _views_in(project)
+            inside = [project] if files_of(project, (".json",)) else _views_in(project)
         if len(inside) == 0:
             raise ObservationError(
                 f"{path}: expected .json files of one camera, or a folder per camera with them, "
@@ -202,16 +203,12 @@ def _contains(words: tuple[str, ...], part: tuple[str, ...]) -> bool:
     return size > 0 and any(words[k : k + size] == part for k in range(len(words) - size + 1))
 
 
-def _has_file_ending(folder: Path, suffix: str) -> bool:
-    return any(one.suffix.lower() == suffix and one.is_file() for one in folder.iterdir())
-
-
 def _views_in(folder: Path) -> list[Path]:
     """Camera folders, tables and arrays of a folder, by name."""
     return sorted(
         one
         for one in folder.iterdir()
-        if (one.is_dir() and _has_file_ending(one, ".json"))
+        if (one.is_dir() and files_of(one, (".json",)))
         or one.suffix.lower() == ".csv"
         or holds_detections(one)
     )
@@ -256,7 +253,7 @@ def load_silhouettes(path: str | Path) -> Silhouettes:
     """
     path = Path(path)
     if path.is_dir():
-        files = sorted(one for one in path.iterdir() if one.suffix.lower() == ".png")
+        files = files_of(path, (".png",))
         if len(files) == 0:
             raise ObservationError(f"{path}: expected one .png mask per frame, found none")
         numbers = frame_numbers([one.stem for one in files], str(path))

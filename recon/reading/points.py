@@ -87,7 +87,7 @@ def points_settled(
         file: as read.
         path: of the file, for messages.
         body: to compare the size with.
-        unit: of the file's positions (m, cm, mm, inch, cmu); None takes the contract's metres
+        unit: of the file's positions (m, cm, mm, inch, ft, cmu); None takes the contract's metres
             and refuses what no body can measure.
         up: axis that points up, or down; None believes the file unless the body contradicts it.
         hand: handedness of the axes; None tells it from the body.

@@ -13,6 +13,7 @@ from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
+from recon.formats.opening import files_of
 from recon.formats.scan_times import timed
 from recon.formats.scans import CLOUDS, naturally_sorted, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
@@ -29,7 +30,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: when it holds nothing that recon reads, or something damaged.
     """
-    endings = {one.suffix.lower() for one in path.iterdir() if one.is_file()}
+    endings = {one.suffix.lower() for one in files_of(path)}
     if endings & CLOUDS.keys():
         return _describe_scans(path)
     if ".png" in endings:
@@ -163,7 +164,7 @@ def _describe_scans(path: Path) -> dict[str, Any]:
 
 def _describe_images(path: Path) -> dict[str, Any]:
     """Describe a folder of images as depth images or masks, by the first image."""
-    paths = naturally_sorted(one for one in path.iterdir() if one.suffix.lower() == ".png")
+    paths = naturally_sorted(files_of(path, (".png",)))
     image = read_png(paths[0])
     size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
     if image.dtype != np.uint16:
