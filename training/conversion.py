@@ -20,7 +20,7 @@ from tyro.conf import Positional
 
 from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
-from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
+from recon.benchmark.dataset import SPLITS, Splits, clip_files, conversion_notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, value_checksum, write_text
@@ -106,7 +106,7 @@ def convert_others(
         path = out / clip.collection / f"{clip.name}.npz"
         settings = [clip.id, file_checksum(clip.path), body.checksum, CONVERSION_VERSION, _VERSION]
         key = value_checksum([str(value) for value in settings])
-        known = notes(path)
+        known = conversion_notes(path)
         if known.get("key") == key and path.is_file() and known["checksum"] == file_checksum(path):
             continue
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -182,7 +182,7 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     """
     parts, rows = Splits.load(splits), list[Row]()
     for name, path in clip_files(out).items():
-        told = notes(path)
+        told = conversion_notes(path)
         collection = str(told.get("collection", path.parent.name))
         source = source_of(name, collection, parts.subject(name), told)
         rows += lesson_rows(load_motion(path), source, body)

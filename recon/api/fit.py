@@ -277,7 +277,7 @@ def refine(
         )  # fmt: skip
     # imported here: it loads scipy, which only fits to estimates need
     from recon.api.estimates import LEAST_FRAMES, estimate_given
-    from recon.diagnosis.estimates import believed
+    from recon.diagnosis.estimates import as_measurement
 
     model = body_given(body)
     own = body is not None
@@ -288,7 +288,7 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    seen, start, found = believed(given, known, model)
+    seen, start, found = as_measurement(given, known, model)
     seen = seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit(seen, prior, **how)

@@ -22,7 +22,7 @@ from recon.formats.outputs import Kind, Output
 from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
-from recon.reading.clip import format_errors, together
+from recon.reading.clip import clip_of_files, format_errors
 from recon.reading.icp import OrientedCloud, aligned, rough_poses
 
 _READ = 20_000
@@ -52,7 +52,7 @@ class DepthRig:
     def __iter__(self) -> Iterator[Sensor]:
         """One observation after the other, as `recon.fit` takes them."""
         return iter(
-            together(list(self.files.items()), (), DEFAULTS, BodyModel.load()).observations
+            clip_of_files(list(self.files.items()), (), DEFAULTS, BodyModel.load()).observations
         )
 
     def report(
@@ -122,7 +122,7 @@ def register(
         files = [_read_points(path, camera, frame_rate, depth_scale) for path in paths]
     body = BodyModel.load()
     own = [_in_own_frame(file) for file in files]
-    clips = [together([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
+    clips = [clip_of_files([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
     level = np.array([one.observations[0].ground_seen for one in clips])  # pyright: ignore[reportAttributeAccessIssue]
     base = int(level.argmax())
     level &= level[base]

@@ -14,6 +14,8 @@ _DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 _BODY_LENGTH = (1.0, 2.2)
 """Metres along the bones from the head to a foot: children to the tallest adults. Narrower than
 the closest pair of candidate units (a ratio of 2.22), so no length fits two of them."""
+_UNUSUAL, _ADULT = ("ft", "inch"), (1.4, 2.0)
+"""Units that are not found out, and metres that are a likely size of somebody in them."""
 _MARKER_EXTENT = (0.5, 2.5)
 """Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
 _SANE_EXTENT = (0.05, 10.0)
@@ -81,6 +83,12 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
 
 
+def unusual_unit(size: float) -> str:
+    """Words on the unit in which a body of a size, in an unknown unit, is as tall as an adult."""
+    found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
+    return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
+
+
 def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     """Unit in which markers span as much as a person, and the reason.
 
@@ -92,7 +100,7 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     if len(fitting) != 1:
         raise UnitsError(
             f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
-            "of m, cm, mm; give the unit with --unit"
+            f"of m, cm, mm{unusual_unit(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 

@@ -268,6 +268,8 @@ LIMITS: tuple[Limit, ...] = tuple(v for v in list(globals().values()) if isinsta
 
 _USUAL_TURN = 0.75
 """Share of joints and frames that turn by less than half a turn, whatever a root counts on to."""
+_BENT = 0.8
+"""Radians, without whole turns, that half of all joints turn by less; half of degrees by 1.6."""
 _JOINTS_THAT_TELL = 10
 """Fewest joints by which degrees are told from a root that turns on and on."""
 
@@ -296,7 +298,9 @@ def check_rotation_vectors(values: np.ndarray, source: object, key: str) -> None
                 )
     if rows.size and rows.shape[1] % 3 == 0 and rows.shape[1] >= 3 * _JOINTS_THAT_TELL:
         angles = np.linalg.norm(rows.reshape(-1, 3), axis=-1)
-        if (usual := float(np.quantile(angles, _USUAL_TURN))) > np.pi:
+        rest = np.abs(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))
+        usual = float(np.quantile(angles, _USUAL_TURN))
+        if usual > np.pi and np.median(rest) > _BENT:
             raise ReconError(
                 f"{expected} numbers that look like degrees: a quarter of the joints turn by more "
                 f"than {usual:.1f}, and half a turn is 3.1 radians. Save numpy.deg2rad of them; "

@@ -171,7 +171,7 @@ def pad(motions: list[Motion]) -> Motion:
 
 @dataclass(frozen=True)
 class MotionFile:
-    """One motion and its additional data; None where a file does not have them."""
+    """The contents of a motion file; optional ones are None where the file lacks them."""
 
     motion: Motion
     """One clip, no batch axis; padded frames are not written."""

@@ -15,7 +15,7 @@ class ReadOptions:
     """Options for reading the files of one clip, for facts that the files do not contain."""
 
     unit: str | None = None
-    """Unit of positions and scans, where the file is wrong about it: m, cm, mm, inch, cmu, or
+    """Unit of positions and scans, where the file is wrong about it: m, cm, mm, inch, ft, cmu, or
     metres per unit (0.3048)."""
     up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
     """Axis that points up, or down, where the file is wrong about it."""

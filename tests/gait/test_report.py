@@ -138,7 +138,7 @@ def test_what_is_no_motion_is_refused(tmp_path, found):
     np.savez(tmp_path / "seen.npz", kind="joints3d", positions=np.zeros((4, 22, 3)))
     with pytest.raises(recon.FormatError, match="recon fit"):
         recon.report(tmp_path / "seen.npz")
-    with pytest.raises(recon.FormatError, match="are of recordings"):
+    with pytest.raises(recon.FormatError, match="are options for recordings"):
         recon.report(DEMO, unit="mm")
     with pytest.raises(ValueError, match="would both be written"):
         found.save(tmp_path / "gait.csv")

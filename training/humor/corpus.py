@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
-from recon.benchmark.dataset import Part, Splits, notes
+from recon.benchmark.dataset import Part, Splits, conversion_notes
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import MotionFile
@@ -54,7 +54,7 @@ def kind_of(description: str) -> str:
 
 def described_action(motion: Path) -> str:
     """The action named in the notes of a converted motion; its file name without notes."""
-    return str(notes(motion).get("action", motion.stem))
+    return str(conversion_notes(motion).get("action", motion.stem))
 
 
 RATE = 120
