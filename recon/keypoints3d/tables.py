@@ -150,7 +150,10 @@ def _column(
     if found is None:
         return None
     return numbers(
-        [[_time_in_seconds(cell) for cell in row[found : found + 1]] for row in rows], [0], name, most=1
+        [[_time_in_seconds(cell) for cell in row[found : found + 1]] for row in rows],
+        [0],
+        name,
+        most=1,
     )[:, 0]
 
 
