@@ -75,7 +75,8 @@ class Figure:
         for what, values in known.items():
             if values is not None and len(values) != motion.frames:
                 raise ValueError(
-                    f"figure {self.name!r} has {motion.frames} frames, its {what} {len(values)}"
+                    f"figure {self.name!r} has {motion.frames} frames, but its {what} "
+                    f"{len(values)}"
                 )
 
     @cached_property
