@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from recon.api.given import MotionLike, motion_given
-from recon.api.results import Tables, in_ten_lines, told
+from recon.api.results import Tables, closing_fields, in_ten_lines
 from recon.body.model import BodyModel
 from recon.core.arrays import positive
 from recon.core.errors import ReconError
@@ -48,7 +48,7 @@ class Simulated:
 
     @cached_property
     def clip(self) -> Clip:
-        """The observations as a fit takes them, read as from files."""
+        """The observations in the form that a fit takes, as if read from files."""
         named = [(name or self.kind, file) for name, file in self.files.items()]
         return clip_of_files(named, (), DEFAULTS, self.body)
 
@@ -69,7 +69,7 @@ class Simulated:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the files; see `MotionResult.report`."""
-        return {"kind": self.kind, **told(inputs, settings)}
+        return {"kind": self.kind, **closing_fields(inputs, settings)}
 
     def save(
         self,

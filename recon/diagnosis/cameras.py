@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import one_clock, tell_distance
+from observations.camera_paths import can_triangulate, on_first_clock
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD
@@ -90,8 +90,8 @@ def size_is_unknown(found: ClipFit) -> bool:
     given = any(term.name in _TELLING for stage in stages for term in stage.terms)
     if given or not any("shape" in stage.free for stage in stages):
         return False
-    alike = one_clock(views)
-    return len(alike) == 1 or not tell_distance(alike)
+    alike = on_first_clock(views)
+    return len(alike) == 1 or not can_triangulate(alike)
 
 
 def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:

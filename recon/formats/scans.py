@@ -195,7 +195,7 @@ def read_scans(
     metres = METRES[unit]
     if up is None:
         scaled = [cloud * metres for cloud in clouds]
-        up, said = up_of_clouds(scaled, str(folder), told=told)
+        up, said = up_of_clouds(scaled, str(folder), unit_given=told)
         decisions += said
     for path, cloud in zip(paths, clouds, strict=True):
         POSITION.check(cloud * metres, path, "[point, axis]")

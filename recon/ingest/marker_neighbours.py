@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.body.derivatives import logarithm_by
+from recon.body.derivatives import inverse_right_jacobian
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
@@ -167,7 +167,7 @@ def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, 
     turns = poses.orientations[:, 1:].double()
     variance = turns.mT @ blocks @ turns
     away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
-    jacobian = logarithm_by(away)
+    jacobian = inverse_right_jacobian(away)
     pull = (energies.weight * energies.pull.double())[:, None, None, None]
     share, axes = torch.linalg.eigh(pull * jacobian @ variance @ jacobian.mT)
     share = share.clamp(_LEAST, 1 - _LEAST)[..., None, :]

@@ -15,10 +15,10 @@ from recon.body.levers import (
     COORDINATES,
     Levers,
     ShapeLevers,
-    affine,
-    gathered,
+    bone_affines,
+    flat_world_vectors,
+    sums_over_descendants,
     turned,
-    world_turns,
 )
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -46,7 +46,7 @@ class Poses(TensorStruct):
     ) -> "Poses":
         """Poses of a body whose joints at rest are at `rest`, metres."""
         orientations, joints = forward_kinematics(rotations, rest)
-        placed = affine(orientations, joints + translation[:, None])
+        placed = bone_affines(orientations, joints + translation[:, None])
         return cls(translation, rotations, orientations, placed)
 
     def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
@@ -80,11 +80,11 @@ class Correctives(TensorStruct):
         """Derivatives of Σ forces · displacements by the coordinates of a step."""
         loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._in_bone_frames(poses))
         bones = poses.orientations.transpose(1, 2)
-        turns = gathered(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
+        turns = sums_over_descendants(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
         local = (self._blended_rotations(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
         slopes = (local @ self.directions.mT).unflatten(-1, (-1, 3, 3))
         bent = 2 * so3.axis_sine(poses.rotations[:, 1:].mT @ slopes)
-        turns = turns + world_turns(pad(bent, (0, 0, 1, 0)), poses.orientations)
+        turns = turns + flat_world_vectors(pad(bent, (0, 0, 1, 0)), poses.orientations)
         return pad(turns, (3, 0))
 
     def _in_bone_frames(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
@@ -133,7 +133,7 @@ class SkinPoints(TensorStruct):
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Derivatives of Σ forces · points by the coordinates of a step."""
-        pull = self.levers.pull(poses.bones, forces)
+        pull = self.levers.gradient_of(poses.bones, forces)
         return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
 
     def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:
@@ -230,7 +230,7 @@ class PoseEnergies(TiedFrames[Poses]):
         natural, pull = _values_of_rows(self.natural, rows), _values_of_rows(self.pull, rows)
         value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
         bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
-        gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
+        gradient[:, 3:] += pull[:, None] * flat_world_vectors(bent, some.orientations)
         if self.soles is not None:
             depth, weight = self.depths(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
@@ -249,7 +249,9 @@ class PoseEnergies(TiedFrames[Poses]):
         if self.soles is not None:
             _, weight = self.depths(some)
             touching = weight.any(-1).nonzero()[:, 0]
-            self.soles.levers.add_rising(out, touching, some.bones[touching], weight[touching])
+            self.soles.levers.add_height_hessian(
+                out, touching, some.bones[touching], weight[touching]
+            )
         return self.weight * out
 
     def share_data_kind(
@@ -268,7 +270,7 @@ class PoseEnergies(TiedFrames[Poses]):
         value = (weight / 4 * rotations.diff(dim=0).square().sum((2, 3))).sum(-1)
         bent = weight[..., None] * so3.axis_sine(rotations[:-1].mT @ rotations[1:])
         ends = pad(bent, (0, 0, 0, 0, 1, 1))
-        gradient[:, 3:] = world_turns(ends[:-1] - ends[1:], state.orientations)
+        gradient[:, 3:] = flat_world_vectors(ends[:-1] - ends[1:], state.orientations)
         return value, gradient
 
     def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:

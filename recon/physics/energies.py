@@ -116,7 +116,7 @@ def lowest_of_parts(estimate: Estimate) -> Float[Tensor, "*batch time 10"]:
     """Smooth minimum of the heights of every part of the body, metres."""
     surface = SampledSurface.of(estimate.body.model)
     heights = _surface_points(estimate.body)[..., 2]
-    parts = [heights[..., surface.run(part)] for part in range(len(PARTS))]
+    parts = [heights[..., surface.rows_of(part)] for part in range(len(PARTS))]
     return torch.stack([lowest_point(part) for part in parts], -1)
 
 

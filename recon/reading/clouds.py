@@ -14,13 +14,13 @@ from recon.core.errors import ObservationError
 from recon.core.limits import FRAMES, PADDED_CLOUD
 from recon.core.planes import (
     FoundGround,
-    above,
-    before,
+    above_ground,
     clusters,
     depth_noise,
     find_ground,
     find_walls,
-    spacing,
+    in_front_of_plane,
+    point_spacing,
 )
 from recon.formats.cameras import CameraArrays
 from recon.formats.observations import PointsFile
@@ -192,11 +192,11 @@ def cloud_of(
                 "at z = 0: move the points there, or leave out what is no person"
             )
     if seen:
-        clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
+        clouds = [cloud[above_ground(cloud, _LEVEL)] for cloud in clouds]
     for wall in walls:
-        clouds = [cloud[before(cloud, *wall)] for cloud in clouds]
+        clouds = [cloud[in_front_of_plane(cloud, *wall)] for cloud in clouds]
     shown = [cloud for cloud in clouds if len(cloud) > 1]
-    sparse = _SPACINGS * spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
+    sparse = _SPACINGS * point_spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
     person, beside = one_person(clouds, max(_REACH, sparse))
     left_out = 1 - sum(map(len, person)) / max(sum(map(len, clouds)), 1)
     if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or beside > 0:

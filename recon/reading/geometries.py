@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.core.camera import check_camera
-from recon.core.clouds import cloud_points, held_numbers, up_of_clouds
+from recon.core.clouds import array_of_open3d, cloud_points, up_of_clouds
 from recon.core.errors import ObservationError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import to_z_up
@@ -41,7 +41,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         ObservationError: for several kinds, geometries without points, or options that are missing
             or of files; says what to do.
     """
-    if others := sorted(set(settings.given()) - _HEEDED):
+    if others := sorted(set(settings.changed_names()) - _HEEDED):
         raise ObservationError(f"{', '.join(others)}: options for reading files, not geometries")
     if settings.frame_rate is None:
         raise ObservationError("geometries have no clock: give frame_rate, frames per second")
@@ -72,7 +72,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     if camera is None:
         up = settings.up
         if up is None:
-            up, said = up_of_clouds(kept, "geometries", told=True)
+            up, said = up_of_clouds(kept, "geometries", unit_given=True)
         points = points @ to_z_up(up).T
     file = PointsFile(
         points=points,
@@ -107,7 +107,7 @@ def _points_of_depth_image(
     image: Any, frame: int, camera: CameraArrays
 ) -> Float[np.ndarray, "points 3"]:
     """Points of a depth image, camera frame, metres; without edges, which mix two depths."""
-    depth = held_numbers(
+    depth = array_of_open3d(
         image.depth.as_tensor() if hasattr(image.depth, "as_tensor") else image.depth
     )
     depth = depth.squeeze(-1) if depth.ndim == 3 and depth.shape[-1] == 1 else depth

@@ -149,7 +149,7 @@ def _describe_scans(path: Path) -> dict[str, Any]:
         decisions.append(f"unit {unit}: by the size of the clouds")
         try:
             scaled = [cloud * METRES[unit] for cloud in clouds]
-            decisions += up_of_clouds(scaled, str(path), told=False)[1] or ("up axis z",)
+            decisions += up_of_clouds(scaled, str(path), unit_given=False)[1] or ("up axis z",)
         except ValueError as error:
             decisions.append(str(error))
     return {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from recon.body.derivatives import logarithm_by
+from recon.body.derivatives import inverse_right_jacobian
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -84,7 +84,7 @@ def test_the_jacobian_of_rotation_vectors() -> None:
     turns = torch.tensor(
         [[0.0, 0.0, 0.0], [1e-3, 2e-3, 0.0], [0.4, -1.1, 0.8], [1.6, 2.2, -1.5]]
     ).double()
-    found = logarithm_by(turns)
+    found = inverse_right_jacobian(turns)
     for axis in range(3):
         step = torch.zeros(3).double()
         step[axis] = 1e-6

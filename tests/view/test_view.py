@@ -129,7 +129,7 @@ def test_raster_covers_a_triangle_and_the_nearer_wins() -> None:
     beyond = rasterise(corners - 100, depth, np.array([[0, 1, 2]]), (40, 40))
     assert not beyond.covered.any()
     assert not rasterise(corners, depth, faces[:0], (40, 40)).covered.any()
-    with pytest.raises(ValueError, match="before the viewer"):
+    with pytest.raises(ValueError, match="in front of the viewer"):
         rasterise(corners, -depth, faces, (40, 40))
 
 
