@@ -170,10 +170,12 @@ class PointCloud(Sensor):
     def matched(self, estimate: Estimate) -> "PointCloud":
         """A smooth energy with correspondences and scale fixed at the given estimate."""
         with torch.no_grad():
-            middles, normals, seen = self._surface(estimate)
+            middles, normals, seen = self._discs_in_recording(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
             if self.present[..., seen, :].numel() > 0:
-                pairs[..., seen, :] = self._nearest(estimate.body.model, middles, normals, seen)
+                pairs[..., seen, :] = self._nearest_discs(
+                    estimate.body.model, middles, normals, seen
+                )
             if self.kernel is not tukey:
                 return self.derived(pairs=pairs, scale=None)
             squared, present = self._squared_to_discs(middles, normals, seen, pairs[..., seen, :])
@@ -215,12 +217,12 @@ class PointCloud(Sensor):
         """Squared distances (*batch, seen, points), metres², which exist, and their moments."""
         if self.pairs is not None and estimate.body.model.pose_directions is None:
             return self._squared_for_pairs(estimate, self.pairs)
-        middles, normals, seen = self._surface(estimate)
+        middles, normals, seen = self._discs_in_recording(estimate)
         if self.pairs is not None:
             return *self._squared_to_discs(middles, normals, seen, self.pairs[..., seen, :]), seen
         if self.present[..., seen, :].numel() == 0:
             return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :], seen
-        index = self._nearest(estimate.body.model, middles, normals, seen)
+        index = self._nearest_discs(estimate.body.model, middles, normals, seen)
         return *self._squared_to_discs(middles, normals, seen, index), seen
 
     def residuals(self, estimate: Estimate) -> Residuals:
@@ -263,7 +265,7 @@ class PointCloud(Sensor):
         squared = to_discs(points - middles, normals, radii)
         return squared.where(present, 0.0), present
 
-    def _nearest(
+    def _nearest_discs(
         self, body: BodyModel, middles: Tensor, normals: Tensor, seen: slice
     ) -> Int[Tensor, "*batch seen points"]:
         """The nearest disc of every point, among those that face the sensor.
@@ -285,7 +287,7 @@ class PointCloud(Sensor):
         )  # fmt: skip
         return found.unflatten(0, present.shape[:-1])
 
-    def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
+    def _discs_in_recording(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""
         (middles, normals), scene = self.surfels.posed(estimate.body), estimate.scene
         middles, seen = self.at_own_times(scene.to_recording(middles), estimate.motion)
@@ -355,7 +357,7 @@ def _bundled_labeller() -> CloudLabeller:
 
 
 def _padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Clouds of any sizes, one per moment, as one array (moments, points, 3) and what it holds.
+    """Clouds of any sizes, one per moment, as an array (moments, points, 3) and its mask.
 
     Args:
         given: arrays (N, 3), or clouds and meshes of Open3D, metres.

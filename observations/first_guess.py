@@ -48,11 +48,11 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
             return FirstGuess(views_start(body, alike), True)
     if clouds:
         posed = clouds[0].start(body)
-        return FirstGuess(_moved_like(posed, views[0].start(body)) if views else posed, True)
+        return FirstGuess(_with_poses_of(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
 
 
-def _moved_like(posed: Motion, placed: Motion) -> Motion:
+def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
     """A motion with the poses and translations of another one, which may have another frame rate.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no

@@ -48,7 +48,7 @@ class Checkpoint:
             raise WeightsError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
         return {name: self.tensors[name] for name in shapes}
 
-    def under(self, prefix: str) -> "Checkpoint":
+    def with_prefix(self, prefix: str) -> "Checkpoint":
         """Tensors whose names have this prefix, the prefix removed, in single precision."""
         own = {
             name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
@@ -57,7 +57,7 @@ class Checkpoint:
         }
         return Checkpoint(self.path, own, self.settings)
 
-    def besides(self, *prefixes: str) -> "Checkpoint":
+    def without_prefixes(self, *prefixes: str) -> "Checkpoint":
         """Tensors whose names have none of these prefixes, in single precision."""
         others = {
             name: tensor.float()
@@ -84,7 +84,7 @@ class Checkpoint:
             )
         return right
 
-    def into(self, network: nn.Module) -> None:
+    def copy_into(self, network: nn.Module) -> None:
         """Copy all tensors into a network of the same layers; raises as `require`."""
         layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}
         network.load_state_dict(self.require(layers), strict=True)

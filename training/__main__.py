@@ -31,7 +31,7 @@ def _is_former(folder: Path) -> bool:
 
 
 def _outputs_of_run(out: Path, given: Arguments) -> tuple[Output, ...]:
-    """The weights, and the log or the folder of the run, which goes on where it was cut."""
+    """Outputs: the weights, and the log or the folder of the run, which can be resumed."""
     if given["prior"] in _AT_ONCE:
         return Output(out), Output(out.with_suffix(".log"))
     run = Output(out.with_suffix(""), Kind.CONTINUED, is_former=_is_former)

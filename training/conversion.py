@@ -20,7 +20,7 @@ from tyro.conf import Positional
 
 from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
-from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
+from recon.benchmark.dataset import SPLITS, Splits, clip_files, conversion_notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, value_checksum, write_text
@@ -30,7 +30,7 @@ from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
-from training.lessons import Source, judged
+from training.lessons import Source, lesson_rows
 from training.manifest import Row, minutes, write_manifest
 from training.sources import (
     HUMANOID,
@@ -96,7 +96,7 @@ def convert_others(
     clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
-    made: _Maker,
+    convert_clip: _Maker,
 ) -> None:
     """Convert clips that are not skeletons of a known format, unless done already.
 
@@ -106,12 +106,12 @@ def convert_others(
         path = out / clip.collection / f"{clip.name}.npz"
         settings = [clip.id, file_checksum(clip.path), body.checksum, CONVERSION_VERSION, _VERSION]
         key = value_checksum([str(value) for value in settings])
-        known = notes(path)
+        known = conversion_notes(path)
         if known.get("key") == key and path.is_file() and known["checksum"] == file_checksum(path):
             continue
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            found, own_bones = made(clip, body)
+            found, own_bones = convert_clip(clip, body)
         except ValueError as error:
             LOG.warning("%s: left out: %s", clip.id, error)
             continue
@@ -143,7 +143,7 @@ def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Mak
     """A function that converts motions of one skeleton, calibrated from all on first use."""
 
     @cache
-    def read() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
+    def read_and_calibrate() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
         if clips[0].collection == WINDOWS:
             every = read_windows(clips)
             skeleton = recognise(next(iter(every.values())))
@@ -152,12 +152,12 @@ def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Mak
             skeleton = HUMANOID_MAP
         return every, calibrate(list(every.values()), skeleton, body)
 
-    def made(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
-        every, subject = read()
+    def converted(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
+        every, subject = read_and_calibrate()
         (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
 
-    return made
+    return converted
 
 
 def _residuals(found: Conversion) -> list[float]:
@@ -182,10 +182,10 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     """
     parts, rows = Splits.load(splits), list[Row]()
     for name, path in clip_files(out).items():
-        told = notes(path)
+        told = conversion_notes(path)
         collection = str(told.get("collection", path.parent.name))
         source = source_of(name, collection, parts.subject(name), told)
-        rows += judged(load_motion(path), source, body)
+        rows += lesson_rows(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes(rows, parts)
     write_rows(out / "minutes.csv", table)

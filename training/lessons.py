@@ -72,7 +72,7 @@ class Source:
     """Mean distance of markers from their places in every second, metres; skeletons have none."""
 
 
-def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
+def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
     """The stretches of a clip by what they may teach, in whole seconds; the last may be longer.
 
     Args:
@@ -121,8 +121,8 @@ def _reasons_by_second(
     motion = file.motion
     step = max(1, round(motion.fps / _RATE))
     movement = Movement.of(_thinned(motion, step), body)
-    slide, near = sliding(movement)
-    raised = _raised(movement)
+    slide, near = foot_slide(movement)
+    raised = _off_ground(movement)
     fast = _jumps(file, 1.0 if source.true_rate else _HURRY)
     unseen = np.zeros(motion.frames, dtype=bool)
     if file.observed is not None:
@@ -167,7 +167,7 @@ def _thinned(motion: Motion, step: int) -> Motion:
     )
 
 
-def sliding(
+def foot_slide(
     movement: Movement,
 ) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
     """Horizontal speed of the slowest point of the feet near the ground, and where there is one.
@@ -182,7 +182,7 @@ def sliding(
     return np.where(near, slowest, 0.0), near
 
 
-def _raised(movement: Movement) -> Bool[np.ndarray, " time"]:
+def _off_ground(movement: Movement) -> Bool[np.ndarray, " time"]:
     """Frames in which something that is not the ground carries, or soles are under the ground.
 
     A sole stands higher than the ground, or no foot is near it for longer than a flight lasts.

@@ -82,7 +82,7 @@ def _parsed_row(row: Mapping[str, Any]) -> Row:
     )  # fmt: skip
 
 
-def taught(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
+def stretches_to_teach(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
     """The stretches of a clip that are fit for training; contacts only where they are reliable.
 
     Args:

@@ -45,7 +45,7 @@ MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 
 
 def skeleton_clips(data: Path) -> list[list[SourceClip]]:
-    """All recordings of skeletons as they are, by collection, with the notes of their manifests.
+    """All recordings of skeletons by collection, with the notes of their manifests.
 
     Args:
         data: folder of all real recordings.
@@ -150,7 +150,7 @@ _STOOPS = 12.5
 
 
 def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
-    """Recordings whose angles were put on a common skeleton (CMU's 31 joints), by their names.
+    """Recordings on a skeleton shared by all people (CMU's 31 joints), by name.
 
     Angles of one skeleton on another turn every bone by what the rest poses differ in, so that
     some of these people bow their heads and draw up their shoulders throughout. Where a person's
@@ -310,7 +310,7 @@ def _turns(frames: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _arm_lowering(name: str) -> np.ndarray:
-    """The turn that takes an arm stretched out sideways to one that hangs."""
+    """The rotation from an arm stretched out sideways to a hanging arm."""
     if name not in _ARMS:
         return np.eye(3)
     return Rotation.from_euler(

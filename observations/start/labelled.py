@@ -281,7 +281,7 @@ def _frames_to_pose(
 
 
 def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """The labels as they are, or with left and right exchanged, as the hypothesis says."""
+    """The labels with left and right exchanged where the hypothesis exchanges them."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]

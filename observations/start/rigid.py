@@ -68,7 +68,7 @@ def rest_pose_at(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The average body in its rest pose, at these places and with these rotations of its root."""
+    """The average body in its rest pose, with given translations and rotations of its root."""
     others = torch.eye(3).to(root).expand(*root.shape[:-2], 21, 3, 3)
     return Motion(
         translation=translation,

@@ -169,7 +169,7 @@ class CycleBasis(TensorStruct):
         rest = torch.cat((2 * rest[..., :3] - 1, rest[..., 3:]), -1)
         return torch.cat((rows[..., :POSE_NUMBERS], rest), -1)
 
-    def metric(
+    def denormalised(
         self, normalised: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
         """The inverse of `normalised`: 6D rotations without unit, metres, seconds."""

@@ -216,7 +216,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         height of the ground above the soles' own, over its variance.
         """
         rows = self.rows(variables)
-        at = _at_times(rows, self._anchor_of_frames(variables, rows))
+        at = _interpolated_rows(rows, self._anchor_of_frames(variables, rows))
         anchors = Anchors.unpack(at)
         if any(
             detail.requires_grad or bool(detail.any())
@@ -282,7 +282,7 @@ def with_corrections(
     )
 
 
-def _at_times(
+def _interpolated_rows(
     rows: Float[Tensor, "*batch 100 124"], place: Float[Tensor, "*batch time"]
 ) -> Float[Tensor, "*batch time 124"]:
     """Linear interpolation between anchors, which are some milliseconds apart."""

@@ -114,7 +114,7 @@ def drawn_step(
         The canonical frame of the state, the next state in it, and the logits of contacts.
     """
     frame = Frame.of(state)
-    here = frame.enter(state, pelvis)
+    here = frame.to_frame(state, pelvis)
     packed = here.pack()
     latent, log_variance = networks.prior(packed)
     if random is not None:
@@ -130,7 +130,7 @@ _FOOTING = Footing()
 
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
-    """Move the body to the mean of the predicted joints; the state takes the body's joints.
+    """Move the body to the mean of the predicted joints, and replace these by the body's joints.
 
     The network knows best by its joints how high a body is.
     """
@@ -180,7 +180,7 @@ def roll_from(
         frame, reached, touched = drawn_step(
             humor.networks, before, pelvis, random, temperature=temperature
         )
-        after = frame.leave(body_at_joints(reached, rest), pelvis)
+        after = frame.from_frame(body_at_joints(reached, rest), pelvis)
         if footing is not None:
             if draws > 1:
                 assert random is not None

@@ -77,7 +77,7 @@ class LimbDraws:
     def of(
         cls, humor: Humor, shape: Float[Tensor, "particles shape"], unseen: Bool[Tensor, " 22"]
     ) -> "LimbDraws":
-        """The shared data of particles, for bodies of these shapes."""
+        """The data that all particles share, for particles with these body shapes."""
         parents = torch.tensor([max(parent, 0) for parent in PARENTS], device=unseen.device)
         nowhere = unseen[parents]
         return cls(humor, humor.pelvis(shape), humor.body.rest_joints(shape), unseen, nowhere)
@@ -101,12 +101,12 @@ class LimbDraws:
         count = len(self.pelvis)
         state = state.map(lambda tensor: tensor.expand(count, *tensor.shape[1:]))
         frame = Frame.of(state)
-        here = frame.enter(state, self.pelvis)
+        here = frame.to_frame(state, self.pelvis)
         mixture = self.humor.initial
         numbers = initial_features(here)[0].double()
         known = ~self._drawn_features()[mixture.features]
         std = self._deviations().to(numbers)[mixture.features]
-        others = mixture.given(known, numbers[mixture.features][known], std[known])
+        others = mixture.conditioned_on(known, numbers[mixture.features][known], std[known])
         drawn = numbers.repeat(count, 1)
         drawn[:, others.features] = others.sample(count, random)
         points, velocities = (
@@ -116,10 +116,10 @@ class LimbDraws:
         begun = here.replace(
             pose=self._bones_pointing_at(here, points), joint_velocities=velocities
         )
-        return self.completed(state, frame.leave(begun, self.pelvis))
+        return self.completed(state, frame.from_frame(begun, self.pelvis))
 
     def _drawn_features(self) -> Bool[Tensor, " 138"]:
-        """Mask of those `initial_features` that are drawn.
+        """Mask of the `initial_features` that are drawn at random.
 
         Positions and velocities of unobserved joints.
         """
@@ -179,7 +179,7 @@ class ParticleFilter:
     def __call__(
         self, humor: Humor, motion: Motion, unseen: Bool[Tensor, " 22"]
     ) -> Float[Tensor, "hypotheses time 21 3 3"]:
-        """Rotations of the body joints; those that were seen are the motion's.
+        """Rotations of the body joints for each hypothesis; observed joints keep the motion's.
 
         Args:
             humor: the prior, of the motion's precision.
@@ -196,7 +196,7 @@ class ParticleFilter:
         poses, parents = [state.pose], list[Tensor]()
         for frame in range(1, frames):
             step, reached, _ = drawn_step(humor.networks, state, draws.pelvis, random)
-            predicted = step.leave(reached, draws.pelvis)
+            predicted = step.from_frame(reached, draws.pelvis)
             known = states[:, frame].map(lambda tensor: tensor.expand(count, *tensor.shape[1:]))
             state = draws.completed(known, predicted)
             agreement = self._log_likelihood(predicted, state, ~draws.nowhere)

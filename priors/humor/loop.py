@@ -103,14 +103,14 @@ class FrozenDecoder:
             epsilon=norms[0].eps,
         )
 
-    def add(
+    def constant_inputs(
         self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch all_outputs"]:
         """The part of the inputs of all layers that comes from latents, pelvis and biases."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
-    def split(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
+    def by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
         """Layer by layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
@@ -158,18 +158,18 @@ class Turn:
         quarters = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
         return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
 
-    def side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+    def right_side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
         """Horizontal part of the vector to the body's right, not normalised."""
         return self.upright - turns[..., 0, :2, 0]
 
-    def right(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+    def heading(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
         """The heading's (c, s): unit vector to the right of the body."""
-        side = self.side(turns)
+        side = self.right_side(turns)
         return side / torch.linalg.vector_norm(side, dim=-1, keepdim=True)
 
     def __call__(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2 2"]:
         """[[c, s], [-s, c]], for the horizontal parts of vectors."""
-        return (self.right(turns) @ self.quarters).unflatten(-1, (2, 2))
+        return (self.heading(turns) @ self.quarters).unflatten(-1, (2, 2))
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def _unrolled(
     turn = Turn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
-    for each in zip(*(part.unbind(0) for part in decoder.split(added)), strict=True):
+    for each in zip(*(part.unbind(0) for part in decoder.by_layer(added)), strict=True):
         *units, raw = decoder(x, each)
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
@@ -276,7 +276,7 @@ class _Unroll(torch.autograd.Function):
             raw[:, MOVED : MOVED + SPIN].add_(torch.bmm(jacobian[t], axial).view(len(raw), -1))
             g = raw
             for layer in layers:
-                g = layer.back(g, t)
+                g = layer.backward_step(g, t)
             start.addmm_(g, decoder.layers[0].mT)
             start[:, :MOVED].add_(raw[:, :MOVED])
             start[:, MOVED:].add_(torch.bmm(exponential[t], matrices).view(len(raw), -1))
@@ -328,7 +328,7 @@ class _LayerBackward:
             gradients=[],
         )
 
-    def back(
+    def backward_step(
         self, gradient: Float[Tensor, "batch outputs"], step: int
     ) -> Float[Tensor, "batch units"]:
         groups = self.groups[step]
@@ -377,5 +377,5 @@ def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
     """Derivatives of the angle of the heading by the first column of the root's rotation."""
-    x, y = Turn.like(turns).side(turns).unbind(-1)
+    x, y = Turn.like(turns).right_side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

@@ -31,7 +31,7 @@ class StepOutputs(TensorStruct):
     """Logits."""
 
 
-def explain(
+def posterior_outputs(
     networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> StepOutputs:
     """The networks' outputs for every step, decoded from the posterior's mean latent.

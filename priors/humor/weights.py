@@ -40,15 +40,15 @@ def read_weights(path: str | Path) -> Checkpoint:
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
     """Networks of the width that the weights have."""
-    own = weights.besides(INITIAL, WHITENING)
+    own = weights.without_prefixes(INITIAL, WHITENING)
     networks = HumorNetworks(width_of(own.tensors))
-    own.into(networks)
+    own.copy_into(networks)
     return networks
 
 
 def mixture_from(weights: Checkpoint) -> Mixture | None:
-    """The mixture beside the networks, if there is one."""
-    own = weights.under(INITIAL)
+    """The mixture of initial states in a weights file; None without one."""
+    own = weights.with_prefix(INITIAL)
     if len(own.tensors) == 0:
         return None
     count, size = own.tensors["means"].shape if "means" in own.tensors else (12, 138)
@@ -63,7 +63,7 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
     """The matrix that whitens the decoder's errors, where the file has one."""
-    own = weights.under(WHITENING)
+    own = weights.with_prefix(WHITENING)
     return own.require({"": (207, 207)})[""] if own.tensors else None
 
 

@@ -63,7 +63,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         known = between @ motion.valid.to(rows)[..., None] > 0.5
         error = ((back - coarse) / _ERROR).square().where(known, 0.0)
         energies = {
-            "codes": density.energy(density.white(codes), exists),
+            "codes": density.energy(density.whitened(codes), exists),
             "error": 0.5 * error.sum((-1, -2)),
         }
         return Decoded(motion, {**decoded.energies, **energies})

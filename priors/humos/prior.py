@@ -19,9 +19,9 @@ from priors.humos.frames import (
     BodyFrames,
     existing_windows,
     levers,
-    lowest_of,
+    lowest_heights,
     turn_of,
-    windows_of,
+    window_count,
 )
 from priors.humos.networks import HumosWeights, load_weights
 from recon.body.model import BodyModel
@@ -134,7 +134,7 @@ class Humos(Prior[HumosVariables]):
             codes, _ = self.weights.networks.posterior(frames.pack(), motion.shape, exists)
         zero = torch.zeros_like(motion.rotations[..., 0])
         plain = HumosVariables(
-            latent=self.weights.density.white(codes),
+            latent=self.weights.density.whitened(codes),
             shape=motion.shape,
             turn=zero[..., 0, 0, 0],
             place=zero[..., 0, 0, :2],
@@ -197,8 +197,8 @@ class Humos(Prior[HumosVariables]):
         if not 1 <= seconds < float("inf"):
             raise ReconError(f"expected at least 1 second, got {seconds:g}; ask for more")
         frames = round(seconds * FPS) + 1
-        codes = self.weights.density.drawn(len(shape), windows_of(frames), generator)
-        exists = torch.ones(len(shape), windows_of(frames), dtype=torch.bool)
+        codes = self.weights.density.drawn_codes(len(shape), window_count(frames), generator)
+        exists = torch.ones(len(shape), window_count(frames), dtype=torch.bool)
         with torch.no_grad():
             rows = self.weights.networks.decode(codes, shape, exists, frames)
         base = torch.eye(4).expand(len(shape), 4, 4)
@@ -218,7 +218,7 @@ class Humos(Prior[HumosVariables]):
         legs = leg_length(self.body, motion.shape)[..., None]
         pelvis = (posed.joints[..., 0, :] - base[..., None, :3, 3]) @ base[..., :3, :3]
         place = (pelvis[..., :2] / legs[..., None] - made.place) / _SHIFT
-        lift = (lowest_of(posed) / legs - made.clearance)[..., None] / _LIFT
+        lift = (lowest_heights(posed) / legs - made.clearance)[..., None] / _LIFT
         inverse = _scaled_cosines(motion.frames, variables.fps)[1].to(variables.bend)
         return variables.replace(
             bend=(inverse @ steps.flatten(-2)).unflatten(-1, (-1, 3)),
@@ -250,7 +250,7 @@ def frames_at_rate(frames: int, fps: float) -> int:
 
 
 def at_rate(motion: Motion) -> Motion:
-    """The motion at 20 Hz, its last frame held as long as it takes."""
+    """The motion resampled to 20 Hz; the last frame is repeated to fill the last interval."""
     count = frames_at_rate(motion.frames, motion.fps)
     times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
     return motion.at(times.clamp(max=float(motion.times[-1])), FPS)

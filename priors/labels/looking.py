@@ -153,7 +153,7 @@ def widest_direction(
     present: Bool[Tensor, "moments points"],
     across: Float[Tensor, "moments 3"] | None,
 ) -> Float[Tensor, "moments 3"]:
-    """Direction in which points vary most; of all directions, or of those across a given one."""
+    """Direction in which points vary most, among all or those perpendicular to `across`."""
     count = present.sum(-1, keepdim=True).clamp(min=1)[..., None]
     away = (points - points.sum(-2, keepdim=True) / count).where(present[..., None], 0.0)
     if across is not None:
@@ -192,7 +192,7 @@ class CloudLabeller:
         """
         network = LabelNetwork().eval().requires_grad_(False)
         found = named_checkpoint("open" if path is None else path, "labels")
-        found.besides().into(network)
+        found.without_prefixes().copy_into(network)
         return cls(network)
 
     @torch.no_grad()
@@ -259,7 +259,7 @@ _OFFSETS = range(-(STEPS // 2), STEPS // 2 + 1)
 def neighbouring_moments(
     shown: Bool[Tensor, " moments"], steps: list[int], fps: float
 ) -> tuple[Int[Tensor, "moments steps"], Bool[Tensor, "moments steps"]]:
-    """Numbers of the moments around each, and whether there are such moments with points."""
+    """Indices of the frames around each frame, and whether these exist and have points."""
     offset = torch.tensor(steps, device=shown.device)
     asked = torch.arange(len(shown), device=shown.device)[:, None] + offset
     inside = (asked >= 0) & (asked < len(shown))

@@ -160,7 +160,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
     @property
     def weighed(self) -> PoseWeights:
-        """The weights, by default those for 4 cm of noise."""
+        """The weights given to the constructor, or else those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
@@ -180,7 +180,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """Variables that are steps away from the motion, all zero; exact."""
+        """Variables of zero steps from the motion; they decode to it exactly."""
         density = self.density.to(dtype=torch.float64, device=motion.translation.device)
         start = density.coordinates(motion.rotations[..., 1:, :, :].double())
         zero = torch.zeros_like(motion.translation)

@@ -40,7 +40,7 @@ class Made(MotionResult):
         return {**self.about, **closing_fields(inputs, settings)}
 
     def __repr__(self) -> str:
-        """A summary of at most ten lines: length, person, what is known, and findings."""
+        """A summary of at most ten lines: length, person, known facts, and findings."""
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]
         return in_ten_lines(self._headline(), self.summary, found)

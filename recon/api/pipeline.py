@@ -60,7 +60,7 @@ def observed(
         given = read(paths or geometries, how, body)
         if given.ground_given:
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
-    elif names := how_read.given():
+    elif names := how_read.changed_names():
         raise ReconError(
             f"{', '.join(names)}: options for reading files, but the observations are read already"
         )

@@ -82,11 +82,13 @@ class Levers(TensorStruct):
         """The points, world, metres."""
         return pose @ self.points
 
-    def about(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points 22"]:
+    def arms_about_joints(
+        self, pose: Float[Tensor, "frames 3 88"]
+    ) -> Float[Tensor, "frames 3 points 22"]:
         """Vectors from joints to the points that they turn, world, metres."""
         return (pose @ self.arms).unflatten(-1, (-1, len(JOINTS)))
 
-    def pull(
+    def gradient_of(
         self, pose: Float[Tensor, "frames 3 88"], forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Gradient of Σ forces · points by the 69 coordinates of a step."""
@@ -100,7 +102,7 @@ class Levers(TensorStruct):
 
     def jacobian(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames points 3 69"]:
         """Jacobian of the points by the 69 coordinates of a step, metres."""
-        arms = self.about(pose).transpose(1, 2)
+        arms = self.arms_about_joints(pose).transpose(1, 2)
         out = arms.new_zeros(*arms.shape[:2], 3, COORDINATES)
         out.diagonal(dim1=-2, dim2=-1)[:] = 1  # derivative by the translation: the identity
         turns = out[..., 3:].unflatten(-1, (3, len(JOINTS)))
@@ -114,7 +116,7 @@ class Levers(TensorStruct):
         self, pose: Float[Tensor, "frames 3 88"], weights: Float[Tensor, "frames points"]
     ) -> Float[Tensor, "frames 69 69"]:
         """Σ weight JᵀJ over points, with J their derivatives by the coordinates of a step."""
-        arms = self.about(pose)
+        arms = self.arms_about_joints(pose)
         joints = len(JOINTS)
         flat = arms.transpose(1, 2).flatten(-2)
         weighted = flat * weights[..., None]

@@ -155,7 +155,7 @@ def _synonyms() -> Mapping[str, str]:
 
 @cache
 def _joint_centres() -> Mapping[str, str]:
-    """Normalised label of a computed joint centre -> label of the marker beside it."""
+    """Normalised label of a computed joint centre -> label of the marker at the same joint."""
     pairs = cast("dict[str, str]", _sections()["centres"])
     return MappingProxyType(
         {

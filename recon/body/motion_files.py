@@ -33,10 +33,10 @@ def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> Moti
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, or made with another body.
     """
-    return of_body(load_motion(path, body.template.dtype), path, body, remedy)
+    return checked_for_body(load_motion(path, body.template.dtype), path, body, remedy)
 
 
-def of_body(
+def checked_for_body(
     file: MotionFile, path: object, body: BodyModel, remedy: str = WITH_BODY
 ) -> MotionFile:
     """As `load_motion_of`, for a file that was read already; `path` is for messages.
@@ -65,7 +65,9 @@ def of_body(
     return replace(file, motion=file.motion.replace(shape=shape))
 
 
-def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
+def with_equal_pelvis_path(
+    motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]
+) -> Motion:
     """The motion on another body shape, with equal joint rotations and pelvis path.
 
     Feet may leave the ground or sink into it; see `with_shape`.
@@ -85,7 +87,7 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     Raises:
         ValueError: when the body has fewer shape coefficients.
     """
-    toes_before, toes_after = _toes(body, motion.shape), _toes(body, shape)
+    toes_before, toes_after = _toe_heights(body, motion.shape), _toe_heights(body, shape)
     scale = (leg_length(body, shape) / leg_length(body, motion.shape))[..., None, None]
     pelvis = motion.translation + body.rest_joints(motion.shape)[..., None, 0, :]
     origin = torch.cat((pelvis[..., :1, :2], _per_frame(toes_before)), -1)
@@ -102,7 +104,7 @@ def leg_length(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[T
     return rest[..., 0] - rest[..., list(TOES)].mean(-1)
 
 
-def _toes(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+def _toe_heights(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
     """Height of the toe joints above the sole of a body at rest, metres."""
     level = body.joint_template[list(TOES), 1].min()
     below = (body.template[:, 1] < level).nonzero()[:, 0]

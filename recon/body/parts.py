@@ -82,7 +82,7 @@ def vertex_areas(
     )
 
 
-def farthest(
+def farthest_points(
     points: Float[Tensor, "points 3"], seeds: Int[Tensor, " seeds"], count: int
 ) -> Int[Tensor, " count"]:
     """The seeds and, one by one, the point farthest from all chosen so far."""

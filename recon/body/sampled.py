@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel
-from recon.body.parts import PARTS, Parts, farthest, vertex_areas
+from recon.body.parts import PARTS, Parts, farthest_points, vertex_areas
 from recon.core.skeleton import FEET, JOINTS
 from recon.core.struct import TensorStruct
 
@@ -56,7 +56,7 @@ _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def _sampled(body: BodyModel) -> SampledSurface:
-    """The extreme vertices of every bone, then those farthest from all that are chosen.
+    """Choose the extreme vertices of every bone, then those farthest from all chosen ones.
 
     Bones are nearly rigid: whatever the pose, the lowest vertex of one is extreme in some
     direction.
@@ -71,7 +71,7 @@ def _sampled(body: BodyModel) -> SampledSurface:
             continue
         count = POINTS_PER_FOOT_BONE if joint in FEET else POINTS_PER_BONE
         seeds = (rest[bone] @ _sphere(count).to(rest).T).argmax(0).unique()
-        points = farthest(rest[bone], seeds, min(count, len(bone)))
+        points = farthest_points(rest[bone], seeds, min(count, len(bone)))
         nearest = torch.cdist(rest[bone], rest[bone][points]).argmin(-1)
         areas.append(rest.new_zeros(len(points)).index_add(0, nearest, all_areas[bone]))
         chosen.append(bone[points])
@@ -108,4 +108,4 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
 def _farthest_point_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
     """Vertices in the order of farthest point sampling; cached per mesh."""
     points = torch.from_numpy(np.frombuffer(template).reshape(-1, 3).copy())
-    return farthest(points, torch.tensor([0]), count).numpy()
+    return farthest_points(points, torch.tensor([0]), count).numpy()

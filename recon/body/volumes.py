@@ -12,7 +12,7 @@ from recon.body.parts import PARTS, Parts
 
 @dataclass(frozen=True)
 class Openings:
-    """The parts that faces belong to, and the loops of open edges where these are cut off."""
+    """The part of every face, and the loops of open edges where parts are cut apart."""
 
     of_face: Int[Tensor, " faces"]
     """Part of most corners; the parts tile the surface."""

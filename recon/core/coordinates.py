@@ -14,6 +14,8 @@ _DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 _BODY_LENGTH = (1.0, 2.2)
 """Metres along the bones from the head to a foot: children to the tallest adults. Narrower than
 the closest pair of candidate units (a ratio of 2.22), so no length fits two of them."""
+_UNUSUAL, _ADULT = ("ft", "inch"), (1.4, 2.0)
+"""Units that are not found out, and metres that are a likely size of somebody in them."""
 _MARKER_EXTENT = (0.5, 2.5)
 """Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
 _SANE_EXTENT = (0.05, 10.0)
@@ -25,6 +27,10 @@ _FAR = 30.0
 """Metres from the origin from which on it must be the feet that say that they are metres."""
 _STEP_S = 0.15
 """Seconds over which feet are seen to slide: jitter counts less than over a frame."""
+_NO_MOVEMENT = 1e-4
+"""Range of a path, in any unit, below which it was not measured: every pelvis sways by more."""
+_BENDS = 0.05
+"""Range of the entries of rotation matrices from which on a body moves, about 3 degrees."""
 _USUAL = ("m", "cm", "mm")
 _NEAR_FLOOR = 0.2
 """Metres from zero height within which the joints of feet are on the floor."""
@@ -77,6 +83,12 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
 
 
+def unusual_unit(size: float) -> str:
+    """Words on the unit in which a body of a size, in an unknown unit, is as tall as an adult."""
+    found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
+    return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
+
+
 def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     """Unit in which markers span as much as a person, and the reason.
 
@@ -88,7 +100,7 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     if len(fitting) != 1:
         raise UnitsError(
             f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
-            "of m, cm, mm; give the unit with --unit"
+            f"of m, cm, mm{unusual_unit(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
@@ -158,6 +170,26 @@ def unit_of_path(
     )
 
 
+def missing_path(
+    path: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time joints 3 3"]
+) -> str:
+    """What to know of a body that moves and whose path is one place; empty of other paths.
+
+    Args:
+        path: of the body, in any unit.
+        rotations: of its joints.
+    """
+    if len(path) < 2 or np.ptp(path, axis=0).max() > _NO_MOVEMENT:
+        return ""
+    if np.ptp(rotations, axis=0).max() < _BENDS:
+        return ""
+    return (
+        "the translation is the same in every frame though the body moves: the file holds poses "
+        "and no path. The person stays on the spot, and feet that stood slide; save the "
+        "translation in the world (trans, transl) too"
+    )
+
+
 def along_body(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
@@ -172,16 +204,17 @@ def along_body(
     """
     words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
 
-    def seen(pattern: re.Pattern[str]) -> np.ndarray:
+    def points_named(pattern: re.Pattern[str]) -> np.ndarray:
         return visible & np.array([bool(pattern.search(word)) for word in words])
 
-    feet, head, neck = seen(_LOW), seen(_HEAD), seen(_NECK)
-    high, pelvis = seen(_HIGH) & ~feet, seen(_PELVIS) & ~feet
+    feet, head, neck = points_named(_LOW), points_named(_HEAD), points_named(_NECK)
+    high, pelvis = points_named(_HIGH) & ~feet, points_named(_PELVIS) & ~feet
     of_feet = sum(bool(_LOW.search(word)) for word in words)
     both_feet = feet & (feet.sum(1, keepdims=True) > of_feet / 2)
     pairs = (
         (both_feet, high), (both_feet, pelvis), (pelvis, high | neck),
-        (seen(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high), (feet, pelvis),
+        (points_named(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high),
+        (feet, pelvis),
     )  # fmt: skip
     found = np.zeros((len(positions), 3))
     shown = np.zeros(len(positions), dtype=bool)

@@ -254,6 +254,10 @@ MODEL_WEIGHT = Limit(
     "weight in a body model", -2.0, 3.0, "",
     "skinning weights are from 0 to 1, weights of joints a little beyond",
 )  # fmt: skip
+UNIT_LENGTH = Limit(
+    "length of a unit vector", 0.99, 1.01, "",
+    "rounding to two digits moves the length of a unit vector by less than that",
+)  # fmt: skip
 NETWORK_WEIGHT = Limit(
     "weight of a network", -6.6e4, 6.6e4, "",
     "half precision, in which weights are stored, ends at 65,504",
@@ -261,3 +265,45 @@ NETWORK_WEIGHT = Limit(
 
 LIMITS: tuple[Limit, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Limit))
 """Every range above."""
+
+_USUAL_TURN = 0.75
+"""Share of joints and frames that turn by less than half a turn, whatever a root counts on to."""
+_BENT = 0.8
+"""Radians, without whole turns, that half of all joints turn by less; half of degrees by 1.6."""
+_JOINTS_THAT_TELL = 10
+"""Fewest joints by which degrees are told from a root that turns on and on."""
+
+
+def check_rotation_vectors(values: np.ndarray, source: object, key: str) -> None:
+    """Refuse numbers that are no rotation vectors in radians.
+
+    Args:
+        values: (frames, ...); NaN is passed over.
+        source: the file, for the message.
+        key: name of the array, for the message.
+
+    Raises:
+        ValueError: when they are quaternions, columns of matrices or degrees, or too large.
+    """
+    rows = values.reshape(len(values), values[:1].size)
+    rows = rows[np.isfinite(rows).all(-1)].astype(np.float64)
+    expected = f"{source}: expected rotation vectors (axis times angle in radians) in {key}, got"
+    for width, unit, kind in ((4, 4, "quaternions"), (6, 3, "two columns of rotation matrices")):
+        if rows.size and rows.shape[1] % width == 0:
+            lengths = np.linalg.norm(rows.reshape(-1, unit), axis=-1)
+            if UNIT_LENGTH.holds(lengths):
+                raise ReconError(
+                    f"{expected} {kind}; convert them (scipy.spatial.transform.Rotation) to "
+                    "rotation vectors, or to matrices (..., 3, 3)"
+                )
+    if rows.size and rows.shape[1] % 3 == 0 and rows.shape[1] >= 3 * _JOINTS_THAT_TELL:
+        angles = np.linalg.norm(rows.reshape(-1, 3), axis=-1)
+        rest = np.abs(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))
+        usual = float(np.quantile(angles, _USUAL_TURN))
+        if usual > np.pi and np.median(rest) > _BENT:
+            raise ReconError(
+                f"{expected} numbers that look like degrees: a quarter of the joints turn by more "
+                f"than {usual:.1f}, and half a turn is 3.1 radians. Save numpy.deg2rad of them; "
+                "Euler angles must become rotation vectors first"
+            )
+    ROTATION.check(values, source, key, seen=np.isfinite(values))

@@ -193,7 +193,7 @@ def _common_rectangle(
     )
 
 
-def before(
+def in_front_of_plane(
     points: Float[np.ndarray, "points 3"],
     normal: Float[np.ndarray, "3"],
     offset: float,
@@ -252,14 +252,14 @@ def largest_plane(
     return normal, offset, np.abs(points @ normal - offset) < tolerance
 
 
-def above(
+def above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
 ) -> Bool[np.ndarray, " points"]:
     """Points higher than `least` above the ground, metres."""
     return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
 
 
-def spacing(clouds: Sequence[np.ndarray]) -> float:
+def point_spacing(clouds: Sequence[np.ndarray]) -> float:
     """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
 
     Clouds have axes (points, 3), each its own number of points.

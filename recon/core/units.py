@@ -22,6 +22,8 @@ class _Metres(dict[str, float]):
     """Metres per unit, by the unit's name or as a positive number."""
 
     def __missing__(self, unit: str) -> float:
+        if (word := _SPELLINGS.get(unit.strip().lower())) is not None:
+            return self[word]
         try:
             metres = float(unit)
         except ValueError:
@@ -31,14 +33,14 @@ class _Metres(dict[str, float]):
         return metres
 
 
-METRES = _Metres(m=1.0, cm=0.01, mm=0.001, inch=0.0254, cmu=0.0254 / 0.45)
+METRES = _Metres(m=1.0, cm=0.01, mm=0.001, inch=0.0254, ft=0.3048, cmu=0.0254 / 0.45)
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
 
 _SPELLINGS = {
     "meter": "m", "metre": "m", "meters": "m", "metres": "m",
     "centimeter": "cm", "centimetre": "cm", "centimeters": "cm", "centimetres": "cm",
     "millimeter": "mm", "millimetre": "mm", "millimeters": "mm", "millimetres": "mm",
-    "in": "inch", "inches": "inch",
+    "in": "inch", "inches": "inch", "foot": "ft", "feet": "ft",
 }  # fmt: skip
 
 
@@ -64,7 +66,7 @@ def check_override(unit: str | None) -> None:
 
 
 def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
-    """Proper rotation that takes coordinates with this up axis to z up.
+    """Rotation from coordinates with this up axis to coordinates with z up.
 
     From y up it is a quarter turn about x, (x, y, z) -> (x, -z, y), as in AMASS and Blender; from
     x up the cyclic (x, y, z) -> (y, z, x). From y down it is (x, y, z) -> (x, z, -y), which keeps

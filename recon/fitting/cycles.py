@@ -320,7 +320,7 @@ class _Completion:
 
 
 def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
-    """Stages of which the last keeps so many hypotheses of every clip."""
+    """Stages of which the last keeps `count` hypotheses of every clip."""
     return (*stages[:-1], replace(stages[-1], kept=count))
 
 
@@ -359,7 +359,7 @@ def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
 
 
 def _with_marker_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """The observations with unknown offsets of markers from the skin, and the number of these."""
+    """The observations with unknown offsets of markers from the skin, and their number."""
     changed: list[Sensor] = []
     count = 0
     for one in observations:

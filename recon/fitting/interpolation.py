@@ -28,7 +28,7 @@ _WHOLE = 0.5
 """Share of such a file that a cycle found in it lasts; with shorter ones it is several."""
 
 
-def between(
+def interpolated_cycle(
     prior: AnchorFrames, a: AnchorVariables, b: AnchorVariables, share: float
 ) -> AnchorVariables:
     """The cycles `share` of the way from `a` to `b`: (1-k) z_a + k z_b, and so their shapes.
@@ -54,7 +54,7 @@ def between(
     )
 
 
-def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
+def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
     """A batch of one cycle decoded to a motion at `fps`, beginning at its first anchor.
 
     Raises:
@@ -98,7 +98,7 @@ def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batc
     return left - right
 
 
-def agreement(
+def curve_correlation(
     a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
 ) -> Float[Tensor, "first second"]:
     """Uncentred correlation of two sets of curves, -1 to 1."""

@@ -18,7 +18,7 @@ from recon.fitting.long_recording import AT_ONCE, LongRecording
 from recon.fitting.stages import shape_held, until_shape
 from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
-from recon.method.reconstruction import Reconstruction, admitted, reconstruct
+from recon.method.reconstruction import Reconstruction, checked_arguments, reconstruct
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
@@ -81,7 +81,9 @@ def fit_long(
         ValueError: when there is no observation or not exactly one clip, one of them cannot be
             cut, or the overlap is none or more than 40 % of a window.
     """
-    ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    ready, body, start, scene, weights = checked_arguments(
+        observations, body, start, scene, weights
+    )
     recording = LongRecording.cut(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
@@ -174,7 +176,7 @@ class _Job:
             failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
             reports.append(result.reports)
         order = torch.tensor(list(motions)).argsort()
-        merged = [_merge(name, stage, order) for stage in zip(*reports, strict=True)]
+        merged = [_merged_report(name, stage, order) for stage in zip(*reports, strict=True)]
         return _WindowFits(motions, tuple(failed), tuple(merged))
 
     def _watch(self, name: str) -> Watch | None:
@@ -188,8 +190,8 @@ class _Job:
         return with_window
 
 
-def _merge(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:
-    """One report of a stage from those of its batches, in the order of windows."""
+def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:
+    """Join the reports of batches of windows to one report of a stage."""
     solutions = [part.solution for part in parts]
     steps = max(s.trace.shape[1] for s in solutions)
     traces = [s.trace[:, torch.arange(steps).clamp(max=s.trace.shape[1] - 1)] for s in solutions]

@@ -20,7 +20,7 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
 from recon.method.sensor import Sensor
 from recon.method.timing import at_observation_times
-from recon.method.windows import Windows, fade
+from recon.method.windows import Windows, smooth_ramp
 
 AT_ONCE = 8
 """Windows fitted as one batch, so that memory does not grow with the recording."""
@@ -162,7 +162,7 @@ class LongRecording:
             begins, ends = motion.start_time, motion.stop_time
             shared = (times > begins - 1e-6) & (times < ends + 1e-6)
             joints[shared] = body.pose(motion.at(times[shared], fps)).joints
-            later = fade(times[shared], max(start, begins), min(stop, ends)).to(weight)
+            later = smooth_ramp(times[shared], max(start, begins), min(stop, ends)).to(weight)
             weight[shared] = later if begins > start else 1 - later
         return Overlap(joints, weight, fps)
 

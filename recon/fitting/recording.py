@@ -116,7 +116,9 @@ def complete_recording(
     any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
     first = fit_clip(seen, any_motion, body, watch)
     motion = first.result.clip(0).detach()
-    gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
+    gait = (
+        _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
+    )
     told = _stretches(gait, in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
@@ -142,7 +144,7 @@ def _one_cycle(
     body: BodyModel,
     watch: Watch | None,
 ) -> ClipFit | None:
-    """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
+    """The recording as one cycle of gait; None if it lasts longer or its hips do not show one."""
     seen = in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
@@ -177,7 +179,7 @@ def given_or_usual_noise(sensor: Sensor, given: float | None, few_moments: bool)
     return (usual if given is None else given) * (often / max(sensor.fps, often)) ** 0.5
 
 
-def _gait(
+def _completed_gait(
     first: ClipFit,
     prior: WholeRecording,
     options: FitOptions,

@@ -117,13 +117,13 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
         ValueError: when the clip is shorter than a second, or frames of it do not exist.
     """
     body = prior.body
-    motion, shape = _checked(motion, shape, body)
-    start = _start(motion, body)
+    motion, shape = _checked_arguments(motion, shape, body)
+    start = _start_position(motion, body)
 
-    def one(window: Motion) -> Motion:
-        return _settled_proposal(_proposed(window, shape, prior, start), window, body)
+    def retargeted(window: Motion) -> Motion:
+        return _settled_proposal(_network_proposal(window, shape, prior, start), window, body)
 
-    return _in_windows(motion, one)
+    return _in_windows(motion, retargeted)
 
 
 def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
@@ -133,18 +133,18 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
     physics.
     Arguments, result and errors are those of `retarget`.
     """
-    motion, shape = _checked(motion, shape, body)
+    motion, shape = _checked_arguments(motion, shape, body)
     # the path is scaled about the start of the whole clip, not of this window
     grown = with_shape(motion, body, shape)
 
-    def one(window: Motion) -> Motion:
+    def retargeted(window: Motion) -> Motion:
         first = round((window.start_time - motion.start_time) * motion.fps)
         return _settled_proposal(grown.window(first, first + window.frames), window, body)
 
-    return _in_windows(motion, one)
+    return _in_windows(motion, retargeted)
 
 
-def _proposed(
+def _network_proposal(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:
     """The proposal for one window.
@@ -204,12 +204,12 @@ def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
     return join([function(part) for part in parts])
 
 
-def _start(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
+def _start_position(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
     """The place of the pelvis in the first frame."""
     return motion.translation[0] + body.rest_joints(motion.shape)[0]
 
 
-def _checked(
+def _checked_arguments(
     motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
     """Motion and shape in single precision, or an error that says what is wrong."""

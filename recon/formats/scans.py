@@ -1,4 +1,4 @@
-"""Folders of point clouds or surface scans, one PLY, PCD or OBJ file per frame."""
+"""Reads folders of point clouds or surface scans, one PLY, PCD or OBJ file per frame."""
 
 import re
 import struct
@@ -13,11 +13,11 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing
+from recon.formats.opening import existing, files_of
 from recon.formats.pcd import read_pcd
 from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import timed
-from recon.formats.texts import decode, numbers_in, read_bytes
+from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
 
 _BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -28,8 +28,8 @@ _LONGEST = 1 << 16
 """Bytes a header may have."""
 
 
-def check_counts(path: Path) -> None:
-    """Refuse a file whose header promises more than its size allows.
+def check_counts(path: Path) -> int:
+    """Number of vertices of a PLY file, refused if its header promises more than its size allows.
 
     Raises:
         ValueError: when it has no header of a PLY file, or is cut short or too large.
@@ -42,7 +42,7 @@ def check_counts(path: Path) -> None:
         raise FormatError(f"{path}: expected a PLY file, with a header from 'ply' to 'end_header'")
     words = [line.split() for line in head[:end].decode("latin-1").splitlines()]
     text = ["format", "ascii"] in [line[:2] for line in words]
-    needed, count = 0, 0
+    needed, count, vertices = 0, 0, 0
     for line in words:
         if line[:1] == ["element"]:
             if len(line) != 3 or not line[2][:20].isdecimal():
@@ -51,8 +51,9 @@ def check_counts(path: Path) -> None:
                 )
             count = int(line[2][:20])
             CLOUD.check(count, path, f"element {line[1][:20]}")
+            vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # least size: a list has the bytes of its length, a number in a text two characters
+            # fewest bytes of a value: those of a list's length, or two characters in text
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -62,6 +63,7 @@ def check_counts(path: Path) -> None:
             f"{path}: the PLY header promises {needed} bytes or more; the file has "
             f"{path.stat().st_size} and is cut short or damaged"
         )
+    return vertices
 
 
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
@@ -95,7 +97,7 @@ def write_ply_sequence(
     vertices: Float[np.ndarray, "time vertices 3"],
     faces: Int[np.ndarray, "faces 3"] | None = None,
 ) -> tuple[Path, ...]:
-    """Write frame_000000.ply, frame_000001.ply, ... into a folder, which is made if need be."""
+    """Write a mesh or cloud per frame as frame_000000.ply, frame_000001.ply, ..."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = tuple(folder / f"frame_{k:06d}.ply" for k in range(len(vertices)))
     for path, frame in zip(paths, vertices, strict=True):
@@ -103,34 +105,30 @@ def write_ply_sequence(
     return paths
 
 
-def read_ply(
-    path: Path,
-) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-    """Vertices and triangles of one file, text or binary; no triangles in a point cloud.
+def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
+    """Read the vertices of a PLY file, without invalid ones (NaN).
 
     Raises:
         FileNotFoundError: when there is no such file.
-        ValueError: when it is damaged or holds no finite vertices.
+        ValueError: when it is damaged.
     """
-    check_counts(existing(path))
-    # imported here: it is slow to load
+    if check_counts(existing(path)) == 0:
+        return np.zeros((0, 3))
+    # imported only when needed, since it loads slowly
     import trimesh
 
     try:
         mesh = trimesh.load(path, process=False, file_type="ply")
         vertices = np.asarray(mesh.vertices, dtype=np.float64)  # type: ignore[union-attr]
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
     except (
         ValueError, KeyError, IndexError, TypeError, AttributeError, EOFError, MemoryError,
         OverflowError, RuntimeError, struct.error, AssertionError, NotImplementedError,
     ) as error:  # fmt: skip
         # trimesh raises all of these on damaged files
         raise FormatError(f"{path}: damaged PLY file ({error})") from error
-    if vertices.ndim != 2 or len(vertices) == 0 or not np.isfinite(vertices).all():
-        raise FormatError(f"{path}: expected finite vertices, got an array {vertices.shape}")
-    if faces.size > 0 and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise FormatError(f"{path}: damaged PLY file, a face names a vertex that is not there")
-    return vertices, faces.reshape(-1, 3)
+    if vertices.ndim != 2:
+        raise FormatError(f"{path}: expected vertices x, y, z, got an array {vertices.shape}")
+    return vertices[np.isfinite(vertices).all(1)]
 
 
 POINTS = 4096
@@ -149,7 +147,7 @@ def read_scans(
     outliers: float | None = 3.0,
     seed: int = 0,
 ) -> PointsFile:
-    """Clouds of all frames, in metres, z up. Files count in natural order, `scan_2` first of `10`.
+    """Read the clouds of all frames in metres, z up; `scan_2` comes before `scan_10`.
 
     A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
     time) tells the clock; frames that were dropped stay empty. Times of named files may be in any
@@ -213,7 +211,7 @@ def read_scans(
 
 
 def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
-    """Write frame_000000.ply, ... and times.csv; frames without points have no file.
+    """Write clouds as frame_000000.ply, ... and times.csv; empty frames get no file.
 
     Only points and times are kept. The clouds read back are the same to single precision.
 
@@ -244,7 +242,7 @@ def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """The clouds of a folder, in natural order.
+    """Paths of the clouds in a folder; `scan_2` comes before `scan_10`.
 
     Raises:
         FileNotFoundError: when there is no such folder.
@@ -254,18 +252,18 @@ def scan_paths(folder: Path) -> list[Path]:
         raise FileNotFoundError(
             f"{folder}: no such folder; expected one of {', '.join(CLOUDS)} files"
         )
-    found = [path for path in folder.iterdir() if path.suffix.lower() in CLOUDS]
+    found = files_of(folder, CLOUDS)
     kinds = sorted({path.suffix.lower() for path in found})
     if len(kinds) != 1:
         raise FormatError(
             f"{folder}: expected files {' or '.join(CLOUDS)}, one per frame, got "
             f"{' and '.join(kinds) or 'none'}"
         )
-    return naturally(found)
+    return naturally_sorted(found)
 
 
-def naturally(paths: Iterable[Path]) -> list[Path]:
-    """Sorted by name, numbers in it by their value."""
+def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted by name, with numbers in names compared by value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
         # at most 4000 digits, the most that Python converts to an integer
@@ -278,14 +276,14 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
 def thinned(
     cloud: Float[np.ndarray, "points 3"],
     count: int,
-    outliers: float | None,
+    outlier_deviations: float | None,
     generator: np.random.Generator,
 ) -> Float[np.ndarray, "kept 3"]:
-    """A cloud without outliers, of at most `count` points drawn at random, in their order."""
+    """At most `count` random points of a cloud without its outliers, in their order."""
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
-    if outliers is not None:
-        cloud = cloud[~is_outlier(cloud, outliers)]
+    if outlier_deviations is not None:
+        cloud = cloud[~is_outlier(cloud, outlier_deviations)]
     if len(cloud) <= count:
         return cloud
     return cloud[np.sort(generator.permutation(len(cloud))[:count])]
@@ -294,7 +292,7 @@ def thinned(
 def is_outlier(
     cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
 ) -> np.ndarray:
-    """Outliers: points whose mean distance to neighbours is too large for a surface."""
+    """Mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
     if len(cloud) <= neighbours:
@@ -304,16 +302,18 @@ def is_outlier(
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """The points, or vertices, of a file.
+    """Read the points of a cloud or mesh; several at zero are pixels that measured nothing.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
     """
-    return CLOUDS[path.suffix.lower()](path)
+    found = CLOUDS[path.suffix.lower()](path)
+    measured = (found != 0).any(1)
+    return found[measured] if (~measured).sum() > 1 else found
 
 
 def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Vertices of an .obj file; further numbers of theirs, such as colours, are left out."""
+    """Read the vertices of an .obj file without their colours."""
     lines = decode(read_bytes(path)).splitlines()
     rows = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
     CLOUD.check(len(rows), path, "vertices")
@@ -326,13 +326,18 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     return found
 
 
+_BETWEEN = re.compile(r"\d\s*[;\s]\s*-?\d+,\d+\s*[;\s]\s*-?\d")
+"""A number with a decimal comma between two others."""
+
+
 def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Points of lines x, y, z; normals, colours and intensities after them are left out.
+    """Read points from lines of x, y, z; further columns, such as colours, are left out.
 
     Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
     .pts how many lines follow. Invalid points (NaN) are left out.
     """
-    text = decode(read_bytes(path)).replace(",", " ").replace(";", " ").strip()
+    text = with_decimal_points(decode(read_bytes(path)), _BETWEEN)
+    text = text.replace(",", " ").replace(";", " ").strip()
     first, _, rest = text.partition("\n")
     promised = int(first[:20]) if first[:20].strip().isdecimal() else None
     text = rest if promised is not None or first.startswith(("#", "//")) else text
@@ -344,14 +349,14 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
         found = numbers_in(text, width * count).reshape(count, width)[:, :3]
     except ValueError as error:
         raise FormatError(
-            f"{path}: expected lines of x, y, z and what else is known of the point, all alike, "
+            f"{path}: expected lines of x, y, z and perhaps more, all of the same length, "
             f"but it is damaged ({error!s:.100})"
         ) from error
     return found[np.isfinite(found).all(1)]
 
 
 CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
-    ".ply": lambda path: read_ply(path)[0],
+    ".ply": read_ply,
     ".pcd": read_pcd,
     ".obj": _vertices_of_obj,
     **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),

@@ -1,4 +1,4 @@
-"""Tables of text, cells between commas, semicolons or tabs: rows, written and read; numbers."""
+"""Reads and writes tables of text with commas, semicolons or tabs between cells."""
 
 import csv
 import re
@@ -18,11 +18,13 @@ _CELLS = Limit(
     "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
 )
 
+_COMMENTS = 20
+"""Most lines of comments before a table."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
-    """The cells of every row that is not blank, without white space around them.
+    """Read the cells of every row that is not blank, stripped of white space.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -37,13 +39,16 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
 
 
 def _split(text: str) -> list[list[str]]:
-    """The cells of every line, between semicolons or tabs where the first line has no commas.
+    """Split lines into cells at the separator that the first line has.
 
+    Without commas these are semicolons, tabs, bars or, between seven words or more, spaces.
     Numbers may then have a comma for a point, as spreadsheets of many countries write.
     """
-    lines = text.splitlines()
-    first = next((line for line in lines if line.strip()), "")
-    mark = next((one for one in ";\t" if one in first and "," not in first), ",")
+    lines = _without_comments([line for line in text.splitlines() if line.strip()])
+    first = lines[0] if lines else ""
+    mark = next((one for one in ";\t|" if one in first and "," not in first), ",")
+    if mark == "," not in first and len(first.split()) >= _WORDS:
+        lines, mark = ["|".join(line.split()) for line in lines], "|"
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     if mark == ",":
         return rows
@@ -51,8 +56,22 @@ def _split(text: str) -> list[list[str]]:
     return [[cell.replace(",", ".") if comma(cell) else cell for cell in row] for row in rows]
 
 
+_WORDS = 7
+"""Words of a first line from which on spaces are between cells: a number and two points."""
+
+
+def _without_comments(lines: list[str]) -> list[str]:
+    """The lines without leading comments (#), the last of which may be the header (numpy)."""
+    count = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+    if count == 0:
+        return lines
+    header = lines[count - 1].lstrip("# ")
+    cells = [len(re.split(r"[,;\t|]|\s+", line.strip())) for line in (header, lines[count])]
+    return [header] * (cells[0] == cells[1]) + lines[count:]
+
+
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write a table in one step: a column for every key, in the order in which keys come.
+    """Write a table atomically, with a column for every key in order of first appearance.
 
     Raises:
         FileNotFoundError: when the folder does not exist.
@@ -64,8 +83,8 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         writer.writerows(rows)
 
 
-def each_once(columns: Sequence[str], name: str) -> None:
-    """Refuse a table that has two columns of one name: only one of them could be used.
+def refuse_repeated_columns(columns: Sequence[str], name: str) -> None:
+    """Refuse a table in which two columns have the same name.
 
     Raises:
         ValueError: naming the column.
@@ -78,15 +97,15 @@ def each_once(columns: Sequence[str], name: str) -> None:
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:
-    """The first rows of a table, without reading the rest; none where it is no table.
+    """Read the first rows of a table only; none if the file is no table.
 
     Raises:
         FileNotFoundError: when there is no such file.
     """
     with path.open("rb") as file:
-        head = b"".join(line for line, _ in zip(file, range(count), strict=False))
+        head = b"".join(line for line, _ in zip(file, range(count + _COMMENTS), strict=False))
     try:
-        return _split(decode(head).replace("\0", ""))
+        return _split(decode(head).replace("\0", ""))[:count]
     except csv.Error:
         return []
 
@@ -99,7 +118,7 @@ def numbers(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """The numbers in some columns; NaN where a cell is blank or a short row has none.
+    """The numbers in some columns of a table; NaN where a cell is blank or missing.
 
     Args:
         rows: below the header.

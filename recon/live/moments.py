@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from observations.moments import Tracker, filled, followed, moments, without
+from observations.moments import Tracker, frame_from_array, moments, streamable, with_points_hidden
 from recon.core.arrays import Numbers, finite
 from recon.core.errors import ObservationError
 from recon.core.struct import TensorStruct
@@ -46,7 +46,7 @@ class StreamSensors:
         seen = _one_or_more(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
-        sensors = tuple(followed(one) for one in seen)
+        sensors = tuple(streamable(one) for one in seen)
         if len(rates := sorted({one.fps for one in sensors})) > 1:
             raise ObservationError(
                 f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
@@ -62,7 +62,7 @@ class StreamSensors:
     @property
     def empty_moment(self) -> tuple[Tracker, ...]:
         """A moment at which nothing was seen."""
-        return tuple(without(one) for one in self.trackers)
+        return tuple(with_points_hidden(one) for one in self.trackers)
 
     def moment(self, given: Any, time: float | None, next_time: float) -> Moment:
         """The pushed data as one moment of all sensors.
@@ -83,7 +83,9 @@ class StreamSensors:
             many = len(self.trackers) > 1
             rows: Any = given if many else [given]
             self._check_count(rows)
-            seen = tuple(filled(s, row) for s, row in zip(self.trackers, rows, strict=True))
+            seen = tuple(
+                frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)
+            )
             return Moment(next_time if time is None else finite(time, "time"), seen)
         rows = _one_or_more(given)
         self._check_count(rows)
@@ -115,7 +117,7 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
         )
-    one = followed(given)
+    one = streamable(given)
     if one.moments != 1:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:

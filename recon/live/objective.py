@@ -94,7 +94,7 @@ class StepEnergies(Protocol):
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the density of poses and of smoothness beside them."""
+        """Weights of the density of poses and of smoothness."""
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
@@ -197,7 +197,7 @@ class Objective:
         return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
 
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
-        """The model of the last frames, those with data; earlier ones are held where they are."""
+        """The second-order model over the last frames, which have data; earlier ones are held."""
         rotations, orientations, joints = self.posed(window)
         held, active = window.frames - seen[0].moments, seen[0].moments
         pose = window.pose[held:]
@@ -239,7 +239,7 @@ class Objective:
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
         if self.steps is not None:
-            judged, slope = self._judged(window, held)
+            judged, slope = self._prior_energy_and_gradient(window, held)
             value, gradient = value + judged.energy.detach(), gradient + slope
             motion = self.motion(window, rotations)[0]
             self.steps.add_curvature(motion, judged, hessian, of_joints)
@@ -257,7 +257,9 @@ class Objective:
             gradient_shape=gradient_shape,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
+    def _prior_energy_and_gradient(
+        self, window: Window, held: int
+    ) -> tuple[Any, Float[Tensor, "active 69"]]:
         """The prior's energy of the steps, and its gradient by the active frames' variables."""
         assert self.steps is not None
         with torch.enable_grad():

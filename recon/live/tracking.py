@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined, with_moment, without
+from observations.moments import Tracker, joined_in_time, with_moment, with_points_hidden
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -98,14 +98,14 @@ def first_window(
     poses: PosePrior,
     prior: Prior[Any] | None,
 ) -> Smoothed:
-    """A window of these moments, each one frame after the other, fitted under the pose prior.
+    """Fit the pose prior to consecutive moments; the first window of a stream.
 
     Raises:
         ReconError: when nothing can be fitted to them.
     """
     seen = list(moments[0].seen)
     for moment in moments[1:]:
-        seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
+        seen = [joined_in_time(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
     first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=person.shape)
@@ -182,7 +182,7 @@ class Tracking:
     """Moments since points were seen, once there is a motion."""
 
     @cached_property
-    def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
+    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
         return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     @property
@@ -311,7 +311,7 @@ class Tracking:
             away = one.distances(points.of(orientations, joints))
             bad = one.shown & (away > allowed)
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
-            kept.append(without(one, bad) if bool(bad.any()) else one)
+            kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)
         return (self.sensors.empty_moment if share > 0.5 else tuple(kept)), share
 
@@ -361,6 +361,6 @@ class Tracking:
     def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
         """Joints that an observation locates, in an active frame."""
         found = np.zeros(22, dtype=bool)
-        for one, shown in zip(self._now.seen, self._shown, strict=True):
+        for one, shown in zip(self._now.seen, self._located_joints, strict=True):
             found |= one.shown[active].numpy() @ shown
         return found

@@ -64,7 +64,7 @@ class GroundDeviation:
         return math.degrees(self.normal)
 
 
-def perturbed(scene: Scene, copies: int, belief: GroundBelief, step: float) -> Scene:
+def perturbed_scenes(scene: Scene, copies: int, belief: GroundBelief, step: float) -> Scene:
     """Copies of a scene; in each of the last ones one coordinate of the ground is moved."""
     scenes = scene[torch.zeros(copies, dtype=torch.long)]
     if belief.coordinates == 0:
@@ -188,7 +188,7 @@ class Neighbourhood:
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
         else:
-            scenes = perturbed(self.scene, rows, self.ground, STEP)
+            scenes = perturbed_scenes(self.scene, rows, self.ground, STEP)
         return Estimate(Decoded(motion), self.body.pose(motion), scenes)
 
     @cached_property

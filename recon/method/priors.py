@@ -51,7 +51,7 @@ class Density:
 
 
 class Prior(ABC, Generic[S]):
-    """A change of variables with a density over them; derive from it, then `recon.fit` takes it.
+    """Base class of priors: variables of a motion, their density and the stages of a fit.
 
     `encode` and `decode` are what a prior must have. All else has a usual answer.
     """
@@ -140,7 +140,7 @@ class Prior(ABC, Generic[S]):
         return None
 
     def live(self, noise: float) -> Any:
-        """Energies of steps for a stream whose points are off by `noise` metres.
+        """Energies of steps for a stream of points with a noise of `noise` metres.
 
         None, the usual answer, where there are none; see `recon.live.objective`.
         """
@@ -148,7 +148,7 @@ class Prior(ABC, Generic[S]):
         return None
 
     def from_steps(self, variables: S, steps: Float[Tensor, "clips time 69"]) -> S:
-        """Variables that differ from the given ones, which are steps of zero, by these steps."""
+        """The given variables, which are steps of zero, after these steps."""
         raise NotImplementedError(
             f"{type(self).__name__} has a reach above 0, so it must define from_steps"
         )

@@ -19,7 +19,7 @@ from recon.method.priors import Prior
 from recon.method.protocols import Estimate
 from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
 from recon.method.unknowns import Layout, Unknowns, objective
-from recon.solver.solution import Solution, in_turn
+from recon.solver.solution import Solution, joined_in_turn
 
 _ITERATION_SHARE = 3
 """Part of its iterations that every round of a stage has, where correspondences are found anew."""
@@ -96,7 +96,7 @@ class Hypotheses(Generic[S]):
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> Compared:
-        """A record of the compared hypotheses: their objectives and which of them go on."""
+        """A record of the compared hypotheses: their objectives and which are kept."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
@@ -192,7 +192,7 @@ def _solved(
         held = replace(stage, minimiser=minimiser).matched(estimate)
         unknowns, solution = _minimised(held, body, unknowns, watch)
         solutions.append(solution)
-    return unknowns, in_turn(solutions)
+    return unknowns, joined_in_turn(solutions)
 
 
 def _minimised(

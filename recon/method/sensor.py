@@ -258,7 +258,9 @@ class Sensor(TensorStruct):
 
     def start(self, body: BodyModel) -> Motion:
         """A first guess at the times of the data: a person standing at the origin."""
-        return standing(body, self.clips, self.moments, fps=self.fps, start_time=self.start_time)
+        return standing_motion(
+            body, self.clips, self.moments, fps=self.fps, start_time=self.start_time
+        )
 
     def settled(self: R, scene: Scene) -> R:
         """The sensor with the scene's unknowns (offsets, lens, ...) inserted as known."""
@@ -275,13 +277,13 @@ class Sensor(TensorStruct):
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
         """Every `step`-th frame, all where most are empty, to compare hypotheses quickly."""
         del body
-        if self._sparse:
+        if self._mostly_empty:
             return self
         fewer: dict[str, Any] = {"fps": self.fps / step}
         return self.derived(**fewer, **self.some_frames(range(0, self.moments, step)))
 
     @property
-    def _sparse(self) -> bool:
+    def _mostly_empty(self) -> bool:
         """Whether most frames are empty."""
         return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
 
@@ -291,7 +293,7 @@ class Sensor(TensorStruct):
         return self
 
     def on_faster_clock(self: R, times: int) -> R:
-        """The data on a clock that is so many times as fast, with empty frames in between.
+        """The data on a clock `times` times as fast, with empty frames in between.
 
         Data of a camera that moves keep their clock.
         """
@@ -351,7 +353,7 @@ class Sensor(TensorStruct):
         return found
 
 
-def standing(
+def standing_motion(
     body: BodyModel, clips: Sequence[int], moments: int, *, fps: float, start_time: float
 ) -> Motion:
     """The average body in its rest pose, upright, over the origin; its soles stand at z = 0.

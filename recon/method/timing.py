@@ -21,7 +21,7 @@ def at_observation_times(
     start_time: float,
     moments: int,
 ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-    """Positions of the estimate at an observation's moments, and which moments those are.
+    """Values of an estimate at the frames of an observation that it covers, and which these are.
 
     Linear between decoded frames; moments outside the motion are left out, so an estimate of
     the first frames of a clip meets the first moments of its data.
@@ -70,7 +70,7 @@ def padded(
     moments: int,
     unit: Unit = "metres",
 ) -> Residuals:
-    """Residuals of some moments among all of the observation's; zero at the others."""
+    """Residuals of some frames, filled up with zeros to all frames of the observation."""
     weights = weights.to(values)
     if values.shape[-3] == moments:
         return Residuals(values.where(weights[..., None] > 0, 0.0), weights, unit)

@@ -1,4 +1,4 @@
-"""BVH: a tree of joints with offsets and Euler channels (Biovision), plain or xz-compressed.
+"""Reads Biovision's BVH: a tree of joints with offsets, and Euler angles of every frame.
 
 Position channels replace a joint's OFFSET, as Blender and MotionBuilder read them, unless they
 are zero throughout. The file states neither unit nor up axis; by custom y is up.
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.texts import decode, numbers_in, read_bytes
+from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -31,7 +31,7 @@ _SIGNATURE = {"LHipJoint", "RHipJoint", "LowerBack", "Neck1", "LeftFingerBase", 
 
 
 def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
-    """Give the lost bones their length back; any other skeleton is returned as it is."""
+    """Restore bones that a known exporter writes with length zero; other skeletons stay."""
     if not set(recording.joint_names) >= _SIGNATURE:
         return recording
     offsets, positions = recording.rest_offsets.copy(), recording.positions.copy()
@@ -57,8 +57,13 @@ def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
     )
 
 
+_DECIMAL_COMMA = re.compile(r"\d,\d")
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)
+
+
+_TURNS = 0.5
+"""Range of a channel, in any unit, from which on a body moves."""
 
 
 @dataclass
@@ -83,14 +88,15 @@ def read_bvh(path: Path, *, unit: str | None = None, up: Up | None = None) -> Sk
 def parse_bvh(
     text: str, name: str, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
-    """The recording in the text of a BVH file; see `read_bvh`."""
-    head, keyword, body = text.partition("MOTION")
-    if not keyword:
+    """Parse the text of a BVH file, as `read_bvh` does."""
+    text = with_decimal_points(text, _DECIMAL_COMMA)
+    head, *body = re.split(r"^\s*MOTION\b", text, maxsplit=1, flags=re.IGNORECASE | re.MULTILINE)
+    if not body:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
     joints = parse_hierarchy(head, name)
-    values, (fps, said) = _parse_motion(body, joints, name)
+    values, (fps, said) = _parse_motion(body[0], joints, name)
     parents = tuple(joint.parent for joint in joints)
-    positions, orientations = posed_skeleton(parents, _local(joints, values), len(values))
+    positions, orientations = posed_skeleton(parents, _local_poses(joints, values), len(values))
     raw = SkeletonRecording(
         name=name,
         joint_names=tuple(joint.name for joint in joints),
@@ -105,7 +111,7 @@ def parse_bvh(
 
 
 def parse_hierarchy(head: str, name: str) -> list[_Joint]:
-    """The joints in the text before the motion, parents first.
+    """Parse the joints in the text before the motion, parents first.
 
     Raises:
         ValueError: when it is no tree of joints with offsets.
@@ -166,17 +172,22 @@ def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
 def _parse_motion(
     body: str, joints: list[_Joint], name: str
 ) -> tuple[np.ndarray, tuple[float, str]]:
-    """Numbers of all frames and channels, and `stated_rate` of the file."""
+    """Parse the values of all frames and channels, and the frame rate."""
     timing = _TIMING.match(body)
     if timing is None:
         raise FormatError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
     try:
-        frames, step = int(timing[1]), float(timing[2])
+        frames, step = int(timing[1]), float(timing[2].replace(",", "."))
     except ValueError as error:
         raise FormatError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
     width = sum(len(joint.channels) for joint in joints)
     FRAMES.check(frames, name, "Frames")
     SAMPLES.check(frames * len(joints), name, "Frames")
+    if step > 1:
+        raise FormatError(
+            f"{name}: expected 'Frame Time' in seconds, got {step:g}, as if in milliseconds or "
+            "frames per second: write 0.033333 for 30 frames per second"
+        )
     rate = stated_rate(1 / step if step > 0 else 0.0, name, "Frame Time")
     try:
         values = numbers_in(body, frames * width, timing.end())
@@ -190,11 +201,17 @@ def _parse_motion(
     values = values.reshape(frames, width)
     turns = [turn for joint in joints for _, turn in joint.channels]
     ANGLE.check(values, name, "[frame, channel]", seen=np.broadcast_to(turns, values.shape))
+    moved = values[:, turns]
+    if (np.abs(moved) <= np.pi).all() and np.ptp(moved, axis=0).max(initial=0.0) > _TURNS:
+        said = "no angle is larger than 3.14: if they are radians, write them in degrees"
+        return values, (rate[0], f"{rate[1]}; {said}")
     return values, rate
 
 
-def _local(joints: list[_Joint], values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Place (frames, 3) of every joint in its parent, in the file's unit, and its rotation."""
+def _local_poses(
+    joints: list[_Joint], values: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Position (frames, 3) and rotation of every joint relative to its parent, in order."""
     column = 0
     for joint in joints:
         channels = joint.channels

@@ -143,7 +143,7 @@ class Factor:
         raised = 1.0 + damping + _ROUNDING * torch.finfo(matrix.corner.dtype).eps
         own, beside = _blocks(matrix, self._scale)
         self._shape = own.shape[:-1]
-        border = self._split(matrix.border * self._scale[..., None] * self._edge_scale)
+        border = self._in_blocks(matrix.border * self._scale[..., None] * self._edge_scale)
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
         own.diagonal(dim1=-2, dim2=-1).fill_(raised)
         corner.diagonal().fill_(raised)
@@ -184,7 +184,7 @@ class Factor:
     def solve_lower(self, gradient: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """L⁻¹ g, which turns a gradient by x into one by u."""
         frames, edge = self._frames_and_border(gradient)
-        right = self._split(frames[..., None] * self._scale[..., None])
+        right = self._in_blocks(frames[..., None] * self._scale[..., None])
         found: list[Tensor] = []
         for i, within in enumerate(self._within):
             here = right[i]
@@ -199,7 +199,7 @@ class Factor:
         """L⁻ᵀ u, which turns a step of u into one of x."""
         frames, edge = self._frames_and_border(u)
         edge = self._corner.T.mv(edge)
-        right = self._split(frames[..., None])
+        right = self._in_blocks(frames[..., None])
         right = right - (self._border.mv(edge)).view_as(right)
         found = self._back_substituted(list(right))
         scaled = found.flatten()[: frames.numel()].view_as(frames) * self._scale
@@ -244,7 +244,9 @@ class Factor:
         time, n = self._frames
         return numbers[: time * n].view(time, n), numbers[time * n :]
 
-    def _split(self, frames: Float[Tensor, "time n k"]) -> Float[Tensor, "blocks *some size k"]:
+    def _in_blocks(
+        self, frames: Float[Tensor, "time n k"]
+    ) -> Float[Tensor, "blocks *some size k"]:
         """Rows of frames, block by block; zeros after the last frame."""
         time, n = self._frames
         missing = math.prod(self._shape) - time * n

@@ -89,7 +89,7 @@ class LineSearches:
         return searches
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Drop all elements but these."""
+        """Keep only these elements of the batch."""
         for field in fields(self):
             setattr(self, field.name, getattr(self, field.name)[..., rows])
 

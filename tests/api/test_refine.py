@@ -12,6 +12,7 @@ from recon import cli
 from recon.core import rotations as so3
 from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.estimates import exchanged_frames, mirrored_limbs
+from recon.view.info import info
 from tests.filmed import bundled, walk
 
 LEGS = tuple(JOINTS.index(f"{s}_{p}") for p in ("hip", "knee", "ankle") for s in ("left", "right"))
@@ -160,7 +161,22 @@ def test_left_handed_coordinates_are_turned_round(tmp_path, cases):
 
 
 def test_options_of_reading_are_of_files(cases):
-    with pytest.raises(recon.ReconError, match="camera: how to read files"):
+    with pytest.raises(recon.ReconError, match="camera: options for reading files"):
         recon.fit(recon.simulate(cases[0], "joints3d"), camera="c.toml")
     with pytest.raises(TypeError, match="did you mean frame_rate"):
         recon.fit("seen.npz", frame_rat=30.0)
+
+
+def test_an_estimate_without_a_path_is_told_by_every_door(tmp_path, cases, caplog):
+    """A translation of zeros was refined without a word."""
+    _, seen = cases
+    poses = so3.log(seen.rotations[:8]).flatten(1).numpy()
+    path = tmp_path / "a.npz"
+    np.savez(path, poses=poses, trans=np.zeros((8, 3)), betas=np.zeros(10), mocap_framerate=30.0)
+    found = recon.refine(path, "pose", max_seconds=0.01)
+    assert "poses and no path" in found.warnings[0].message
+    assert "poses and no path" in info(path)["decisions"][0]
+    recon.read(path)
+    assert "poses and no path" in caplog.text
+    np.savez(path, poses=poses * 0, trans=np.zeros((8, 3)), betas=np.zeros(10), fps=30.0)
+    assert "decisions" not in info(path)  # somebody who stands still

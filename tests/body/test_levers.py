@@ -75,7 +75,7 @@ def test_derivatives_by_steps(posed: Posed) -> None:
     close = {"atol": 1e-7, "rtol": 0}
     torch.testing.assert_close(levers.jacobian(bones), expected, **close)
     pull = torch.einsum("tdv,tvdk->tk", posed.forces, expected)
-    torch.testing.assert_close(levers.pull(bones, posed.forces), pull, atol=1e-6, rtol=0)
+    torch.testing.assert_close(levers.gradient_of(bones, posed.forces), pull, atol=1e-6, rtol=0)
     weighted = expected * posed.weights[..., None, None]
     stiffness = torch.einsum("tvdk,tvdl->tkl", weighted, expected)
     torch.testing.assert_close(

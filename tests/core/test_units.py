@@ -30,7 +30,7 @@ def test_every_unit_is_recognised_by_the_length_of_the_body(unit: str, length: f
     assert unit_from_bones(length / METRES[unit], "clip")[0] == unit
 
 
-@pytest.mark.parametrize("length", [0.5, 5.0, 5000.0, 0.0])
+@pytest.mark.parametrize("length", [0.5, 3.0, 5000.0, 0.0])
 def test_a_length_of_no_body_is_refused_and_names_the_option(length: float) -> None:
     with pytest.raises(ValueError, match="--unit"):
         unit_from_bones(length, "clip")

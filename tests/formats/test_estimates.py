@@ -8,8 +8,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from recon.core.errors import FormatError
+from recon.core.errors import FormatError, ReconError
 from recon.formats.estimates import read_estimate
+from recon.formats.motions import load_motion
 from recon.view.info import info
 
 FRAMES = 6
@@ -124,6 +125,30 @@ def test_what_is_no_estimate_is_refused(tmp_path, arrays, words):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(FormatError.__mro__[1], match=words):
         read_estimate(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("read", [read_estimate, load_motion])
+@pytest.mark.parametrize("kind", ["degrees", "quaternions", "two columns of rotation matrices"])
+def test_rotations_of_another_kind_are_named(tmp_path, read, kind):
+    """96 numbers of 24 quaternions were read as 32 rotation vectors, small degrees as radians."""
+    turns = Rotation.from_rotvec(
+        np.concatenate((UPRIGHT, BODY, 0 * BODY[:, :6]), 1).reshape(-1, 3)
+    )
+    poses = {
+        "degrees": np.rad2deg(turns.as_rotvec()), "quaternions": turns.as_quat(),
+        "two columns of rotation matrices": turns.as_matrix()[..., :2].swapaxes(-1, -2),
+    }[kind]  # fmt: skip
+    for shape in ((FRAMES, -1), (FRAMES, 24, poses[0].size)):
+        np.savez(tmp_path / "a.npz", poses=poses.reshape(shape), trans=PLACE, betas=np.zeros(10),
+                 fps=30.0)  # fmt: skip
+        with pytest.raises(ReconError, match=f"radians.* got .*{kind}"):
+            read(tmp_path / "a.npz")
+
+
+def test_a_root_that_turns_on_and_on_is_no_degrees(tmp_path):
+    turning = np.arange(FRAMES)[:, None] * [0.0, 0.0, 9.0]
+    np.savez(tmp_path / "a.npz", root_orient=turning, pose_body=BODY, trans=PLACE)
+    assert read_estimate(tmp_path / "a.npz", up="y").known.all()
 
 
 def test_a_pickle_that_would_run_something_is_refused_and_nothing_is_run(tmp_path):

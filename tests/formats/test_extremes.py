@@ -143,7 +143,9 @@ def test_an_observation_is_taken(tmp_path: Path, name: str) -> None:
 MOTIONS: dict[str, dict[str, Any]] = {
     "a shape at five standard deviations": {"betas": np.full(10, -5.0)},
     "300 coefficients": {"betas": np.zeros(300)},
-    "a pirouette of three turns, counted on": {"poses": np.full((3, 66), 18.8)},
+    "a pirouette of three turns, counted on": {
+        "poses": np.pad(np.full((3, 1), 18.8), ((0, 0), (2, 63)))
+    },
     "a motion at 1,000 Hz": {"mocap_framerate": 1000.0},
     "a probability of 1 but for rounding": {"contacts": np.full((3, 22), 1 + 1e-6)},
     "certain joints": {"joint_std": np.zeros((3, 22))},

@@ -30,7 +30,13 @@ from training.humor.legs import (
 )
 from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
 from training.humor.train import HumorTraining
-from training.humor.variation import GRAVITY, UPPER, clear_of_trunk, joined, with_flight
+from training.humor.variation import (
+    GRAVITY,
+    UPPER,
+    clear_of_trunk,
+    with_flight,
+    with_upper_body_of,
+)
 from training.humor.variation import with_arms_moved as moved
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -216,7 +222,7 @@ def test_trunks_keep_their_tilt_and_follow_the_legs_heading() -> None:
     trunks = trunks.derived(
         rotations=torch.cat((turn @ trunks.rotations[:, :, :1], trunks.rotations[:, :, 1:]), 2)
     )
-    made, accepted = joined(legs, trunks)
+    made, accepted = with_upper_body_of(legs, trunks)
     assert accepted.all()
     chest, expected = made.posed()[0][:, :, 9], trunks.posed()[0][:, :, 9]
     # less the turn, the chest is tilted as it was recorded
@@ -228,7 +234,7 @@ def test_trunks_keep_their_tilt_and_follow_the_legs_heading() -> None:
     torch.testing.assert_close(made.contacts, legs.contacts)
     leaning = trunks.contacts.clone()
     leaning[:, 3, CHANNELS[20]] = True
-    assert not joined(legs, trunks.derived(contacts=leaning))[1].any()
+    assert not with_upper_body_of(legs, trunks.derived(contacts=leaning))[1].any()
 
 
 def test_arms_do_not_reach_into_the_trunk() -> None:

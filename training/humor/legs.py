@@ -16,9 +16,9 @@ from training.humor.moments import (
     Moments,
     at_frames,
     forward_of,
-    possible,
+    is_plausible,
+    minimum_jerk,
     speeds,
-    step,
 )
 
 HIPS, KNEES, ANKLES = (1, 2), (4, 5), (7, 8)
@@ -164,7 +164,7 @@ def with_pelvis_moved(
     aim = LegTargets(so3.exp(angle) @ root, path, joints[:, :, list(ANKLES)], depth)
     rotations, reached = legs_reaching(moments.rotations, posed, moments.rest, aim)
     made = moments.derived(rotations=rotations, translation=moments.translation + path - pelvis)
-    return made, reached.all(1) & possible(moments, made)
+    return made, reached.all(1) & is_plausible(moments, made)
 
 
 def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
@@ -260,7 +260,7 @@ def with_leg_raised(
     above = (own_feet[..., 2] > -_TOUCH).flatten(1).all(1)
     reached = torch.where(right, reached[:, 0], reached[:, 1])
     made = made.derived(contacts=moments.contacts & ~_labels_lost(moments, feet, right))
-    return made, reached & above & possible(moments, made)
+    return made, reached & above & is_plausible(moments, made)
 
 
 def _foot_stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
@@ -318,8 +318,8 @@ def with_step_added(
     lasts = chance.uniform(*_LASTS)
     room = moments.seconds[:, -1]
     start = chance.uniform(0.0, 1.0) * (room + lasts) - lasts
-    way = step(moments.seconds, start, lasts)
-    follows = step(moments.seconds, start - _EARLIER, lasts + 2 * _EARLIER)
+    way = minimum_jerk(moments.seconds, start, lasts)
+    follows = minimum_jerk(moments.seconds, start - _EARLIER, lasts + 2 * _EARLIER)
     angle = chance.uniform(-_SPREAD, _SPREAD)[:, None, None]
     size = (chance.log_uniform(*_LENGTH) * chance.sign())[:, None, None]
     whole = size * (angle.cos() * left + angle.sin() * ahead)
@@ -345,4 +345,4 @@ def with_step_added(
         rotations=rotations, translation=moments.translation + path, contacts=contacts
     )
     apart = ((ankles[:, :, 0] - ankles[:, :, 1]) * left).sum(-1) > _APART
-    return made, apart.all(1) & reached.all(1) & possible(moments, made)
+    return made, apart.all(1) & reached.all(1) & is_plausible(moments, made)

@@ -78,7 +78,7 @@ def at_frames(values: Float[Tensor, "windows times *rest"]) -> Tensor:
 def speeds(
     seconds: Float[Tensor, "windows times"], places: Float[Tensor, "windows times joints 3"]
 ) -> Float[Tensor, "windows frames joints"]:
-    """Speeds at the frames, m/s, from the moments beside them."""
+    """Speeds at the frames, m/s, from the neighbouring moments."""
     span = (seconds[:, 2::PER_FRAME] - seconds[:, ::PER_FRAME])[..., None, None]
     return ((places[:, 2::PER_FRAME] - places[:, ::PER_FRAME]) / span).norm(dim=-1)
 
@@ -146,7 +146,7 @@ def bone_directions(
     return turned * turned.new_tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
 
 
-def possible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
+def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Whether edited windows are within the ranges of their joints and above the ground."""
     before, after = (joint_angles(at_frames(m.rotations), m.rest) for m in (old, new))
     low, high = after.new_tensor(LOWEST), after.new_tensor(HIGHEST)
@@ -201,7 +201,7 @@ class Chance:
         return 0.5 - 0.5 * angle.cos()
 
 
-def step(
+def minimum_jerk(
     seconds: Float[Tensor, "windows times"],
     start: Float[Tensor, " windows"],
     lasts: Float[Tensor, " windows"],

@@ -48,8 +48,8 @@ class Scaling(TensorStruct):
         """Scales of windows of consecutive states, axes (windows, frames)."""
         past, future = world[:, :-1], world[:, 1:]
         frame = Frame.of(past)
-        before = frame.enter(past, rest_pelvis[:, None])
-        after = frame.enter(future, rest_pelvis[:, None])
+        before = frame.to_frame(past, rest_pelvis[:, None])
+        after = frame.to_frame(future, rest_pelvis[:, None])
         x, change = before.pack(), after.pack() - before.pack()
         raw = step_between(before, after)
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import SPAN, Steps, explain
+from priors.humor.steps import SPAN, Steps, posterior_outputs
 from priors.pose.prior import PoseVariables
 from recon.benchmark.dataset import SPLITS
 from recon.core import rotations as so3
@@ -126,7 +126,7 @@ def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Te
     states = states_of(motion, prior.humor.body)
     middle = states.map(lambda t: t[:, 1:3])
     networks, pelvis = prior.humor.networks, prior.humor.pelvis(motion.shape)
-    error = explain(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
+    error = posterior_outputs(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
     steps = Steps.of(middle, pelvis)
     mean, log_variance = networks.posterior(steps.start, steps.end)
     prior_mean, prior_log_variance = networks.prior(steps.start)

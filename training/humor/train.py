@@ -21,7 +21,7 @@ from torch import Tensor
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import State, canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor.steps import explain
+from priors.humor.steps import posterior_outputs
 from priors.humor.weights import networks_from, read_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
@@ -85,7 +85,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
-        """Networks scaled by varied windows: random ones, or those that the run starts with."""
+        """Random networks, or those to start from, scaled by augmented windows."""
         settings = self.settings
         scaling = Scaling.none()
         if state is None:
@@ -143,7 +143,7 @@ def validate(
 
 
 def train(settings: HumorTraining) -> Path:
-    """Train, or go on training; the checkpoint's path.
+    """Train, or resume training; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -233,7 +233,7 @@ def error_whitening(
 ) -> Float[Tensor, "207 207"]:
     """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
     with torch.no_grad():
-        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
+        errors = posterior_outputs(networks, states, pelvis).error.flatten(0, 1).double()
     covariance = errors.mT @ errors / len(errors)
     covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
     factor = torch.linalg.cholesky(covariance)

@@ -21,7 +21,7 @@ from training.humor.moments import (
     Moments,
     above_ground,
     bone_directions,
-    possible,
+    is_plausible,
     with_edited,
 )
 
@@ -111,7 +111,9 @@ def with_arms_moved(
     made = moments.derived(rotations=rotations)
     upper = bone_directions(rotations, moments.rest, (16, 17), (18, 19))
     inside = (upper[..., 2] > _BEHIND) & (upper[..., 0] > _ACROSS)
-    return made, inside.flatten(1).all(1) & clear_of_trunk(moments, made) & possible(moments, made)
+    return made, inside.flatten(1).all(1) & clear_of_trunk(moments, made) & is_plausible(
+        moments, made
+    )
 
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
@@ -137,7 +139,7 @@ _FARTHEST = math.radians(50)
 """Most by which the two pelvises differ in tilt; the spine takes up the difference."""
 
 
-def joined(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows with the lower half of the first and the upper half of the second.
 
     The trunk is tilted in the world as it was recorded, and turned as the legs are: relative to
@@ -222,10 +224,10 @@ def with_flight(
         translation=moments.translation + path,
         contacts=torch.zeros_like(moments.contacts),
     )
-    return made, possible(moments, made)
+    return made, is_plausible(moments, made)
 
 
-def edited(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
+def with_random_edits(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
     """Windows with random edits of legs and arms."""
     legs = (
         (may_raise, with_leg_raised, variation.raises),

@@ -181,7 +181,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
 
 
 def train(settings: HumosTraining) -> Path:
-    """Train, or go on training; the checkpoint's path.
+    """Train, or resume training; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.

@@ -115,7 +115,7 @@ class CloudCorpus:
         random: Generator | None,
         moment: Int[Tensor, "windows 1"] | None = None,
     ) -> LabelledClouds:
-        """Some windows as they are, of each moment at most `rows` points; None: all moments."""
+        """Some windows without augmentation, at most `rows` points per frame."""
         every = self.clouds
         moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
         # points are in random order, so a consecutive run is a random sample

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 
 from recon.core.camera import Camera, looking
 from recon.core.raster import rasterise
-from recon.simulation.depth import DepthSensor, Surface, measured
-from recon.simulation.points import spread
-from recon.simulation.scenery import FurnitureMesh, box, chair, table, together
+from recon.simulation.depth import DepthSensor, Surface, measured_depth
+from recon.simulation.points import sampled_on_surface
+from recon.simulation.scenery import FurnitureMesh, box, chair, joined_meshes, table
 
 SIZE = (256, 212)
 """Width and height of the depth images, pixels."""
@@ -85,7 +85,7 @@ def drawn_room(
     return Room(
         camera=camera,
         sensor=sensor,
-        furniture=together(pieces),
+        furniture=joined_meshes(pieces),
         wall=away + random.uniform(0.4, 3.0),
         blotches=random.choice([0.0, 0.003, 0.01]) * random.random(),
     )
@@ -111,7 +111,7 @@ def glimpse(
         random: source of chance.
     """
     depth, seen, surface = _image(vertices, faces, places, room)
-    noisy = measured(depth, room.camera, room.sensor, random)
+    noisy = measured_depth(depth, room.camera, room.sensor, random)
     noisy = np.where(noisy > 0, noisy + room.blotches * _correlated_noise(random), 0.0)
     row, column = np.nonzero(noisy)
     true, found = depth[row, column], noisy[row, column]
@@ -152,7 +152,7 @@ def all_around(
     random: np.random.Generator,
 ) -> Glimpse:
     """Points that scanners from all sides see, with noise and a few that belong to nothing."""
-    drawn = spread(vertices, faces, count, random, np.hstack([vertices, places]))
+    drawn = sampled_on_surface(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
     points, shown = drawn[:, :3] + random.normal(0.0, noise, (count, 3)), drawn[:, 3:]
     on_body = (random.random(count) >= random.choice([0.0, 0.0, 0.03])).astype(np.int64)

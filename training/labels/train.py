@@ -101,7 +101,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
 
 
 def train(settings: LabelTraining) -> Path:
-    """Draw labelled clouds, then train, or go on with either; the checkpoint's path.
+    """Draw labelled clouds, then train; resumes both; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -132,7 +132,7 @@ left, beside that of regions."""
 
 
 def network_input(clouds: LabelledClouds) -> SeenClouds:
-    """Windows as the network takes them, all moments in one row."""
+    """The network's input for windows, with all frames in one axis."""
     moments = clouds.points.shape[1]
     return in_network_frame(
         clouds.points.flatten(0, 1),
@@ -144,7 +144,7 @@ def network_input(clouds: LabelledClouds) -> SeenClouds:
 
 
 def outputs_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
-    """The network's outputs for windows of so many frames each."""
+    """The network's outputs for windows of `moments` frames each."""
     windows = len(seen.points) // moments
     asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
     inside = (asked >= 0) & (asked < moments)
