@@ -28,7 +28,7 @@ from benchmarks.slips.points import point_names, values_of, weights_of
 from benchmarks.slips.recordings import SENSORS, Recording, Sensor, recording_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.windows import TrueWindows
-from recon.body.motion_files import copied
+from recon.body.motion_files import with_equal_pelvis_path
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import load_motion
@@ -207,7 +207,7 @@ def of_retargeting(window: Window, files: Sequence[Path], out: Path) -> Values:
     """Physics of the result as shares of the plain copy's."""
     source, made = load_motion(files[0]).motion, load_motion(out).motion
     down = soles_down(source, window.body)
-    copy = copied(source, window.body, made.shape)
+    copy = with_equal_pelvis_path(source, window.body, made.shape)
     samples = {name: [physics_samples(motion, window.body, down)]
                for name, motion in ((COPY, copy), (PHYSICS, made))}  # fmt: skip
     rows = pooled(samples, [True])

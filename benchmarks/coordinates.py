@@ -118,7 +118,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
 
     def scans(points: np.ndarray, _: np.ndarray) -> np.ndarray:
         metres = points * METRES[unit_of_clouds(list(points), "scans")]
-        return metres @ to_z_up(up_of_clouds(list(metres), "scans", told=False)[0]).T
+        return metres @ to_z_up(up_of_clouds(list(metres), "scans", unit_given=False)[0]).T
 
     def estimates(points: np.ndarray, _: np.ndarray) -> np.ndarray:
         ways = points[:, 1:] - points[:, :1]

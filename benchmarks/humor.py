@@ -29,7 +29,7 @@ from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import noise_of, sensor_of
 from recon.benchmark.table import BenchTable, interval, paired
 from recon.formats.observations import PositionsFile
-from training.humor.corpus import OTHER, described, kind_of
+from training.humor.corpus import OTHER, described_action, kind_of
 
 PROTOCOLS = {
     "noisy-joints": "noisy-joints",
@@ -95,7 +95,7 @@ def main() -> None:
     tables |= {"by-subject": by_subject(found), "compared": compared(found),
                "windows": counted(next(iter(found.values())))}  # fmt: skip
     if MAIN.keys() <= found.keys():
-        tables["kinds"] = kinds(found, {clip: described(files[clip]) for clip in clips})
+        tables["kinds"] = kinds(found, {clip: described_action(files[clip]) for clip in clips})
     tell_of(given, 0, tables, [files[clip] for clip in clips])
 
 

@@ -37,7 +37,7 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.raster import vertex_normals
-from recon.simulation.scenery import Clothing, clothed, offsets
+from recon.simulation.scenery import Clothing, clothed, clothing_offsets
 from training.labels.people import SPACING, drawn_shape
 from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
 
@@ -193,7 +193,7 @@ def worn_by(
     """Clothes of one person, as they stand off the skin in the resting pose."""
     weights = torch.from_numpy(people.joint_weights).float()
     mannequin = body.replace(template=torch.from_numpy(people.unposed).float(), weights=weights)
-    away = offsets(mannequin, number, clothing).double().numpy()
+    away = clothing_offsets(mannequin, number, clothing).double().numpy()
     return away[:, None] * vertex_normals(people.vertices[person], people.faces)
 
 

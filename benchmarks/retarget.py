@@ -24,7 +24,7 @@ import recon
 from benchmarks.protocol import Cell, Metrics, Table, columns_of, number, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Part, Splits, clip_files
-from recon.body.motion_files import copied, with_shape
+from recon.body.motion_files import with_equal_pelvis_path, with_shape
 from recon.core.struct import concatenate
 from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, physics_samples
 from training.settings import Licence
@@ -53,7 +53,7 @@ TRUTH, COPY, SCALED = "truth, its own body", "copy", "path scaled by the legs, o
 PHYSICS = "**physics alone**, from the scaled motion (default)"
 METHODS: dict[str, Retargeter] = {
     TRUTH: lambda body, motion, shape: motion,
-    COPY: lambda body, motion, shape: copied(motion, body, shape),
+    COPY: lambda body, motion, shape: with_equal_pelvis_path(motion, body, shape),
     SCALED: lambda body, motion, shape: grounded(with_shape(motion, body, shape), body),
     PHYSICS: lambda body, motion, shape: recon.retarget(motion, shape, body=body).motion,
 }

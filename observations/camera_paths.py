@@ -42,14 +42,14 @@ def with_unit(view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]
     """
     poses = view.camera.T_world_camera.double().cpu().numpy()
     units = [path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
-    return stretched(view, torch.tensor(units))
+    return with_scaled_path(view, torch.tensor(units))
 
 
-def stretched(view: Keypoints2D, unit: Float[Tensor, " batch"]) -> Keypoints2D:
+def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypoints2D:
     """The view with its camera's path scaled by a factor; its first pose stays."""
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
-    T[..., :3, 3] = first + unit.to(T)[:, None, None] * (T[..., :3, 3] - first)
+    T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
     back = view.camera.derived(T_camera_world=T).T_world_camera  # the inverse of rigid transforms
     return view.derived(camera=view.camera.derived(T_camera_world=back))
 
@@ -115,9 +115,7 @@ _LEAST_ANGLE = 0.03
 def triangulate(
     views: Sequence[Keypoints2D],
 ) -> tuple[Float[Tensor, "batch moments points 3"], Bool[Tensor, "batch moments points"]]:
-    """Points nearest to their rays (weights.
-
-    Confidences), recording frame, and which of them exist.
+    """Points nearest to their rays, weighted by confidence, and which of them exist.
 
     The point with least Σ c² |(I - d dᵀ)(x - o)|² over rays from o along the unit vector d: three
     linear equations per point, any number of views at once (OpenCV's triangulation takes two).
@@ -153,7 +151,7 @@ def triangulate(
     return torch.where(exists[..., None], points, 0.0), exists
 
 
-def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
+def on_first_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
     """The views that share the clock of the first one."""
 
     def clock(view: Keypoints2D) -> tuple[object, ...]:
@@ -162,7 +160,7 @@ def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
     return [view for view in views if clock(view) == clock(views[0])]
 
 
-def tell_distance(views: Sequence[Keypoints2D]) -> bool:
+def can_triangulate(views: Sequence[Keypoints2D]) -> bool:
     """Whether rays of some point in every clip differ enough in direction to triangulate it.
 
     Cameras side by side see hardly more than one of them does: not how far a person is.

@@ -118,7 +118,7 @@ class BodyPoints:
         """
         names = keypoint_names(layout)
         if layout == "smpl22":
-            return cls._at([BodyPlace((name,)) for name in names], names, body)
+            return cls._at_places([BodyPlace((name,)) for name in names], names, body)
         return cls.of_names(names, body)
 
     @classmethod
@@ -132,15 +132,15 @@ class BodyPoints:
             raise ObservationError(
                 f"no keypoint is called {', '.join(unknown)}; there are {', '.join(PLACES)}"
             )
-        return cls._at([PLACES[name] for name in names], tuple(names), body)
+        return cls._at_places([PLACES[name] for name in names], tuple(names), body)
 
     @classmethod
     def of_places(cls, places: Mapping[str, BodyPlace], body: BodyModel) -> "BodyPoints":
         """Points of any names, at the given places of the body."""
-        return cls._at(list(places.values()), tuple(places), body)
+        return cls._at_places(list(places.values()), tuple(places), body)
 
     @classmethod
-    def _at(
+    def _at_places(
         cls, places: Sequence[BodyPlace], names: tuple[str, ...], body: BodyModel
     ) -> "BodyPoints":
         bundled = body.checksum == BodyModel.load().checksum

@@ -16,8 +16,8 @@ from observations.checks import (
     checked_view,
 )
 from observations.start.labelled import labelled_start
-from observations.start.surface_steps import costs_of_points, kinds_of_surfels
-from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
+from observations.start.surface_steps import kinds_of_surfels, label_costs
+from observations.surfels import Surfels, to_discs, tukey, tukey_kernel, tukey_scale
 from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor, geometries_given
@@ -170,14 +170,16 @@ class PointCloud(Sensor):
     def matched(self, estimate: Estimate) -> "PointCloud":
         """A smooth energy with correspondences and scale fixed at the given estimate."""
         with torch.no_grad():
-            middles, normals, seen = self._surface(estimate)
+            middles, normals, seen = self._discs_in_recording(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
             if self.present[..., seen, :].numel() > 0:
-                pairs[..., seen, :] = self._nearest(estimate.body.model, middles, normals, seen)
+                pairs[..., seen, :] = self._nearest_discs(
+                    estimate.body.model, middles, normals, seen
+                )
             if self.kernel is not tukey:
                 return self.derived(pairs=pairs, scale=None)
-            squared, present = self._between(middles, normals, seen, pairs[..., seen, :])
-            squared = squared / self._relative(seen)[0]
+            squared, present = self._squared_to_discs(middles, normals, seen, pairs[..., seen, :])
+            squared = squared / self._relative_variances(seen)[0]
             scale = tukey_scale(squared.flatten(-2), present.flatten(-2))
             return self.derived(pairs=pairs, scale=scale)
 
@@ -188,14 +190,14 @@ class PointCloud(Sensor):
         faces the sensor. Where no vertex faces the sensor, all of them are searched.
         """
         squared, present, seen = self.squared_distances(estimate)
-        variance, worth = self._relative(seen)
+        variance, worth = self._relative_variances(seen)
         relative, present = (squared / variance).flatten(-2), present.flatten(-2)
         held = self.scale
-        counted = self.kernel(relative, present) if held is None else within(relative, held)
+        counted = self.kernel(relative, present) if held is None else tukey_kernel(relative, held)
         counted = worth.expand(squared.shape).flatten(-2) * counted.where(present, 0.0)
         return 0.5 * counted.sum(-1) * (REFERENCE_FPS / self.fps)
 
-    def _relative(
+    def _relative_variances(
         self, seen: slice | Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
         """Variances of distances in units of `CLOUD_NOISE`², and the weights of their squares.
@@ -214,14 +216,14 @@ class PointCloud(Sensor):
     def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
         """Squared distances (*batch, seen, points), metres², which exist, and their moments."""
         if self.pairs is not None and estimate.body.model.pose_directions is None:
-            return self._from_pairs(estimate, self.pairs)
-        middles, normals, seen = self._surface(estimate)
+            return self._squared_for_pairs(estimate, self.pairs)
+        middles, normals, seen = self._discs_in_recording(estimate)
         if self.pairs is not None:
-            return *self._between(middles, normals, seen, self.pairs[..., seen, :]), seen
+            return *self._squared_to_discs(middles, normals, seen, self.pairs[..., seen, :]), seen
         if self.present[..., seen, :].numel() == 0:
             return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :], seen
-        index = self._nearest(estimate.body.model, middles, normals, seen)
-        return *self._between(middles, normals, seen, index), seen
+        index = self._nearest_discs(estimate.body.model, middles, normals, seen)
+        return *self._squared_to_discs(middles, normals, seen, index), seen
 
     def residuals(self, estimate: Estimate) -> Residuals:
         """Distance of every point from the surface at every moment, metres; one dimension.
@@ -232,14 +234,16 @@ class PointCloud(Sensor):
         away = squared.clamp(min=0).sqrt()[..., None]
         return padded(away, present, seen, self.moments)
 
-    def _between(
+    def _squared_to_discs(
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Squared distances of points from discs given by index, and which points exist."""
         pick = index[..., None].expand(*index.shape, 3)
         return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
 
-    def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _squared_for_pairs(
+        self, estimate: Estimate, pairs: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Squared distances for given pairs of points and discs, which exist, and their frames."""
         bones = estimate.body.bones.flatten(-3, -2)
         bones, seen = self.at_own_times(bones, estimate.motion)
@@ -261,7 +265,7 @@ class PointCloud(Sensor):
         squared = to_discs(points - middles, normals, radii)
         return squared.where(present, 0.0), present
 
-    def _nearest(
+    def _nearest_discs(
         self, body: BodyModel, middles: Tensor, normals: Tensor, seen: slice
     ) -> Int[Tensor, "*batch seen points"]:
         """The nearest disc of every point, among those that face the sensor.
@@ -276,14 +280,14 @@ class PointCloud(Sensor):
             allowed = facing(middles.detach(), normals.detach(), eye)
         if self.labels is None:
             return nearest(points, present, middles, allowed)
-        costs = costs_of_points(self.labels)[..., seen, :, :]
+        costs = label_costs(self.labels)[..., seen, :, :]
         found = nearest_alike(
             points.flatten(0, -3), present.flatten(0, -2), costs.flatten(0, -3),
             middles.flatten(0, -3), allowed.flatten(0, -2), kinds_of_surfels(self.surfels, body),
         )  # fmt: skip
         return found.unflatten(0, present.shape[:-1])
 
-    def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
+    def _discs_in_recording(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""
         (middles, normals), scene = self.surfels.posed(estimate.body), estimate.scene
         middles, seen = self.at_own_times(scene.to_recording(middles), estimate.motion)
@@ -305,9 +309,9 @@ class PointCloud(Sensor):
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
-        return self._few(number)
+        return self._with_points(number)
 
-    def _few(self, number: Tensor) -> "PointCloud":
+    def _with_points(self, number: Tensor) -> "PointCloud":
         """The cloud with a subset of its points in every frame, chosen by index."""
         axis = self.present.ndim - 1
 
@@ -324,7 +328,7 @@ class PointCloud(Sensor):
         """
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        few = super().coarse(body, step)._few(number)
+        few = super().coarse(body, step)._with_points(number)
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
@@ -353,7 +357,7 @@ def _bundled_labeller() -> CloudLabeller:
 
 
 def _padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Clouds of any sizes, one per moment, as one array (moments, points, 3) and what it holds.
+    """Clouds of any sizes, one per moment, as an array (moments, points, 3) and its mask.
 
     Args:
         given: arrays (N, 3), or clouds and meshes of Open3D, metres.

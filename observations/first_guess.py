@@ -41,18 +41,18 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(named[0].start(body), True)
     if len(views) > 1:
         # points seen by several cameras are triangulated: their rays meet
-        from observations.camera_paths import one_clock, tell_distance, views_start
+        from observations.camera_paths import can_triangulate, on_first_clock, views_start
 
-        alike = one_clock(views)
-        if len(alike) > 1 and tell_distance(alike):
+        alike = on_first_clock(views)
+        if len(alike) > 1 and can_triangulate(alike):
             return FirstGuess(views_start(body, alike), True)
     if clouds:
         posed = clouds[0].start(body)
-        return FirstGuess(_moved_like(posed, views[0].start(body)) if views else posed, True)
+        return FirstGuess(_with_poses_of(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
 
 
-def _moved_like(posed: Motion, placed: Motion) -> Motion:
+def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
     """A motion with the poses and translations of another one, which may have another frame rate.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no

@@ -45,7 +45,7 @@ class Joints3D(TrackedPoints):
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
-        places = self._measured(
+        places = self._set_measured(
             positions, visible, (fps, start_time), std, ("joints", joints),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip

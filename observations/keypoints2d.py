@@ -174,7 +174,7 @@ class Keypoints2D(PointsOfBody):
         return projected.pixels, seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """The energy about predicted points, frame of the recording, metres."""
+        """Second-order model of the energy about predicted points (recording frame, metres)."""
         seen = self.camera.to_camera(points)
         in_front = seen[..., 2] > NEAREST
         depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]
@@ -221,7 +221,7 @@ class Keypoints2D(PointsOfBody):
         del body, step
         return self
 
-    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
         """Share of the frames in which a visible keypoint locates each joint in the image.
 
         Detectors place legs beyond the edge of an image, too, but do not believe in them: a
@@ -229,9 +229,9 @@ class Keypoints2D(PointsOfBody):
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
         sure = self.confidence > FAINT * greatest
-        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).told_joints(
-            body
-        )
+        return super(
+            Keypoints2D, self.derived(confidence=self.confidence * sure)
+        ).share_of_frames_locating(body)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose placed by the keypoints of the torso; see `image_start`."""

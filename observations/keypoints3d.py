@@ -64,7 +64,7 @@ class Keypoints3D(TrackedPoints):
         elif not isinstance(points, BodyPoints):
             points = BodyPoints.of_names(tuple(points), BodyModel.load())
         # keypoints on the skin are vertices of the bundled mesh: other meshes do not have them
-        self._measured(
+        self._set_measured(
             positions, visible, (fps, start_time), std, ("points", points.bones), points.known,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows, points=points,
             level=level, placed=placed,
@@ -88,13 +88,13 @@ class Keypoints3D(TrackedPoints):
 
         Keypoints without a place in the world are first moved so that the foot that stands stays.
         """
-        placed = self.positions if self.placed else self.positions + self._path()
+        placed = self.positions if self.placed else self.positions + self._planted_path()
         return rigid_start(
             body, self.at_rest(body).to(placed), self.bones(body), placed, self.visible,
             fps=self.fps, start_time=self.start_time,
         )  # fmt: skip
 
-    def _path(self) -> Float[Tensor, "*batch moments 1 3"]:
+    def _planted_path(self) -> Float[Tensor, "*batch moments 1 3"]:
         """Translations of all frames with which standing feet do not slide, metres."""
         moments, count = self.visible.shape[-2:]
         every = zip(

@@ -62,7 +62,7 @@ class Markers3D(TrackedPoints):
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
-        places = self._measured(
+        places = self._set_measured(
             positions, visible, (fps, start_time), std, ("vertices", vertices),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip

@@ -15,7 +15,7 @@ Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
 
 
-def followed(given: Any) -> Tracker:
+def streamable(given: Any) -> Tracker:
     """The sensor in the form that a stream needs: without a clip axis, in single precision.
 
     Raises:
@@ -49,7 +49,7 @@ def followed(given: Any) -> Tracker:
     return one.to(dtype=torch.float32, device="cpu")
 
 
-def filled(sensor: Tracker, array: Numbers) -> Tracker:
+def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
     """One frame of a sensor built from an array, with the checks of a new observation.
 
     Args:
@@ -78,7 +78,7 @@ def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 
-def joined(before: Tracker, after: Tracker) -> Tracker:
+def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
     """Two stretches of one sensor joined in time."""
     later = iter(after.by_frame(lambda tensor: tensor).values())
     return before.derived(**before.by_frame(lambda tensor: torch.cat((tensor, next(later)))))
@@ -87,10 +87,12 @@ def joined(before: Tracker, after: Tracker) -> Tracker:
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
     """The sensor with one more frame appended."""
     later = moments(sensor, row + 1, sensor.moments)
-    return joined(joined(moments(sensor, 0, row), moments(moment, 0, 1)), later)
+    return joined_in_time(joined_in_time(moments(sensor, 0, row), moments(moment, 0, 1)), later)
 
 
-def without(sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None) -> Tracker:
+def with_points_hidden(
+    sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None
+) -> Tracker:
     """The sensor with some of its points hidden; by default, with all of them hidden."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
 

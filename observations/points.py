@@ -101,14 +101,14 @@ class PointsOfBody(Sensor):
         own = self.offset_unit * offsets[slice(*self.offset_rows)]
         return found.displaced(self.bones(body), own)
 
-    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
         """Share of the frames in which some visible point locates each joint.
 
         Moments before the first and after the last that shows anything do not count: a clip that
         is fitted beside longer ones is filled up with them.
         """
-        shows = torch.from_numpy(self.shows(body)).to(self.shown.device)
-        tells = shows.to(torch.get_default_dtype())
+        located_joints = torch.from_numpy(self.located_joints(body)).to(self.shown.device)
+        tells = located_joints.to(torch.get_default_dtype())
         anything = self.shown.any(-1).to(tells)
         within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
         told = ((self.shown.to(tells) @ tells) > 0) & within[..., None]
@@ -116,9 +116,9 @@ class PointsOfBody(Sensor):
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
         """Joints of the first clip that some visible point locates, in every frame."""
-        return self.shown[0].cpu().numpy() @ self.shows(estimate.body.model)
+        return self.shown[0].cpu().numpy() @ self.located_joints(estimate.body.model)
 
-    def shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
+    def located_joints(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
         """Joints that each point locates, as a mask (points, joints).
 
         They lie near it at rest, and its bone ends or begins there.
@@ -171,7 +171,7 @@ class TrackedPoints(PointsOfBody):
     """Root mean square of `std` over the visible points of the whole recording, metres. Its
     parts keep it, so that a point weighs the same in every window."""
 
-    def _measured(
+    def _set_measured(
         self,
         positions: Numbers,
         visible: Numbers,
@@ -251,8 +251,8 @@ class TrackedPoints(PointsOfBody):
         return points + away / counted.sum(-2, keepdim=True).clamp(min=1e-9), seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """The energy about predicted points, frame of the recording, metres."""
-        return of_places(
+        """Second-order model of the energy about predicted points (recording frame, metres)."""
+        return quadratic_model(
             points, self.positions, self.weights, self.kernel, REFERENCE_FPS / self.fps
         )
 
@@ -295,7 +295,7 @@ class TrackedPoints(PointsOfBody):
         return limbs_towards(start, body, rest, bones, self.positions, self.visible)
 
 
-def of_places(
+def quadratic_model(
     points: Float[Tensor, "*batch moments points 3"],
     positions: Float[Tensor, "*batch moments points 3"],
     weights: Tensor,

@@ -49,7 +49,7 @@ def tukey(
     matters. At least half of the points always pull, also those of a body that is off as a whole,
     which deviations from the median cut off altogether.
     """
-    return within(squared, tukey_scale(squared, present))
+    return tukey_kernel(squared, tukey_scale(squared, present))
 
 
 def tukey_scale(
@@ -60,7 +60,7 @@ def tukey_scale(
     return (lower_median(residual, present) / NORMAL_MAD).clamp(min=LEAST_SCALE)
 
 
-def within(
+def tukey_kernel(
     squared: Float[Tensor, "*batch samples"], scale: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "*batch samples"]:
     """Tukey's c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
@@ -68,7 +68,7 @@ def within(
     return cutoff / 3 * (1 - (1 - (squared / cutoff).clamp(max=1)) ** 3)
 
 
-def bounded(
+def fixed_scale_kernel(
     squared: Float[Tensor, "*batch samples"],
     present: Bool[Tensor, "*batch samples"],
     sigma: float = 0.1,

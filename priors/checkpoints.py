@@ -48,7 +48,7 @@ class Checkpoint:
             raise WeightsError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
         return {name: self.tensors[name] for name in shapes}
 
-    def under(self, prefix: str) -> "Checkpoint":
+    def with_prefix(self, prefix: str) -> "Checkpoint":
         """Tensors whose names have this prefix, the prefix removed, in single precision."""
         own = {
             name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
@@ -57,7 +57,7 @@ class Checkpoint:
         }
         return Checkpoint(self.path, own, self.settings)
 
-    def besides(self, *prefixes: str) -> "Checkpoint":
+    def without_prefixes(self, *prefixes: str) -> "Checkpoint":
         """Tensors whose names have none of these prefixes, in single precision."""
         others = {
             name: tensor.float()
@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
-        """The integer settings of a file, whose other settings must equal the given texts.
+        """The integer settings `names`; the file's settings in `words` must equal these texts.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
@@ -84,16 +84,16 @@ class Checkpoint:
             )
         return right
 
-    def into(self, network: nn.Module) -> None:
+    def copy_into(self, network: nn.Module) -> None:
         """Copy all tensors into a network of the same layers; raises as `require`."""
         layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}
         network.load_state_dict(self.require(layers), strict=True)
 
 
-def checksum(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
+def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
     """SHA-256 over kind, settings, and names, types, shapes and bytes of all tensors."""
-    told = {key: about.get(key) for key in ("kind", "settings")}
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    hashed = {key: metadata.get(key) for key in ("kind", "settings")}
+    digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name].detach().cpu().contiguous()
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)};".encode())

@@ -12,7 +12,7 @@ from observations.noise import estimate_noise
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion, save_motion
@@ -119,7 +119,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         motion = results["HuMoR"].clip(0).detach()
         said = {"case": case.title, "seed": SEED}
         with writing_file(out / f"{name}.npz", said) as staged:
-            save_motion(staged, described(motion, body))
+            save_motion(staged, motion_file_of(motion, body))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
     write_png(out / "demo.png", *shows)
     (out / "demo.json").write_text(json.dumps(table, indent=1))

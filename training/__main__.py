@@ -30,15 +30,15 @@ def _is_former(folder: Path) -> bool:
     return (folder / "checkpoint.pt").is_file() or (folder / "train.log").is_file()
 
 
-def _weights(out: Path, given: Arguments) -> tuple[Output, ...]:
-    """The weights, and the log or the folder of the run, which goes on where it was cut."""
+def _outputs_of_run(out: Path, given: Arguments) -> tuple[Output, ...]:
+    """Outputs: the weights, and the log or the folder of the run, which can be resumed."""
     if given["prior"] in _AT_ONCE:
         return Output(out), Output(out.with_suffix(".log"))
     run = Output(out.with_suffix(""), Kind.CONTINUED, is_former=_is_former)
     return Output(out), run
 
 
-@writes(Place("out", _weights))
+@writes(Place("out", _outputs_of_run))
 def train(
     prior: Positional[Literal["pose", "humor", "anchor", "humos", "labels"]],
     corpus: Positional[Path],
@@ -81,11 +81,11 @@ def train(
     asked: dict[str, Any] = {"steps": steps, "latent": latent}
     asked = {name: value for name, value in asked.items() if value is not None}
     if latent is not None and prior not in ("anchor", "humos"):
-        raise ValueError(f"{prior} has no size of a code to choose: leave --latent out")
+        raise ValueError(f"{prior} has no choice of latent size: leave --latent out")
     if steps is not None and prior in _AT_ONCE:
         raise ValueError(f"{prior} is learned without steps: leave --steps out")
     if prior != "humor" and device != "cpu":
-        raise ValueError(f"{prior} is trained on the processor: give --device cpu")
+        raise ValueError(f"{prior} is trained on the CPU only: give --device cpu")
 
     from recon.formats.reports import versions
     from recon.formats.writing import writing, writing_file
@@ -99,7 +99,7 @@ def train(
         asked["seed"] = seed
     if prior in _AT_ONCE:
         settings = getattr(kind, name)(corpus=corpus, out=out, data=data, **asked)
-        outputs = _weights(out, {"prior": prior})
+        outputs = _outputs_of_run(out, {"prior": prior})
         with (
             writing(*outputs, report=report, overwrite=overwrite) as (made, log),
             logged_to(log, "w"),

@@ -20,7 +20,7 @@ from tyro.conf import Positional
 
 from recon.batch.collection import SourceClip
 from recon.batch.corpus import CONVERSION_VERSION, convert_clips
-from recon.benchmark.dataset import SPLITS, Splits, clip_files, notes
+from recon.benchmark.dataset import SPLITS, Splits, clip_files, conversion_notes
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, value_checksum, write_text
@@ -30,7 +30,7 @@ from recon.ingest.maps import recognise
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
-from training.lessons import Source, judged
+from training.lessons import Source, lesson_rows
 from training.manifest import Row, minutes, write_manifest
 from training.sources import (
     HUMANOID,
@@ -84,9 +84,9 @@ def convert(
         raise ValueError(f"no collection {', '.join(wrong)}; there are {', '.join(sorted(known))}")
     asked = set(only) or known
     out.mkdir(parents=True, exist_ok=True)
-    convert_others([c for c in markers if c.collection in asked], out, body, _from_markers)
+    convert_others([c for c in markers if c.collection in asked], out, body, _converted_markers)
     for name in asked & copied.keys():
-        convert_others(copied[name], out, body, _from_skeletons(copied[name], body))
+        convert_others(copied[name], out, body, _converter_of_skeleton(copied[name], body))
     if chosen := [clips for clips in skeletons if clips and clips[0].collection in asked]:
         convert_clips(chosen, out, processes=processes)
     judge(out, body)
@@ -96,7 +96,7 @@ def convert_others(
     clips: Sequence[SourceClip],
     out: Path,
     body: BodyModel,
-    made: _Maker,
+    convert_clip: _Maker,
 ) -> None:
     """Convert clips that are not skeletons of a known format, unless done already.
 
@@ -106,12 +106,12 @@ def convert_others(
         path = out / clip.collection / f"{clip.name}.npz"
         settings = [clip.id, file_checksum(clip.path), body.checksum, CONVERSION_VERSION, _VERSION]
         key = value_checksum([str(value) for value in settings])
-        known = notes(path)
+        known = conversion_notes(path)
         if known.get("key") == key and path.is_file() and known["checksum"] == file_checksum(path):
             continue
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            found, own_bones = made(clip, body)
+            found, own_bones = convert_clip(clip, body)
         except ValueError as error:
             LOG.warning("%s: left out: %s", clip.id, error)
             continue
@@ -135,15 +135,15 @@ def convert_others(
         LOG.info("%s: %.1f mm", clip.id, found.report["residual_mm"])
 
 
-def _from_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
+def _converted_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
     return convert_markers(read_markers(clip), body), True
 
 
-def _from_skeletons(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
-    """What converts motions of one skeleton, which is calibrated from all of them when needed."""
+def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
+    """A function that converts motions of one skeleton, calibrated from all on first use."""
 
     @cache
-    def read() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
+    def read_and_calibrate() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
         if clips[0].collection == WINDOWS:
             every = read_windows(clips)
             skeleton = recognise(next(iter(every.values())))
@@ -152,12 +152,12 @@ def _from_skeletons(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
             skeleton = HUMANOID_MAP
         return every, calibrate(list(every.values()), skeleton, body)
 
-    def made(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
-        every, subject = read()
+    def converted(clip: SourceClip, body: BodyModel) -> tuple[Conversion, bool]:
+        every, subject = read_and_calibrate()
         (found,) = convert_skeletons([every[clip.name]], subject, body)
         return found, False
 
-    return made
+    return converted
 
 
 def _residuals(found: Conversion) -> list[float]:
@@ -182,10 +182,10 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     """
     parts, rows = Splits.load(splits), list[Row]()
     for name, path in clip_files(out).items():
-        told = notes(path)
+        told = conversion_notes(path)
         collection = str(told.get("collection", path.parent.name))
         source = source_of(name, collection, parts.subject(name), told)
-        rows += judged(load_motion(path), source, body)
+        rows += lesson_rows(load_motion(path), source, body)
     write_manifest(rows, out)
     table = minutes(rows, parts)
     write_rows(out / "minutes.csv", table)
@@ -194,23 +194,23 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     return rows
 
 
-def source_of(clip: str, collection: str, person: str, told: Mapping[str, Any]) -> Source:
+def source_of(clip: str, collection: str, person: str, notes: Mapping[str, Any]) -> Source:
     """What is known of a clip's recording.
 
     Args:
         clip: its name in the corpus.
         collection: to which it belongs.
         person: who moves.
-        told: the notes beside the clip.
+        notes: the notes beside the clip.
     """
     return Source(
-        own_bones=bool(told.get("contacts", True)),
+        own_bones=bool(notes.get("contacts", True)),
         retargeted=collection == HUMANOID,
         true_rate=person not in _TOO_FAST,
-        flat=bool(told.get("flat", True)),
+        flat=bool(notes.get("flat", True)),
         clip=clip,
         collection=collection,
-        residuals=tuple(told.get("residuals", ())),
+        residuals=tuple(notes.get("residuals", ())),
     )
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def drawn_code(mean: Tensor, log_variance: Tensor, random: torch.Generator | None) -> Tensor:
-    """One draw of a normal distribution through which gradients pass; None takes its mean."""
+    """A draw of a normal distribution, differentiable in its parameters; None: its mean."""
     if random is None:
         return mean
     noise = torch.randn(mean.shape, generator=random).to(mean)
@@ -49,7 +49,7 @@ class Muon(torch.optim.Optimizer):
                 if parameter.grad is None:
                     continue
                 state = self.state[parameter]
-                update = _orthogonal if group["orthogonal"] else _adaptive
+                update = _muon_step if group["orthogonal"] else _adam_step
                 parameter.mul_(1 - group["lr"] * group["weight_decay"])
                 parameter.add_(update(parameter.grad, state), alpha=-group["lr"])
 
@@ -65,7 +65,7 @@ def orthogonalised(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows
     return x if wide is matrix else x.mT
 
 
-def _orthogonal(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+def _muon_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
     """Step of a matrix, for a learning rate of one."""
     momentum = state.setdefault("momentum", torch.zeros_like(gradient))
     momentum.lerp_(gradient, 1 - _MOMENTUM)
@@ -73,7 +73,7 @@ def _orthogonal(gradient: Tensor, state: dict[str, Any]) -> Tensor:
     return _SCALE * max(gradient.shape) ** 0.5 * orthogonalised(ahead)
 
 
-def _adaptive(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+def _adam_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
     """Step of Adam, for a learning rate of one."""
     first = state.setdefault("first", torch.zeros_like(gradient))
     second = state.setdefault("second", torch.zeros_like(gradient))

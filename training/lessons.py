@@ -72,8 +72,8 @@ class Source:
     """Mean distance of markers from their places in every second, metres; skeletons have none."""
 
 
-def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
-    """The stretches of a clip by what they may teach, in whole seconds; a last half one is joined.
+def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
+    """The stretches of a clip by what they may teach, in whole seconds; the last may be longer.
 
     Args:
         file: the converted clip, on the ground z = 0.
@@ -83,9 +83,9 @@ def judged(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
     motion = file.motion
     count = max(1, round(motion.frames / motion.fps))
     edges = [min(round(k * motion.fps), motion.frames) for k in range(count)] + [motion.frames]
-    against = _contradicting(file, source, body, edges)
+    against = _reasons_by_second(file, source, body, edges)
     spans = [
-        _span(first, stop, why, source)
+        _row_of_stretch(first, stop, why, source)
         for (first, stop), why in zip(pairwise(edges), against, strict=True)
     ]
     joined: list[Row] = []
@@ -104,7 +104,7 @@ _SPOILS = {
 """The first lesson that each finding takes away: steps need poses, contacts need steps."""
 
 
-def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
+def _row_of_stretch(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
     lost = {_SPOILS[word] for word in why}
     poses = "poses" not in lost
     steps = poses and "steps" not in lost
@@ -114,15 +114,15 @@ def _span(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
     )  # fmt: skip
 
 
-def _contradicting(
+def _reasons_by_second(
     file: MotionFile, source: Source, body: BodyModel, edges: list[int]
 ) -> list[tuple[str, ...]]:
     """Reasons against training on each second, as words of `_SPOILS`."""
     motion = file.motion
     step = max(1, round(motion.fps / _RATE))
     movement = Movement.of(_thinned(motion, step), body)
-    slide, near = sliding(movement)
-    raised = _raised(movement)
+    slide, near = foot_slide(movement)
+    raised = _off_ground(movement)
     fast = _jumps(file, 1.0 if source.true_rate else _HURRY)
     unseen = np.zeros(motion.frames, dtype=bool)
     if file.observed is not None:
@@ -167,7 +167,7 @@ def _thinned(motion: Motion, step: int) -> Motion:
     )
 
 
-def sliding(
+def foot_slide(
     movement: Movement,
 ) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
     """Horizontal speed of the slowest point of the feet near the ground, and where there is one.
@@ -182,7 +182,7 @@ def sliding(
     return np.where(near, slowest, 0.0), near
 
 
-def _raised(movement: Movement) -> Bool[np.ndarray, " time"]:
+def _off_ground(movement: Movement) -> Bool[np.ndarray, " time"]:
     """Frames in which something that is not the ground carries, or soles are under the ground.
 
     A sole stands higher than the ground, or no foot is near it for longer than a flight lasts.
@@ -200,11 +200,13 @@ def _raised(movement: Movement) -> Bool[np.ndarray, " time"]:
     return found
 
 
-def _jumps(file: MotionFile, hurry: float) -> Bool[np.ndarray, " steps"]:
+def _jumps(file: MotionFile, speed_factor: float) -> Bool[np.ndarray, " steps"]:
     """Steps to the next frame in which a joint or a turn is faster than bodies are."""
     motion = file.motion
     turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5
-    fast = (turn * motion.fps > hurry * _SPIN).any(-1)
+    fast = (turn * motion.fps > speed_factor * _SPIN).any(-1)
     if file.joints is not None:
-        fast = fast | (file.joints.diff(dim=0).norm(dim=-1) * motion.fps > hurry * _JUMP).any(-1)
+        fast = fast | (
+            file.joints.diff(dim=0).norm(dim=-1) * motion.fps > speed_factor * _JUMP
+        ).any(-1)
     return fast.numpy()

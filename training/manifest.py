@@ -22,7 +22,7 @@ LESSONS: tuple[Lesson, ...] = ("poses", "steps", "contacts", "shape")
 
 @dataclass(frozen=True)
 class Row:
-    """A stretch of one clip that teaches the same throughout."""
+    """A stretch of one clip that is fit for the same trainings throughout."""
 
     clip: str
     collection: str
@@ -64,7 +64,7 @@ def read_manifest(corpus: Path) -> dict[str, list[Row]] | None:
     with path.open(newline="", encoding="utf-8") as file:
         for line, row in enumerate(csv.DictReader(file), 2):
             try:
-                read = _read(row)
+                read = _parsed_row(row)
             except (KeyError, TypeError, ValueError) as error:
                 raise ValueError(
                     f"{path}, line {line}: expected a row as `python -m training.conversion` "
@@ -74,7 +74,7 @@ def read_manifest(corpus: Path) -> dict[str, list[Row]] | None:
     return found
 
 
-def _read(row: Mapping[str, Any]) -> Row:
+def _parsed_row(row: Mapping[str, Any]) -> Row:
     lessons = {lesson: bool(int(row[lesson])) for lesson in LESSONS}
     return Row(
         row["clip"], row["collection"], int(row["first"]), int(row["stop"]),
@@ -82,7 +82,7 @@ def _read(row: Mapping[str, Any]) -> Row:
     )  # fmt: skip
 
 
-def taught(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
+def stretches_to_teach(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
     """The stretches of a clip that are fit for training; contacts only where they are reliable.
 
     Args:

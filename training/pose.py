@@ -18,7 +18,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from training.recordings import poses
 from training.run import LOG
-from training.settings import CorpusSettings, told_settings
+from training.settings import CorpusSettings, settings_to_store
 from training.weights import save_checkpoint
 
 
@@ -54,7 +54,7 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
 
     tensors = {name: tensor.float() for name, tensor in density.tensors().items()}
     subjects = sorted({clip.subject for clip in learned})
-    about = told_settings(settings) | {"poses": len(rotations), "subjects": subjects}
+    about = settings_to_store(settings) | {"poses": len(rotations), "subjects": subjects}
     save_checkpoint(path, "pose", tensors, about)
 
 
@@ -78,7 +78,7 @@ def frechet_mean(
 def fit_density(
     rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
 ) -> PoseDensity:
-    """The density of the given poses, all weighing the same.
+    """The density of the given poses, with equal weights.
 
     Args:
         rotations: of the 21 body joints, each relative to its parent.

@@ -182,7 +182,7 @@ class Run(Generic[S, N]):
             torch.save(state, beside)
 
     def go(self) -> Path:
-        """Train to the end; the checkpoint's path."""
+        """Train to the end; returns the path of the checkpoint."""
         settings, steps = self.settings, sum(length for length, _ in self.parts)
         LOG.info("from step %d of %d", self.step, steps)
         saved = began = time.monotonic()
@@ -246,7 +246,7 @@ def cosine(progress: float) -> float:
 
 
 def read_state(path: Path) -> dict[str, Any] | None:
-    """A file of a run, or None where there is none."""
+    """The state stored in a file of a run; None without such a file."""
     if not path.is_file():
         return None
     return torch.load(path, weights_only=True, map_location="cpu")

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
 from recon.core.motion import MotionFile
 from recon.formats.replacing import file_checksum, files_checksum
-from training.manifest import MANIFEST, Lesson, Row, read_manifest, taught
+from training.manifest import MANIFEST, Lesson, Row, read_manifest, stretches_to_teach
 from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
@@ -35,7 +35,7 @@ class CorpusSettings:
     """Table of the subjects that are held out."""
 
     def files(self, part: Part) -> dict[str, Path]:
-        """The motion files of one part by clip name, those that the licence allows.
+        """The motion files of one part that the licence allows, by clip name.
 
         Raises:
             FileNotFoundError: when there is no splits file, or the corpus holds no motion files.
@@ -70,7 +70,7 @@ class CorpusSettings:
                     )
             elif lesson != "poses" and not is_flat(path):
                 continue
-            for stretch in taught(path, rows, lesson):
+            for stretch in stretches_to_teach(path, rows, lesson):
                 yield name, path, stretch
 
     def load_clips(
@@ -120,7 +120,7 @@ def plain(settings: Any) -> dict[str, Any]:
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
 
 
-def told_settings(settings: Any) -> dict[str, Any]:
+def settings_to_store(settings: Any) -> dict[str, Any]:
     """The settings stored in a weights file: all except paths on the training machine."""
     found = dataclasses.asdict(settings)
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
@@ -144,7 +144,7 @@ def identity(settings: Any) -> dict[str, Any]:
 
 
 def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
-    """Refuse to go on with a checkpoint of a run that learns something else.
+    """Refuse to resume from the checkpoint of a run with other settings or data.
 
     Args:
         path: of the checkpoint, for the message.
@@ -169,7 +169,7 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
 
 
 def _same(here: Any, there: Any) -> bool:
-    """Whether a setting is the same; a part that is zero counts as one that is not there.
+    """Whether a setting is the same; a zero part counts as a missing one.
 
     Parts that are added to a group of settings, such as a new variation, are zero where nothing
     changes, and checkpoints from before them hold the same run.

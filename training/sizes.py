@@ -44,7 +44,7 @@ def bone_lengths(recording: SkeletonRecording) -> Float[np.ndarray, "11"]:
     return np.array([np.linalg.norm(at[a] - at[b]) for a, b in (*_BONES, _HIPS)])
 
 
-def unlike(
+def bone_differences(
     person: Float[np.ndarray, " bones"], others: Mapping[str, Float[np.ndarray, " bones"]]
 ) -> list[tuple[float, str]]:
     """Root mean square of the relative differences of bones, per cent, from the nearest on."""
@@ -75,7 +75,9 @@ def sizes(data: Positional[Path]) -> None:
     for title, some in (("new", people[_NEW[0]]), ("known", old)):
         for name, bones in sorted(some.items()):
             others = {other: value for other, value in old.items() if other != name}
-            near = ", ".join(f"{other} {value:.1f}" for value, other in unlike(bones, others)[:3])
+            near = ", ".join(
+                f"{other} {value:.1f}" for value, other in bone_differences(bones, others)[:3]
+            )
             LOG.info("%s %s: %s %%", title, name, near)
 
 

@@ -45,7 +45,7 @@ MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 
 
 def skeleton_clips(data: Path) -> list[list[SourceClip]]:
-    """All recordings of skeletons as they are, by collection, with the notes of their manifests.
+    """All recordings of skeletons by collection, with the notes of their manifests.
 
     Args:
         data: folder of all real recordings.
@@ -150,7 +150,7 @@ _STOOPS = 12.5
 
 
 def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
-    """Recordings whose angles were put on a common skeleton (CMU's 31 joints), by their names.
+    """Recordings on a skeleton shared by all people (CMU's 31 joints), by name.
 
     Angles of one skeleton on another turn every bone by what the rest poses differ in, so that
     some of these people bow their heads and draw up their shoulders throughout. Where a person's
@@ -276,9 +276,9 @@ def read_humanoid(path: Path) -> SkeletonRecording:
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in _TREE.values())
     offsets = np.array([place for _, place in _TREE.values()])
     for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
-        raised = _raised(name)
+        raised = _arm_lowering(name)
         # R' = R A for the joints of an arm, relative to their parents; offsets likewise
-        before = _raised(names[parent]) if parent >= 0 else np.eye(3)
+        before = _arm_lowering(names[parent]) if parent >= 0 else np.eye(3)
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]
 
@@ -309,8 +309,8 @@ def _turns(frames: np.ndarray) -> dict[str, np.ndarray]:
     return turns
 
 
-def _raised(name: str) -> np.ndarray:
-    """The turn that takes an arm stretched out sideways to one that hangs."""
+def _arm_lowering(name: str) -> np.ndarray:
+    """The rotation from an arm stretched out sideways to a hanging arm."""
     if name not in _ARMS:
         return np.eye(3)
     return Rotation.from_euler(

@@ -24,7 +24,7 @@ from benchmarks.protocol import ROOT, Cell, Table, parser, tell
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.opensim import opensim_axes
-from recon.body.segments import carried
+from recon.body.segments import posed_axes
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 from recon.core.units import to_z_up
@@ -48,7 +48,7 @@ _FOLLOWED = {"pelvis": "pelvis", "femur": "femur", "tibia": "tibia", "foot": "ca
 
 def turned_segments(motion: Motion, body: BodyModel) -> dict[str, np.ndarray]:
     """Axes of every segment in every frame, in OpenSim's ground (y up)."""
-    axes = carried(opensim_axes(body, motion.shape), body, motion)
+    axes = posed_axes(opensim_axes(body, motion.shape), body, motion)
     return {name: to_z_up("y").T @ turn for name, turn in axes.items()}
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import BELOW, turned_by
+from recon.body.derivatives import BELOW, right_jacobian
 from recon.body.kinematics import forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
@@ -135,7 +135,7 @@ class BonePoses(TensorStruct):
 
 @dataclass(frozen=True)
 class PoseSolver(TensorStruct):
-    """Finds poses of a body at rest under a density of poses."""
+    """Finds poses of a body by damped Gauss-Newton steps under a density of poses."""
 
     rest: Float[Tensor, "22 3"]
     """Joints of the unposed body, metres."""
@@ -160,7 +160,7 @@ class PoseSolver(TensorStruct):
             sigmas: scales of the kernel, metres, one for each step.
             ties: what holds neighbouring frames together; None leaves them independent.
         """
-        annealed = _Annealed(self, targets, sigmas, ties)
+        annealed = _AnnealedPoses(self, targets, sigmas, ties)
         options = GaussNewton(len(sigmas), tolerance=0.0, damping=0.0)
         return minimise(annealed, (state, 0), options)[0][0]
 
@@ -216,7 +216,7 @@ class Springs:
 
 
 @dataclass(frozen=True)
-class _Annealed(Problem[tuple[BonePoses, int]]):
+class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
     """Poses of all rows (frames), and the index of the next kernel scale of the annealing."""
 
     solver: PoseSolver
@@ -229,7 +229,7 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
         state, sigma, targets = x[0], self.sigmas[x[1]], self.targets(x[0])
         away = targets.away(state)
         share = sigma**2 / (sigma**2 + away.square().sum(-1))
-        force, stiffness = _moments(targets, away, targets.weight * share.square())
+        force, stiffness = _moments_of_bones(targets, away, targets.weight * share.square())
         gradient, own = _by_coordinates(state, force, stiffness, self.solver.density)
         gradient[:, 6:] += state.coordinates
         diagonal = own.diagonal(dim1=1, dim2=2)
@@ -303,7 +303,7 @@ def _aligned_rigidly(
     return there - (turn @ here[..., None])[..., 0], turn
 
 
-def _moments(
+def _moments_of_bones(
     targets: BoneTargets,
     away: Float[Tensor, "rows points 3"],
     weight: Float[Tensor, "rows points"],
@@ -331,7 +331,7 @@ def _by_coordinates(
     pull, turning = torques(bones, force)
     mass, across, between = inertia(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
-    bent = bones[:, 1:, :, :3] @ turned_by(steps)
+    bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
     # the turns of the root, and those of the other joints by v = B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, at_rest_in, nearest_placed
+from observations.start.rigid import TORSO, nearest_placed, rest_pose_at
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -85,7 +85,7 @@ def image_start(
     centre = centre.gather(-2, pick[..., None].expand(*pick.shape, 2))
     pelvis = camera.unproject(centre, distance[..., None])[..., 0, :]
     translation = pelvis - body.joint_template[0].to(pixels)
-    return at_rest_in(body, translation, turns[chosen], fps=fps, start_time=start_time)
+    return rest_pose_at(body, translation, turns[chosen], fps=fps, start_time=start_time)
 
 
 def bone_distance(

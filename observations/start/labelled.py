@@ -19,7 +19,7 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.surface_steps import SeenSurface, evidence
+from observations.start.surface_steps import SeenSurface, misfits
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
@@ -64,7 +64,7 @@ _CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 
 
 @dataclass(frozen=True)
-class _Moments:
+class _PosedFrames:
     """The frames of one clip that get a pose, about ten per second."""
 
     number: Int[Tensor, " rows"]
@@ -102,13 +102,19 @@ def labelled_start(
     batch = points.shape[:-3]
     axes = len(batch)
 
-    def rows(values: Tensor) -> Tensor:
+    def with_one_batch_axis(values: Tensor) -> Tensor:
         return values[None].flatten(0, axes)
 
-    eyes = [None] * rows(present).shape[0] if eye is None else list(rows(eye).cpu())
-    known = labels.to(device="cpu", dtype=torch.float32).map(rows)
+    eyes = (
+        [None] * with_one_batch_axis(present).shape[0]
+        if eye is None
+        else list(with_one_batch_axis(eye).cpu())
+    )
+    known = labels.to(device="cpu", dtype=torch.float32).map(with_one_batch_axis)
     tracker = _Tracker.of(body)
-    seen = zip(rows(points).cpu(), rows(present).cpu(), eyes, strict=True)
+    seen = zip(
+        with_one_batch_axis(points).cpu(), with_one_batch_axis(present).cpu(), eyes, strict=True
+    )
     clips = [
         tracker.tracked(cloud, here, known[k], at, fps) for k, (cloud, here, at) in enumerate(seen)
     ]
@@ -167,23 +173,25 @@ class _Tracker:
         readings = [self._targets(moments, signs) for signs in _READINGS]
         targets = concatenate(readings)
         eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
-        read = [_labels_under(moments.labels, signs) for signs in _READINGS]
+        read = [_labels_of_hypothesis(moments.labels, signs) for signs in _READINGS]
         surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
         posed = self._posed(targets)
-        posed = surface.approached(posed, self.solver, targets, _NEARED, None)
-        path = self._path(moments, posed, readings[0])
+        posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
+        path = self._cheapest_hypotheses(moments, posed, readings[0])
         rows = path * len(moments.number) + torch.arange(len(path))
         ties = Springs(
             torch.ones(len(path) - 1, dtype=torch.bool),
             place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
         )  # fmt: skip
         held = surface.rows(rows)
-        found = held.approached(posed[rows], self.solver, targets[rows], _STEP_SCALES, ties)
+        found = held.refined_to_surface(
+            posed[rows], self.solver, targets[rows], _STEP_SCALES, ties
+        )
         return _interpolated(found, moments.number, count)
 
-    def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
+    def _targets(self, moments: _PosedFrames, signs: tuple[int, int, int]) -> BoneTargets:
         """The points with their places on bones under one hypothesis of the labels."""
-        labels = _labels_under(moments.labels, signs)
+        labels = _labels_of_hypothesis(moments.labels, signs)
         place, region = labels.places, labels.region.clamp(min=0)
         away = torch.cdist(place, self.place)
         away = away + _ELSEWHERE * (region[..., None] != self.region)
@@ -211,8 +219,8 @@ class _Tracker:
         )
         return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
-    def _path(
-        self, moments: _Moments, posed: BonePoses, found: BoneTargets
+    def _cheapest_hypotheses(
+        self, moments: _PosedFrames, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
         """The hypothesis chosen for every frame (Viterbi)."""
         rows, readings = len(moments.number), len(_READINGS)
@@ -222,7 +230,7 @@ class _Tracker:
         )  # fmt: skip
         repeated = (readings, 1, 1)
         eye = None if moments.eye is None else moments.eye.repeat(readings, 1)
-        misfit, contradicted = evidence(
+        misfit, contradicted = misfits(
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(readings, 1), eye,
         )  # fmt: skip
@@ -238,7 +246,7 @@ class _Tracker:
 
 def _frames_to_pose(
     points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
-) -> _Moments | None:
+) -> _PosedFrames | None:
     """About ten frames per second with enough points, thinned; None where there are none."""
     enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
     number = enough.nonzero()[:, 0]
@@ -262,7 +270,7 @@ def _frames_to_pose(
         index = pick if some.ndim == 2 else pick[..., None].expand(*pick.shape, some.shape[-1])
         return some.gather(1, index)
 
-    return _Moments(
+    return _PosedFrames(
         number,
         taken(points).float(),
         taken(present),
@@ -272,8 +280,8 @@ def _frames_to_pose(
     )
 
 
-def _labels_under(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """The labels as they are, or with left and right exchanged, as the hypothesis says."""
+def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
+    """The labels with left and right exchanged where the hypothesis exchanges them."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]

@@ -57,10 +57,10 @@ def rigid_start(
     none = (~placed.any(-1))[..., None, None]
     turn = torch.where(none[..., None], torch.eye(3).to(turn), turn)
     translation = torch.where(none, 0.0, translation)
-    return at_rest_in(body, translation, turn, fps=fps, start_time=start_time)
+    return rest_pose_at(body, translation, turn, fps=fps, start_time=start_time)
 
 
-def at_rest_in(
+def rest_pose_at(
     body: BodyModel,
     translation: Float[Tensor, "*batch time 3"],
     root: Float[Tensor, "*batch time 3 3"],
@@ -68,7 +68,7 @@ def at_rest_in(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The average body in its rest pose, at these places and with these rotations of its root."""
+    """The average body in its rest pose, with given translations and rotations of its root."""
     others = torch.eye(3).to(root).expand(*root.shape[:-2], 21, 3, 3)
     return Motion(
         translation=translation,

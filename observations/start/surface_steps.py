@@ -32,8 +32,8 @@ validation windows with a fifth of the labels wrong, joints that are seen are 4.
 labels do not count, and 5.6 and more where they count six times as much."""
 
 
-def costs_of_points(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
-    """Rows for `recon.core.nearest.nearest_alike`: costs of matches up to a constant per point."""
+def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
+    """Costs of labelled points for `nearest_alike`, up to a constant per point."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
     size = torch.full_like(sure, _PLACE_WEIGHT)
@@ -42,7 +42,7 @@ def costs_of_points(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
 
 
 def kinds_of_surfels(surfels: Surfels, body: BodyModel) -> Float[Tensor, "surfels 16"]:
-    """Rows of the surface for `nearest_alike`, the counterpart of `costs_of_points`."""
+    """Kinds of surfels for `nearest_alike`, which multiplies them with `label_costs`."""
     index = torch.from_numpy(surfels.vertices).to(body.template.device)
     regions = Regions.of(body)
     place = regions.places[index]
@@ -84,7 +84,7 @@ class SeenSurface:
         """The points, with costs of matching them to body parts other than their labels."""
         kinds = kinds_of_surfels(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
-        costs = costs_of_points(labels)
+        costs = label_costs(labels)
         return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
@@ -95,7 +95,7 @@ class SeenSurface:
             costs=self.costs[index], eye=eye,
         )  # fmt: skip
 
-    def approached(
+    def refined_to_surface(
         self,
         state: BonePoses,
         solver: PoseSolver,
@@ -152,7 +152,7 @@ _BEFORE = 0.12
 """Metres that a surface may be nearer to the sensor than the points along its line of sight."""
 
 
-def evidence(
+def misfits(
     motion: Motion,
     body: BodyModel,
     surfels: Surfels,

@@ -29,7 +29,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 @dataclass(frozen=True)
 class Anchors(TensorStruct):
-    """Cycles as anchor frames."""
+    """Cycles of motion, each as 100 anchor frames."""
 
     rotations: Float[Tensor, "*batch anchors 20 3 3"]
     """Relative to the parent joint; the root in the world, or in the frame of the first anchor."""
@@ -169,7 +169,7 @@ class CycleBasis(TensorStruct):
         rest = torch.cat((2 * rest[..., :3] - 1, rest[..., 3:]), -1)
         return torch.cat((rows[..., :POSE_NUMBERS], rest), -1)
 
-    def metric(
+    def denormalised(
         self, normalised: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
         """The inverse of `normalised`: 6D rotations without unit, metres, seconds."""

@@ -67,7 +67,7 @@ class AnchorNetworks(nn.Module):
         self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch 100 124"]:
         """Aligned cycles as rows chi: metres, seconds."""
-        return self.basis.metric(self.normalised(latent, shape))
+        return self.basis.denormalised(self.normalised(latent, shape))
 
 
 class _Block(nn.Module):
@@ -132,14 +132,14 @@ def load_weights(path: str | Path) -> AnchorWeights:
     found = named_checkpoint(path, "anchor")
     latent, shape, size = found.sizes("latent", "shape", "basis", alignment=ALIGNMENT)
     (width,) = found.sizes("width", least=0)
-    basis = CycleBasis(**found.under(_BASIS).require({
+    basis = CycleBasis(**found.with_prefix(_BASIS).require({
         "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),
         "deviation": (size,),
     }))  # fmt: skip
     networks = AnchorNetworks(basis, latent, shape, width)
-    found.besides(_BASIS, _SPREAD).into(networks)
+    found.without_prefixes(_BASIS, _SPREAD).copy_into(networks)
     count = len(found.tensors.get(_SPREAD + "typical", torch.zeros(0)))
-    spread = CodeSpread(**found.under(_SPREAD).require({
+    spread = CodeSpread(**found.with_prefix(_SPREAD).require({
         "mean": (latent,), "root": (latent, latent), "typical": (count, latent),
     }))  # fmt: skip
     networks.eval().requires_grad_(False)

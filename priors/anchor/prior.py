@@ -196,9 +196,10 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
 
     def anchors(self, variables: AnchorVariables) -> Anchors:
         """The decoded cycles in the world, without the corrections."""
-        x = variables
-        anchors = Anchors.unpack(self.rows(x))
-        return anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
+        anchors = Anchors.unpack(self.rows(variables))
+        return anchors.carried(
+            self._T_world_cycle(variables), rest_pelvis(self.body, variables.shape)
+        )
 
     def rows(self, variables: AnchorVariables) -> Float[Tensor, "*batch 100 124"]:
         """Rows chi of the decoded anchors, in the frame of the first anchor."""
@@ -214,48 +215,56 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         seconds, by which cycle and observation begin and end apart; `sink` half the squared
         height of the ground above the soles' own, over its variance.
         """
-        x = variables
-        rows = self.rows(x)
-        at = _at_times(rows, self._moments(x, rows))
+        rows = self.rows(variables)
+        at = _interpolated_rows(rows, self._anchor_of_frames(variables, rows))
         anchors = Anchors.unpack(at)
-        if any(detail.requires_grad or bool(detail.any()) for detail in (x.bend, x.shift)):
-            anchors = detailed(anchors, x.bend, x.shift)
-        placed = anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
+        if any(
+            detail.requires_grad or bool(detail.any())
+            for detail in (variables.bend, variables.shift)
+        ):
+            anchors = with_corrections(anchors, variables.bend, variables.shift)
+        placed = anchors.carried(
+            self._T_world_cycle(variables), rest_pelvis(self.body, variables.shape)
+        )
         motion = Motion(
             translation=placed.translation,
             rotations=placed.full_rotations,
-            shape=x.shape,
-            valid=x.valid,
-            fps=x.fps,
-            start_time=x.start_time,
+            shape=variables.shape,
+            valid=variables.valid,
+            fps=variables.fps,
+            start_time=variables.start_time,
         )
-        observed = (x.valid.sum(-1) - 1) / x.fps
-        late = BEGIN * x.begin
+        observed = (variables.valid.sum(-1) - 1) / variables.fps
+        late = BEGIN * variables.begin
         over = late + rows[..., -1, -1] - observed
         energies = {
-            "latent": 0.5 * x.latent.square().sum(-1),
-            "shape": 0.5 * x.shape.square().sum(-1),
+            "latent": 0.5 * variables.latent.square().sum(-1),
+            "shape": 0.5 * variables.shape.square().sum(-1),
             "ends": 0.5 * (late.square() + over.square()),
-            "details": 0.5 * (x.bend.square().sum((-1, -2)) + x.shift.square().sum((-1, -2))),
-            "sink": 0.5 * (PLACE / _SINK * x.place[..., 2]).square(),
+            "details": 0.5
+            * (variables.bend.square().sum((-1, -2)) + variables.shift.square().sum((-1, -2))),
+            "sink": 0.5 * (PLACE / _SINK * variables.place[..., 2]).square(),
         }
         return Decoded(motion, energies)
 
-    def _moments(
-        self, x: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
+    def _anchor_of_frames(
+        self, variables: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
     ) -> Float[Tensor, "*batch time"]:
         """Position of every frame among the anchors, 0 to 99, fractional."""
-        clock = torch.arange(x.valid.shape[-1], dtype=rows.dtype, device=rows.device) / x.fps
-        since = clock - BEGIN * x.begin[..., None]
+        clock = (
+            torch.arange(variables.valid.shape[-1], dtype=rows.dtype, device=rows.device)
+            / variables.fps
+        )
+        since = clock - BEGIN * variables.begin[..., None]
         return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
 
-    def _placing(self, x: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:
-        vector = torch.nn.functional.pad(TURN * x.turn, (2, 0))
-        turn = x.base[..., :3, :3] @ so3.exp(vector)
-        return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
+    def _T_world_cycle(self, variables: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:
+        vector = torch.nn.functional.pad(TURN * variables.turn, (2, 0))
+        turn = variables.base[..., :3, :3] @ so3.exp(vector)
+        return so3.rigid(turn, variables.base[..., :3, 3] + PLACE * variables.place)
 
 
-def detailed(
+def with_corrections(
     anchors: Anchors,
     bend: Float[Tensor, "*batch modes 60"],
     shift: Float[Tensor, "*batch modes 3"],
@@ -273,7 +282,7 @@ def detailed(
     )
 
 
-def _at_times(
+def _interpolated_rows(
     rows: Float[Tensor, "*batch 100 124"], place: Float[Tensor, "*batch time"]
 ) -> Float[Tensor, "*batch time 124"]:
     """Linear interpolation between anchors, which are some milliseconds apart."""

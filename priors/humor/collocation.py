@@ -16,15 +16,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import as_read, at_tempo, contact_probabilities, posed_states
+from priors.humor.state import at_tempo, contact_probabilities, on_network_clock, posed_states
 from priors.humor.steps import (
     ERROR,
     SPAN,
     SURPRISE,
     CollocationWeights,
     bundled_curvature,
-    explain,
     heavy_tailed,
+    posterior_outputs,
 )
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
@@ -150,9 +150,9 @@ class Collocation(Prior[PoseVariables]):
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
         posed = humor.body.pose(motion)
-        states = posed_states(as_read(motion), posed.joints)
+        states = posed_states(on_network_clock(motion), posed.joints)
         pelvis = humor.pelvis(motion.shape)
-        found = explain(humor.networks, states, pelvis)
+        found = posterior_outputs(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]
         error = 0.5 * (found.error @ humor.error_whitening).square().sum(-1)
         energies = {
@@ -203,7 +203,7 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        early, late = (2e-2, 1e-4) if in_images(data) else (2e-3, 3e-5)
+        early, late = (2e-2, 1e-4) if only_keypoints_in_images(data) else (2e-3, 3e-5)
         slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
@@ -212,7 +212,7 @@ class Collocation(Prior[PoseVariables]):
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=preconditioned,
         )  # fmt: skip
-        if seen_whole(data, self.humor.body):
+        if all_joints_located(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
@@ -241,17 +241,17 @@ class Collocation(Prior[PoseVariables]):
         return root, poses, steps, limbs, feet
 
 
-def in_images(data: tuple[Term, ...]) -> bool:
+def only_keypoints_in_images(data: tuple[Term, ...]) -> bool:
     """Whether all observations are keypoints in images."""
     return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
 
 
-def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
+def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     """Whether one sensor locates every joint in space in most frames of every clip."""
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (told := term.energy.told_joints(body)) is not None
-        and bool((told >= _MIN_SEEN_SHARE).all())
+        and (share := term.energy.share_of_frames_locating(body)) is not None
+        and bool((share >= _MIN_SEEN_SHARE).all())
         for term in data
     )

@@ -49,7 +49,9 @@ def first_states(
         ValueError: when the mixture is over other numbers than ours.
     """
     if not torch.equal(initial.features.cpu(), distinct_features()):
-        raise ValueError("first states need a mixture over our features; the released one is not")
+        raise ValueError(
+            "first states need a mixture over independent features; the released one is over all"
+        )
     drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)
     full[:, initial.features] = drawn

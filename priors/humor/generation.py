@@ -47,11 +47,11 @@ class Footing:
     lowered: float = 0.1
     """Share of the height of the lower foot by which a body that does not fly is lowered."""
 
-    def kept(
+    def selected(
         self,
         before: State,
         after: State,
-        touching: Float[Tensor, "all 4"],
+        contact_heights: Float[Tensor, "all 4"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
         """Index of the selected sample in each group of `draws` samples.
@@ -59,21 +59,25 @@ class Footing:
         Args:
             before: states in the world, each repeated for its draws.
             after: the draws.
-            touching: heights at which ankles and toes touch, metres.
+            contact_heights: heights at which ankles and toes touch, metres.
             random: of the choice.
         """
-        height = after.joints[:, FEET, 2] - touching
+        height = after.joints[:, FEET, 2] - contact_heights
         speed = (after.joints - before.joints)[:, FEET].square().sum(-1) * REFERENCE_FPS**2
         rests = foot_energy(height, speed).amin(-1)
         sunk = (-height - _SUNK).amax(-1).clamp(min=0) / _SUNK_SCALE
         nats = _carried_share(before, after) * rests + 0.5 * sunk.square()
         likely = (-self.strictness * nats).unflatten(0, (-1, self.draws)).softmax(-1)
-        chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(touching.device)
+        chosen = torch.multinomial(likely.cpu(), 1, generator=random)[:, 0].to(
+            contact_heights.device
+        )
         return chosen + self.draws * torch.arange(len(chosen), device=chosen.device)
 
-    def grounded(self, before: State, after: State, touching: Float[Tensor, "clips 4"]) -> State:
-        """The states, moved towards the ground; arguments as of `kept`, without `draws`."""
-        lower = (after.joints[:, FEET, 2] - touching).amin(-1)
+    def grounded(
+        self, before: State, after: State, contact_heights: Float[Tensor, "clips 4"]
+    ) -> State:
+        """The states, moved towards the ground; arguments as of `selected`, without `draws`."""
+        lower = (after.joints[:, FEET, 2] - contact_heights).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
         lowered = self.lowered * _carried_share(before, after) * (lower - _ABOVE).clamp(min=0)
         up = after.translation.new_tensor([0.0, 0.0, 1.0])
@@ -110,7 +114,7 @@ def drawn_step(
         The canonical frame of the state, the next state in it, and the logits of contacts.
     """
     frame = Frame.of(state)
-    here = frame.enter(state, pelvis)
+    here = frame.to_frame(state, pelvis)
     packed = here.pack()
     latent, log_variance = networks.prior(packed)
     if random is not None:
@@ -126,7 +130,7 @@ _FOOTING = Footing()
 
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
-    """Move the body to the mean of the predicted joints; the state takes the body's joints.
+    """Move the body to the mean of the predicted joints, and replace these by the body's joints.
 
     The network knows best by its joints how high a body is.
     """
@@ -176,12 +180,12 @@ def roll_from(
         frame, reached, touched = drawn_step(
             humor.networks, before, pelvis, random, temperature=temperature
         )
-        after = frame.leave(body_at_joints(reached, rest), pelvis)
+        after = frame.from_frame(body_at_joints(reached, rest), pelvis)
         if footing is not None:
             if draws > 1:
                 assert random is not None
-                kept = footing.kept(before, after, low, random)
-                after, touched = after[kept], touched[kept]
+                selected = footing.selected(before, after, low, random)
+                after, touched = after[selected], touched[selected]
             after = footing.grounded(states[-1], after, touching)
         states.append(after)
         logits.append(touched)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import as_read, canonical, initial_features, posed_states
+from priors.humor.state import canonical, initial_features, on_network_clock, posed_states
 from priors.humor.steps import RARITY, heavy_tailed
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
@@ -37,10 +37,10 @@ def tempo(data: Sequence[Term]) -> float:
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
     that tells most of it; clips of which no sensor tells a speed are read as they are.
     """
-    told = [_speed(term.energy) for term in data if getattr(term.energy, "placed", False)]
-    if len(told) == 0:
+    speeds = [_speed(term.energy) for term in data if getattr(term.energy, "placed", False)]
+    if len(speeds) == 0:
         return 1.0
-    slowest = float(torch.stack(told).amax(0).min())
+    slowest = float(torch.stack(speeds).amax(0).min())
     return math.sqrt(FASTEST / max(slowest, FASTEST))
 
 
@@ -73,7 +73,7 @@ class LikelyStates(TensorStruct):
         """
         motion = estimate.motion
         humor = self.humor.like(motion.translation)
-        states = posed_states(as_read(motion), estimate.body.joints)
+        states = posed_states(on_network_clock(motion), estimate.body.joints)
         states = canonical(states, humor.pelvis(motion.shape)[:, None])
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]

@@ -9,7 +9,14 @@ from torch import Tensor
 
 from priors.humor.generation import drawn_step
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, State, as_read, initial_features, posed_joints, states_of
+from priors.humor.state import (
+    Frame,
+    State,
+    initial_features,
+    on_network_clock,
+    posed_joints,
+    states_of,
+)
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -35,15 +42,15 @@ def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 2
     Clips in which every knee and elbow is told have none. None where no clip has unseen limbs,
     or where a sensor knows no points of the body, as a depth sensor does not.
     """
-    told = [
+    located = [
         joints >= _SELDOM
         for term in data
         if isinstance(term.energy, Sensor)
-        and (joints := term.energy.told_joints(body)) is not None
+        and (joints := term.energy.share_of_frames_locating(body)) is not None
     ]
-    if len(told) == 0 or len(told) < len(data):
+    if len(located) == 0 or len(located) < len(data):
         return None
-    seen = torch.stack(told).any(0)
+    seen = torch.stack(located).any(0)
     unseen = torch.zeros_like(seen)
     for joint in range(1, len(JOINTS)):
         below = list(descendants(joint))[1:]
@@ -70,13 +77,13 @@ class LimbDraws:
     def of(
         cls, humor: Humor, shape: Float[Tensor, "particles shape"], unseen: Bool[Tensor, " 22"]
     ) -> "LimbDraws":
-        """The shared data of particles, for bodies of these shapes."""
+        """The data that all particles share, for particles with these body shapes."""
         parents = torch.tensor([max(parent, 0) for parent in PARENTS], device=unseen.device)
         nowhere = unseen[parents]
         return cls(humor, humor.pelvis(shape), humor.body.rest_joints(shape), unseen, nowhere)
 
     def completed(self, known: State, drawn: State) -> State:
-        """States of the known observed joints and the particles' unobserved limbs."""
+        """States with the observed joints of `known` and the unobserved limbs of `drawn`."""
         velocities = torch.where(
             self.nowhere[:, None], drawn.joint_velocities, known.joint_velocities
         )
@@ -94,23 +101,25 @@ class LimbDraws:
         count = len(self.pelvis)
         state = state.map(lambda tensor: tensor.expand(count, *tensor.shape[1:]))
         frame = Frame.of(state)
-        here = frame.enter(state, self.pelvis)
+        here = frame.to_frame(state, self.pelvis)
         mixture = self.humor.initial
         numbers = initial_features(here)[0].double()
         known = ~self._drawn_features()[mixture.features]
         std = self._deviations().to(numbers)[mixture.features]
-        others = mixture.given(known, numbers[mixture.features][known], std[known])
+        others = mixture.conditioned_on(known, numbers[mixture.features][known], std[known])
         drawn = numbers.repeat(count, 1)
         drawn[:, others.features] = others.sample(count, random)
         points, velocities = (
             part.unflatten(-1, (len(JOINTS), 3)).to(state.joints)
             for part in drawn[:, :-6].chunk(2, 1)
         )
-        begun = here.replace(pose=self._aimed(here, points), joint_velocities=velocities)
-        return self.completed(state, frame.leave(begun, self.pelvis))
+        begun = here.replace(
+            pose=self._bones_pointing_at(here, points), joint_velocities=velocities
+        )
+        return self.completed(state, frame.from_frame(begun, self.pelvis))
 
     def _drawn_features(self) -> Bool[Tensor, " 138"]:
-        """Mask of those `initial_features` that are drawn.
+        """Mask of the `initial_features` that are drawn at random.
 
         Positions and velocities of unobserved joints.
         """
@@ -122,7 +131,7 @@ class LimbDraws:
         parts = ((66, _PLACE), (66, _SPEED), (3, _SPEED / 2), (3, _TURNING))
         return torch.cat([torch.full((count,), std) for count, std in parts])
 
-    def _aimed(
+    def _bones_pointing_at(
         self, state: State, points: Float[Tensor, "particles 22 3"]
     ) -> Float[Tensor, "particles 21 3 3"]:
         """Rotations that point the bones of unobserved limbs at given joints, trunk first."""
@@ -170,7 +179,7 @@ class ParticleFilter:
     def __call__(
         self, humor: Humor, motion: Motion, unseen: Bool[Tensor, " 22"]
     ) -> Float[Tensor, "hypotheses time 21 3 3"]:
-        """Rotations of the body joints; those that were seen are the motion's.
+        """Rotations of the body joints for each hypothesis; observed joints keep the motion's.
 
         Args:
             humor: the prior, of the motion's precision.
@@ -180,17 +189,17 @@ class ParticleFilter:
         """
         random = torch.Generator().manual_seed(_SEED)
         count = self.hypotheses * self.particles
-        states, frames = states_of(as_read(motion), humor.body), int(motion.valid.sum())
+        states, frames = states_of(on_network_clock(motion), humor.body), int(motion.valid.sum())
         draws = LimbDraws.of(humor, motion.shape.expand(count, -1), unseen)
         state = draws.first(states[:, 0], random)
         weights = states.translation.new_zeros(self.hypotheses, self.particles)
         poses, parents = [state.pose], list[Tensor]()
         for frame in range(1, frames):
             step, reached, _ = drawn_step(humor.networks, state, draws.pelvis, random)
-            predicted = step.leave(reached, draws.pelvis)
+            predicted = step.from_frame(reached, draws.pelvis)
             known = states[:, frame].map(lambda tensor: tensor.expand(count, *tensor.shape[1:]))
             state = draws.completed(known, predicted)
-            agreement = self._agreement(predicted, state, ~draws.nowhere)
+            agreement = self._log_likelihood(predicted, state, ~draws.nowhere)
             weights = weights + agreement.view_as(weights)
             poses.append(state.pose)
             parent, weights = self._resampled(weights, random, last=frame == frames - 1)
@@ -200,7 +209,7 @@ class ParticleFilter:
         beyond = motion.rotations[:, frames:, 1:].expand(self.hypotheses, -1, -1, -1, -1)
         return torch.cat((found, beyond), 1)
 
-    def _agreement(
+    def _log_likelihood(
         self, predicted: State, completed: State, seen: Bool[Tensor, " 22"]
     ) -> Float[Tensor, " particles"]:
         """Log-likelihood of the observed joints (their mean), and of feet on the ground."""

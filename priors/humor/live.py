@@ -14,8 +14,8 @@ from priors.humor.steps import (
     SURPRISE,
     CollocationWeights,
     bundled_curvature,
-    explain,
     heavy_tailed,
+    posterior_outputs,
 )
 from priors.pose.prior import PoseWeights
 from recon.core.motion import Motion
@@ -58,7 +58,7 @@ class LiveSteps:
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the pose density and of smoothness beside the energy of steps."""
+        """Weights of the pose density and of smoothness, to use with the energy of steps."""
         return self.weights.pose
 
     def judged(
@@ -73,7 +73,7 @@ class LiveSteps:
         """
         humor, weights = self.humor, self.weights
         states = posed_states(motion, joints)
-        found = explain(humor.networks, states, humor.pelvis(motion.shape))
+        found = posterior_outputs(humor.networks, states, humor.pelvis(motion.shape))
         # the first frame has no velocity, as the frame before it was dropped
         steps = slice(min(held, 1), None)
         error = 0.5 * (found.error[0, steps] @ humor.error_whitening).square().sum(-1)

@@ -43,18 +43,18 @@ def _first_indices(velocity: int, spin: int, joints: int) -> list[int]:
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
 
-def _order(starts: list[int], height: int, *others: range) -> list[int]:
+def _loop_order(starts: list[int], height: int, *others: range) -> list[int]:
     order = [start + axis for axis in range(3) for start in starts]
     return [*order, height, *(place for places in others for place in places)]
 
 
 _STATE_STARTS, _RAW_STARTS = _first_indices(3, 15, 207), _first_indices(3, 9, 75)
 
-STATE_ORDER = torch.tensor(_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
+STATE_ORDER = torch.tensor(_loop_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
 """Indices of the loop's numbers in a packed state."""
 
 _RAW_ORDER = torch.tensor(
-    _order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
+    _loop_order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
 )
 
 
@@ -84,7 +84,10 @@ class FrozenDecoder:
         norms = [m for m in decoder.net if isinstance(m, nn.GroupNorm)]
         weights = [m.weight.detach() for m in linear]
         biases = [m.bias.detach() for m in linear]
-        weights[-1], biases[-1] = _looped(weights[-1]), _looped(biases[-1])
+        weights[-1], biases[-1] = (
+            _last_layer_in_loop_order(weights[-1]),
+            _last_layer_in_loop_order(biases[-1]),
+        )
         inputs = [w[:, : w.shape[1] - LATENT].mT.clone() for w in weights]
         latent = torch.cat([w[:, w.shape[1] - LATENT :].mT for w in weights], 1)
         place = latent.new_zeros(2, latent.shape[1])
@@ -100,14 +103,14 @@ class FrozenDecoder:
             epsilon=norms[0].eps,
         )
 
-    def add(
+    def constant_inputs(
         self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch all_outputs"]:
-        """What latents, the pelvis's position and biases add to the input of all layers."""
+        """The part of the inputs of all layers that comes from latents, pelvis and biases."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
-    def split(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
+    def by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
         """Layer by layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
@@ -128,7 +131,7 @@ class FrozenDecoder:
         return (*units, torch.addmm(added[-1], x, self.layers[-1]))
 
 
-def _looped(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
+def _last_layer_in_loop_order(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
     """The last layer with joints relative to the translation, and rotation vectors halved."""
     looped = rows[_RAW_ORDER]
     for axis in range(2):
@@ -155,18 +158,18 @@ class Turn:
         quarters = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
         return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
 
-    def side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+    def right_side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
         """Horizontal part of the vector to the body's right, not normalised."""
         return self.upright - turns[..., 0, :2, 0]
 
-    def right(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+    def heading(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
         """The heading's (c, s): unit vector to the right of the body."""
-        side = self.side(turns)
+        side = self.right_side(turns)
         return side / torch.linalg.vector_norm(side, dim=-1, keepdim=True)
 
     def __call__(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2 2"]:
         """[[c, s], [-s, c]], for the horizontal parts of vectors."""
-        return (self.right(turns) @ self.quarters).unflatten(-1, (2, 2))
+        return (self.heading(turns) @ self.quarters).unflatten(-1, (2, 2))
 
 
 @dataclass(frozen=True)
@@ -191,12 +194,12 @@ def _unrolled(
     turn = Turn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
-    for each in zip(*(part.unbind(0) for part in decoder.split(added)), strict=True):
+    for each in zip(*(part.unbind(0) for part in decoder.by_layer(added)), strict=True):
         *units, raw = decoder(x, each)
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
         vectors = before + change
-        turns = _after_rotation(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
+        turns = _rotated_by_twice(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
         records.append((x, vectors, turns, rest, *units))
         to_own = turn(turns)
         level = torch.bmm(to_own, vectors[:, :LEVEL].view(-1, 2, VECTORS))
@@ -207,7 +210,7 @@ def _unrolled(
     return Unrolled(inputs, vectors, turns, rest), units
 
 
-def _after_rotation(
+def _rotated_by_twice(
     half: Float[Tensor, "batch 22 3"], matrix: Float[Tensor, "batch 22 3 3"]
 ) -> Float[Tensor, "batch 22 3 3"]:
     """Exp(2 half) matrix, by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
@@ -247,10 +250,10 @@ class _Unroll(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, None]:
         inputs, turns, rest, *units = ctx.saved_tensors
         decoder: FrozenDecoder = ctx.decoder
-        layers = [_Layer.of(decoder, k, values) for k, values in enumerate(units)][::-1]
+        layers = [_LayerBackward.of(decoder, k, values) for k, values in enumerate(units)][::-1]
         exponential, jacobian = _turned_adjoints(rest[..., :SPIN].unflatten(-1, (-1, 3)))
         to_own = Turn.like(turns)(turns).mT
-        quarter = _quarter_turned(inputs)[..., None]
+        quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
         # Gradients of the start of a step, of its raw output and of its rotations, to which
@@ -262,9 +265,9 @@ class _Unroll(torch.autograd.Function):
             start, raw, end = starts[t], raws[t], ends[t]
             if t + 1 < len(inputs):
                 ahead = starts[t + 1]
-                _level(raw).baddbmm_(to_own[t], _level(ahead))
+                _horizontal_vectors(raw).baddbmm_(to_own[t], _horizontal_vectors(ahead))
                 raw[:, LEVEL:MOVED].add_(ahead[:, LEVEL:MOVED])
-                _root(end).baddbmm_(to_own[t], _root(ahead[:, MOVED:]))
+                _horizontal_root(end).baddbmm_(to_own[t], _horizontal_root(ahead[:, MOVED:]))
                 end[:, 6:].add_(ahead[:, MOVED + 6 :])
                 angle = torch.bmm(ahead[:, None], quarter[t + 1])[:, 0]
                 end[:, :6:3].addcmul_(angle, heading[t])
@@ -273,7 +276,7 @@ class _Unroll(torch.autograd.Function):
             raw[:, MOVED : MOVED + SPIN].add_(torch.bmm(jacobian[t], axial).view(len(raw), -1))
             g = raw
             for layer in layers:
-                g = layer.back(g, t)
+                g = layer.backward_step(g, t)
             start.addmm_(g, decoder.layers[0].mT)
             start[:, :MOVED].add_(raw[:, :MOVED])
             start[:, MOVED:].add_(torch.bmm(exponential[t], matrices).view(len(raw), -1))
@@ -281,17 +284,19 @@ class _Unroll(torch.autograd.Function):
         return starts[0], torch.cat((*hidden, raws), -1), None
 
 
-def _level(g: Float[Tensor, "batch numbers"]) -> Float[Tensor, "batch 2 vectors"]:
-    return g[:, :LEVEL].view(-1, 2, LEVEL // 2)
+def _horizontal_vectors(
+    gradient: Float[Tensor, "batch numbers"],
+) -> Float[Tensor, "batch 2 vectors"]:
+    return gradient[:, :LEVEL].view(-1, 2, LEVEL // 2)
 
 
-def _root(g: Float[Tensor, "batch 198"]) -> Float[Tensor, "batch 2 3"]:
+def _horizontal_root(gradient: Float[Tensor, "batch 198"]) -> Float[Tensor, "batch 2 3"]:
     """The horizontal parts of the root's columns."""
-    return g[:, :6].view(-1, 2, 3)
+    return gradient[:, :6].view(-1, 2, 3)
 
 
 @dataclass(frozen=True)
-class _Layer:
+class _LayerBackward:
     """Backward pass of one layer, for every step."""
 
     weight: Float[Tensor, "outputs units"]
@@ -306,16 +311,16 @@ class _Layer:
 
     @classmethod
     def of(
-        cls, decoder: FrozenDecoder, k: int, units: Float[Tensor, "steps batch units"]
-    ) -> "_Layer":
+        cls, decoder: FrozenDecoder, layer: int, units: Float[Tensor, "steps batch units"]
+    ) -> "_LayerBackward":
         groups = decoder.grouped(units)
-        scale, shift = decoder.norms[k]
+        scale, shift = decoder.norms[layer]
         normal, mean, deviation = torch.native_layer_norm(
             groups, groups.shape[3:], None, None, decoder.epsilon
         )
         active = torch.addcmul(shift, normal.flatten(2), scale) > 0
         return cls(
-            weight=decoder.layers[k + 1].mT,
+            weight=decoder.layers[layer + 1].mT,
             gates=scale * active,
             groups=groups,
             means=mean,
@@ -323,12 +328,14 @@ class _Layer:
             gradients=[],
         )
 
-    def back(self, g: Float[Tensor, "batch outputs"], t: int) -> Float[Tensor, "batch units"]:
-        groups = self.groups[t]
-        g = torch.mm(g, self.weight).mul_(self.gates[t]).view_as(groups)
+    def backward_step(
+        self, gradient: Float[Tensor, "batch outputs"], step: int
+    ) -> Float[Tensor, "batch units"]:
+        groups = self.groups[step]
+        gradient = torch.mm(gradient, self.weight).mul_(self.gates[step]).view_as(groups)
         of_input, *_ = torch.ops.aten.native_layer_norm_backward(
-            g, groups, groups.shape[2:], self.means[t], self.deviations[t], None, None,
-            [True, False, False],
+            gradient, groups, groups.shape[2:], self.means[step], self.deviations[step],
+            None, None, [True, False, False],
         )  # fmt: skip
         self.gradients.append(of_input.flatten(1))
         return self.gradients[-1]
@@ -337,7 +344,7 @@ class _Layer:
 def _turned_adjoints(
     half: Float[Tensor, "steps batch 22 3"],
 ) -> tuple[Float[Tensor, "steps joints 3 3"], Float[Tensor, "steps joints 3 3"]]:
-    """What R' = Exp(2 h) R does to small changes, dR' = hat(2 J dh) R' + Exp(2 h) dR, transposed.
+    """Transposed derivatives of R' = Exp(2 h) R: dR' = hat(2 J dh) R' + Exp(2 h) dR.
 
     The first is of dR. The second is of dh: 2 Jᵀ = 2 (I - b hat(v) + d hat(v)²), J the left
     Jacobian of SO(3) at v = 2 h, with b = (1 - cos a)/a², d = (1 - sin(a)/a)/a², a = |v|.
@@ -355,7 +362,9 @@ _MIN_SQUARED_ANGLE = 1e-30
 """Least squared angle; a smaller one would be zero in a denominator."""
 
 
-def _quarter_turned(inputs: Float[Tensor, "steps batch 337"]) -> Float[Tensor, "steps batch 337"]:
+def _derivatives_by_heading(
+    inputs: Float[Tensor, "steps batch 337"],
+) -> Float[Tensor, "steps batch 337"]:
     """Derivatives of canonical states by the angle of the turn to their heading."""
     turned = torch.zeros_like(inputs)
     for first, numbers in ((0, LEVEL // 2), (MOVED, 3)):
@@ -368,5 +377,5 @@ def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
     """Derivatives of the angle of the heading by the first column of the root's rotation."""
-    x, y = Turn.like(turns).side(turns).unbind(-1)
+    x, y = Turn.like(turns).right_side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

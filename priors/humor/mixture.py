@@ -92,7 +92,7 @@ class Mixture(TensorStruct):
         log_volume = self.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         return self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
 
-    def given(
+    def conditioned_on(
         self,
         known: Bool[Tensor, " features"],
         values: Float[Tensor, " known"],

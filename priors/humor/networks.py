@@ -30,7 +30,7 @@ class GroupNorm(nn.GroupNorm):
     """`nn.GroupNorm` for two-dimensional input, twice as fast as torch's."""
 
     def forward(self, input: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
-        """Each group of units of a row to mean zero and variance one; then scale and shift."""
+        """Normalise groups of units of a row to mean 0 and variance 1, then scale and shift."""
         groups = input.unflatten(1, (self.num_groups, -1))
         normal = functional.layer_norm(groups, groups.shape[2:], eps=self.eps).flatten(1)
         return torch.addcmul(self.bias, normal, self.weight)
@@ -122,7 +122,7 @@ class HumorNetworks(nn.Module):
         self, state: Float[Tensor, "*batch 339"]
     ) -> tuple[Float[Tensor, "*batch 48"], Float[Tensor, "*batch 48"]]:
         """Mean and log-variance of the latent of the step that starts at a state."""
-        return _head(self.prior_net, state)
+        return _mean_and_log_variance(self.prior_net, state)
 
     def posterior(
         self, state: Float[Tensor, "*batch 339"], following: Float[Tensor, "*batch 339"]
@@ -131,12 +131,12 @@ class HumorNetworks(nn.Module):
 
         Both are in the frame of the first.
         """
-        return _head(self.encoder, torch.cat((state, following), -1))
+        return _mean_and_log_variance(self.encoder, torch.cat((state, following), -1))
 
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """The raw step; `priors.humor.state.compose` applies it."""
+        """The decoder's raw step, which `priors.humor.state.compose` applies to the state."""
         x = torch.cat((state, latent), -1)
         return self.decoder(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 
@@ -156,6 +156,8 @@ def width_of(tensors: Mapping[str, Tensor]) -> int:
     return len(first)
 
 
-def _head(network: Perceptron, x: Float[Tensor, "*batch inputs"]) -> tuple[Tensor, Tensor]:
+def _mean_and_log_variance(
+    network: Perceptron, x: Float[Tensor, "*batch inputs"]
+) -> tuple[Tensor, Tensor]:
     out = network(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
     return out[..., :LATENT], out[..., LATENT:]

@@ -69,7 +69,7 @@ class Humor(Prior[HumorVariables]):
         *,
         mixture: str | Path | None = None,
     ) -> "Humor":
-        """The bundled weights, ones of `python -m training humor`, or the released checkpoint.
+        """Load the bundled weights, ones of `python -m training humor`, or the authors' file.
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
@@ -115,7 +115,7 @@ class Humor(Prior[HumorVariables]):
         return kind.for_noise(humor, noise).stages(data)
 
     def live(self, noise: float) -> "LiveSteps":
-        """The energies of steps for a stream whose points are off by `noise` metres."""
+        """The energies of steps for a stream of points with a noise of `noise` metres."""
         return imported("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
 
     def to(
@@ -170,7 +170,7 @@ class Humor(Prior[HumorVariables]):
 
     @cached_property
     def decoder(self) -> "FrozenDecoder":
-        """The decoder's weights as the roll-out takes them."""
+        """A copy of the decoder's weights for the roll-out, in its layout."""
         from priors.humor.loop import FrozenDecoder
 
         return FrozenDecoder.of(self.networks.decoder)

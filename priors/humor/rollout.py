@@ -60,7 +60,7 @@ class Rollout(TensorStruct):
 
     def in_world(self, first: Frame, pelvis: Float[Tensor, "batch 3"]) -> State:
         """All states in the world, given the canonical frame of the first state."""
-        return self.frames(first).leave(self.states, pelvis[:, None])
+        return self.frames(first).from_frame(self.states, pelvis[:, None])
 
 
 def roll_out(
@@ -77,7 +77,7 @@ def roll_out(
         pelvis: horizontal offset of the pelvis from the translation, constant for a body.
         latents: of every step.
     """
-    added = decoder.add(latents.transpose(0, 1), pelvis)
+    added = decoder.constant_inputs(latents.transpose(0, 1), pelvis)
     return _rollout(unroll_given(decoder, _to_loop_layout(start, pelvis), added), pelvis)
 
 
@@ -97,7 +97,7 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
         joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
     )
     inputs = _from_loop_layout(steps.inputs.transpose(0, 1), pelvis[:, None])
-    return Rollout(inputs, states, contacts, Turn.like(turns).right(turns))
+    return Rollout(inputs, states, contacts, Turn.like(turns).heading(turns))
 
 
 def _to_loop_layout(

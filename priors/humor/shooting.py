@@ -1,4 +1,4 @@
-"""HuMoR's roll-out fitted to data: a first state and latents are moved (single shooting)."""
+"""HuMoR's roll-out fitted to data: a first state and latents are optimised (single shooting)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -112,7 +112,7 @@ _AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 @dataclass(frozen=True, eq=False)
 class Shooting(Prior[HumorVariables]):
-    """The motion is what the decoder makes of a first state and latents, which are moved.
+    """The motion is decoded from a first state and latents, which are optimised.
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
     the mixture for an energy and the latents the conditional prior. The usual start is the motion
@@ -142,7 +142,7 @@ class Shooting(Prior[HumorVariables]):
 
     @classmethod
     def published(cls, humor: Humor, sensor: str) -> "Shooting":
-        """The publication's fit to what a sensor saw, one of `PUBLISHED`."""
+        """The fit of the publication for a kind of sensor, a key of `PUBLISHED`."""
         weights, poses = PUBLISHED[sensor]
         start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
         return cls(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
@@ -214,12 +214,12 @@ class Shooting(Prior[HumorVariables]):
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:
-    """Names of the variables that the publication's first phase moves."""
+    """The variables of the first 15 frames, which the first phase is fitted to."""
     return variables.first(FIRST_FRAMES)
 
 
 def _weighted(term: Term, weights: Mapping[str, float]) -> Term:
-    """The term with the weight of its sensor's unit; terms of no sensor as they are."""
+    """The term with the weight of its sensor's unit; terms of no sensor are unchanged."""
     unit: str = getattr(term.energy, "unit", "")
     return term if unit not in weights else replace(term, weight=weights[unit])
 

@@ -79,7 +79,7 @@ class Frame(TensorStruct):
             so3.heading(state.root), place * constant((1.0, 1.0, 0.0), place.device, place.dtype)
         )
 
-    def enter(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+    def to_frame(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
         """A state of the outer frame, expressed in this frame.
 
         Args:
@@ -91,24 +91,24 @@ class Frame(TensorStruct):
         moved = state.translation - self.origin
         joints = state.joints - (self.origin + pelvis)[..., None, :]
         return State(
-            translation=_turned(turn, moved),
-            velocity=_turned(turn, state.velocity),
+            translation=_rotated(turn, moved),
+            velocity=_rotated(turn, state.velocity),
             root=turn @ state.root,
-            angular_velocity=_turned(turn, state.angular_velocity),
+            angular_velocity=_rotated(turn, state.angular_velocity),
             pose=state.pose,
             joints=joints @ turn.mT + pelvis[..., None, :],
             joint_velocities=state.joint_velocities @ turn.mT,
         )
 
-    def leave(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-        """A state of this frame, expressed in the outer frame; the inverse of `enter`."""
+    def from_frame(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+        """A state of this frame, expressed in the outer frame; the inverse of `to_frame`."""
         back = self.turn.mT
         joints = (state.joints - pelvis[..., None, :]) @ self.turn
         return State(
-            translation=_turned(back, state.translation) + self.origin,
-            velocity=_turned(back, state.velocity),
+            translation=_rotated(back, state.translation) + self.origin,
+            velocity=_rotated(back, state.velocity),
             root=back @ state.root,
-            angular_velocity=_turned(back, state.angular_velocity),
+            angular_velocity=_rotated(back, state.angular_velocity),
             pose=state.pose,
             joints=joints + (self.origin + pelvis)[..., None, :],
             joint_velocities=state.joint_velocities @ self.turn,
@@ -123,7 +123,7 @@ def rest_pelvis(state: State) -> Float[Tensor, "*batch 3"]:
 
 def canonical(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
     """The state expressed in its canonical frame."""
-    return Frame.of(state).enter(state, pelvis)
+    return Frame.of(state).to_frame(state, pelvis)
 
 
 def compose(
@@ -149,7 +149,7 @@ def compose(
 def contact_probabilities(
     logits: Float[Tensor, "clips steps 9"],
 ) -> Float[Tensor, "clips time 22"]:
-    """Contact probabilities of all joints in all frames.
+    """Contact probabilities of all joints in all frames, from the logits of steps.
 
     No step leads to the first frame, which has those of its successor.
     """
@@ -171,7 +171,7 @@ def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
     return torch.cat([part.flatten(len(batch)) for part in parts], -1)
 
 
-def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
+def _rotated(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
     return (turn @ vector[..., None])[..., 0]
 
 
@@ -187,8 +187,8 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
     return motion.resample(steps / seconds)
 
 
-def as_read(motion: Motion) -> Motion:
-    """A motion resampled to `REFERENCE_FPS` frames per second of the networks' time."""
+def on_network_clock(motion: Motion) -> Motion:
+    """The motion with frames taken to be 1/30 s apart, as the networks read them."""
     return motion.replace(fps=REFERENCE_FPS)
 
 
@@ -225,7 +225,7 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
 
 
 def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
-    """Mean of the steps before and after each frame, of those that exist, per second."""
+    """Mean of the existing steps before and after each frame, per second."""
     exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])
     after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
@@ -235,7 +235,7 @@ def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> 
 
 
 def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
-    """The numbers that the mixture of initial states is over: joints, velocities (section 4)."""
+    """Features of a state for the mixture of initial states: joints and velocities."""
     parts = (
         state.joints.flatten(-2),
         state.joint_velocities.flatten(-2),
@@ -246,7 +246,7 @@ def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
 
 
 def distinct_features() -> Int[Tensor, " features"]:
-    """Indices of `initial_features` that do not follow from others.
+    """Indices of `initial_features` that cannot be computed from other features.
 
     The pelvis is where the rest pelvis is, horizontally, and moves as the translation does.
     """

@@ -31,10 +31,10 @@ class StepOutputs(TensorStruct):
     """Logits."""
 
 
-def explain(
+def posterior_outputs(
     networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> StepOutputs:
-    """Every step, by the posterior's mean latent.
+    """The networks' outputs for every step, decoded from the posterior's mean latent.
 
     Args:
         networks: in the states' precision.
@@ -81,8 +81,8 @@ class Steps(TensorStruct):
             ),
             -2,
         )
-        # translation and joints are places, and joints turn about the pelvis
-        about, back = _placed(vectors.dtype, vectors.device)
+        # translation and joints are positions; joints are rotated about the pelvis
+        about, back = _offset_matrices(vectors.dtype, vectors.device)
         ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
         turned = ends @ frame.turn.mT + back * pelvis[:, None, None]
         root = turned[..., 3:6, :].mT
@@ -123,8 +123,8 @@ _MOVED = 207
 
 
 @lru_cache(maxsize=8)
-def _placed(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Which numbers of a state lose a frame's origin and the pelvis, and regain the pelvis."""
+def _offset_matrices(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Matrices that subtract frame origin and pelvis from a state, and that add the pelvis."""
     about = torch.zeros(50, 2, dtype=dtype, device=device)
     back = torch.zeros(50, 1, dtype=dtype, device=device)
     about[0, 0] = 1.0
@@ -195,16 +195,18 @@ class StepCurvature(TensorStruct):
             first, stop = max(0, 1 - a), min(steps, steps + 2 - a)
             rows = slice(first, stop)
             frame = slice(first + a - 1, stop + a - 1)
-            hessian.border[frame] += _turned(turn[rows], edge[a], exists[rows])
+            hessian.border[frame] += _block_in_world(turn[rows], edge[a], exists[rows])
             for b in range(a, SPAN):
                 last = min(stop, steps + 2 - b)
                 rows, frame = slice(first, last), slice(first + a - 1, last + a - 1)
-                left = _turned(turn[rows], mean[a, :, b], exists[rows])
-                both = _turned(turn[rows], left.mT, None).mT
+                left = _block_in_world(turn[rows], mean[a, :, b], exists[rows])
+                both = _block_in_world(turn[rows], left.mT, None).mT
                 hessian.inner[frame, b - a] += both
 
 
-def _turned(turn: Tensor, block: Tensor, exists: Tensor | None) -> Float[Tensor, "steps 69 n"]:
+def _block_in_world(
+    turn: Tensor, block: Tensor, exists: Tensor | None
+) -> Float[Tensor, "steps 69 n"]:
     """A block with its three rows of translation turned from the canonical frame to the world."""
     block = block.expand(len(turn), *block.shape[-2:])
     found = torch.cat((turn @ block[:, :3], block[:, 3:]), 1)

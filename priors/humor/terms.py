@@ -26,14 +26,14 @@ def bone_length(estimate: Estimate) -> Float[Tensor, "*batch"]:
     joints = _predicted(estimate)
     lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1)
     change = lengths.diff(dim=-2).square().sum(-1)
-    return 0.5 * change.where(_pairs(estimate), 0.0).sum(-1)
+    return 0.5 * change.where(_valid_pairs(estimate), 0.0).sum(-1)
 
 
 def contact_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ Σ c |p_t - p_(t-1)|² of the body's joints, c their probability of contact; metres²."""
     step = estimate.body.joints.diff(dim=-3).square().sum(-1)
     moved = (_contacts(estimate)[..., 1:, :] * step).sum(-1)
-    return 0.5 * moved.where(_pairs(estimate), 0.0).sum(-1)
+    return 0.5 * moved.where(_valid_pairs(estimate), 0.0).sum(-1)
 
 
 def contact_height(estimate: Estimate) -> Float[Tensor, "*batch"]:
@@ -43,7 +43,7 @@ def contact_height(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return height.where(estimate.motion.valid, 0.0).sum(-1)
 
 
-def _pairs(estimate: Estimate) -> Tensor:
+def _valid_pairs(estimate: Estimate) -> Tensor:
     valid = estimate.motion.valid
     return valid[..., 1:] & valid[..., :-1]
 

@@ -91,9 +91,9 @@ def encoded(humor: Any, motion: Motion) -> HumorVariables:
 
 def decoded(humor: Any, variables: HumorVariables) -> Decoded:
     """The motion of a first state and latents; see `Humor.decode`."""
-    first, pelvis = _first(humor, variables), humor.pelvis(variables.shape)
+    first, pelvis = _first_state(humor, variables), humor.pelvis(variables.shape)
     frame = Frame.of(first)
-    start = frame.enter(first, pelvis)
+    start = frame.to_frame(first, pelvis)
     rollout = roll_out(humor.decoder, start.pack(), pelvis, variables.latents)
     states = rollout.in_world(frame, pelvis)
     mean, log_variance = humor.networks.prior(rollout.inputs)
@@ -111,7 +111,7 @@ def decoded(humor: Any, variables: HumorVariables) -> Decoded:
     )
 
 
-def _first(humor: Any, variables: HumorVariables) -> State:
+def _first_state(humor: Any, variables: HumorVariables) -> State:
     steps = torch.cat((variables.root[:, None], variables.pose), 1)
     rotations = variables.base @ so3.exp(steps)
     motion = Motion.create(
@@ -137,15 +137,15 @@ def _latents_along(
     Were each taken from the true state before, errors would add up over the roll-out.
     """
     frame = Frame.of(states[:, 0])
-    here = frame.enter(states[:, 0], pelvis).pack()
+    here = frame.to_frame(states[:, 0], pelvis).pack()
     latents: list[Tensor] = []
     for step in range(1, states.translation.shape[1]):
-        ahead = frame.enter(states[:, step], pelvis).pack()
+        ahead = frame.to_frame(states[:, step], pelvis).pack()
         latents.append(humor.networks.posterior(here, ahead)[0])
         raw = humor.networks.decode(here, latents[-1])
-        reached = frame.leave(compose(State.unpack(here), raw)[0], pelvis)
+        reached = frame.from_frame(compose(State.unpack(here), raw)[0], pelvis)
         frame = Frame.of(reached)
-        here = frame.enter(reached, pelvis).pack()
+        here = frame.to_frame(reached, pelvis).pack()
     return torch.stack(latents, 1)
 
 

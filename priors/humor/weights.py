@@ -23,7 +23,7 @@ _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeErr
 
 
 def read_weights(path: str | Path) -> Checkpoint:
-    """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
+    """Read weights of recon (.safetensors) or a PyTorch checkpoint (.pth, .pt).
 
     Args:
         path: a file; or `open` for the weights in the package, `nc` for those of a source
@@ -35,20 +35,20 @@ def read_weights(path: str | Path) -> Checkpoint:
     """
     if path in ("open", "nc") or Path(path).suffix == ".safetensors":
         return named_checkpoint(path, "humor")
-    return _pytorch(Path(path))
+    return _read_pytorch(Path(path))
 
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
     """Networks of the width that the weights have."""
-    own = weights.besides(INITIAL, WHITENING)
+    own = weights.without_prefixes(INITIAL, WHITENING)
     networks = HumorNetworks(width_of(own.tensors))
-    own.into(networks)
+    own.copy_into(networks)
     return networks
 
 
 def mixture_from(weights: Checkpoint) -> Mixture | None:
-    """The mixture beside the networks, if there is one."""
-    own = weights.under(INITIAL)
+    """The mixture of initial states in a weights file; None without one."""
+    own = weights.with_prefix(INITIAL)
     if len(own.tensors) == 0:
         return None
     count, size = own.tensors["means"].shape if "means" in own.tensors else (12, 138)
@@ -63,12 +63,12 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
     """The matrix that whitens the decoder's errors, where the file has one."""
-    own = weights.under(WHITENING)
+    own = weights.with_prefix(WHITENING)
     return own.require({"": (207, 207)})[""] if own.tensors else None
 
 
-def _pytorch(path: Path) -> Checkpoint:
-    """Read without running code from it."""
+def _read_pytorch(path: Path) -> Checkpoint:
+    """Read a PyTorch checkpoint without executing code from it."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such weights file; expected HuMoR weights there")
     try:

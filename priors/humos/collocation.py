@@ -54,7 +54,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         decoded, humos = self.poses.decode(variables), self.humos
         motion = decoded.motion
         rows = BodyFrames.of(motion, humos.body)[0].pack()
-        between = _linear(motion.frames, motion.fps).to(rows)
+        between = _linear_resampling(motion.frames, motion.fps).to(rows)
         coarse = between @ rows
         exists = humos.exists(motion.valid, motion.fps)
         networks, density = humos.weights.networks, humos.weights.density
@@ -63,7 +63,7 @@ class CollocatedHumos(Prior[PoseVariables]):
         known = between @ motion.valid.to(rows)[..., None] > 0.5
         error = ((back - coarse) / _ERROR).square().where(known, 0.0)
         energies = {
-            "codes": density.energy(density.white(codes), exists),
+            "codes": density.energy(density.whitened(codes), exists),
             "error": 0.5 * error.sum((-1, -2)),
         }
         return Decoded(motion, {**decoded.energies, **energies})
@@ -107,8 +107,8 @@ class CollocatedHumos(Prior[PoseVariables]):
 
 
 @lru_cache(maxsize=16)
-def _linear(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
-    """Matrix from rows at a rate to rows at 20 Hz, linearly; the last one is held."""
+def _linear_resampling(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
+    """Matrix that interpolates rows linearly to 20 Hz; the last row is held."""
     coarse = frames_at_rate(frames, fps)
     place = (torch.arange(coarse) * (fps / FPS)).clamp(max=frames - 1)
     before = place.floor().long().clamp(max=max(frames - 2, 0))

@@ -70,7 +70,7 @@ class BodyFrames(TensorStruct):
             orientations=seen,
             direction=relative,
             place=((pelvis - start) @ first)[..., :2] / legs[..., None],
-            clearance=lowest_of(posed) / legs,
+            clearance=lowest_heights(posed) / legs,
         )
         return frames, so3.rigid(first, start[..., 0, :])
 
@@ -92,7 +92,7 @@ class BodyFrames(TensorStruct):
         flat = pelvis * pelvis.new_tensor([1.0, 1.0, 0.0])
         rest = body.rest_joints(shape)[..., None, 0, :]
         down = Motion.create(flat - rest, rotations, shape, fps)
-        height = self.clearance * legs - lowest_of(body.pose(down)) + base[..., None, 2, 3]
+        height = self.clearance * legs - lowest_heights(body.pose(down)) + base[..., None, 2, 3]
         return down.replace(translation=down.translation + pad(height[..., None], (2, 0)))
 
     def joints(
@@ -112,15 +112,15 @@ class BodyFrames(TensorStruct):
         return world + pad(self.place * legs, (0, 1))[..., None, :]
 
     def pack(self) -> Float[Tensor, "*batch time numbers"]:
-        """One row per frame: every feature in metres, angles times the length of their levers."""
+        """One row per frame: every feature in metres, angles times a lever in metres."""
         columns = so3.to_6d(self.orientations).flatten(-2)
         rest = torch.cat((self.direction, self.place, self.clearance[..., None]), -1)
-        return torch.cat((columns, rest), -1) * _worth().to(columns)
+        return torch.cat((columns, rest), -1) * _metres_per_feature().to(columns)
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
         """The inverse of `pack`; approximate rotations and directions are made exact."""
-        rows = rows / _worth().to(rows)
+        rows = rows / _metres_per_feature().to(rows)
         angle = rows[..., -5:-3]
         length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()
         return cls(
@@ -131,7 +131,7 @@ class BodyFrames(TensorStruct):
         )
 
 
-def lowest_of(posed: PosedBody) -> Float[Tensor, "*batch time"]:
+def lowest_heights(posed: PosedBody) -> Float[Tensor, "*batch time"]:
     """Height of the lowest point of the body in every frame, metres."""
     vertices = SampledSurface.of(posed.model).vertices
     return lowest_point(posed.points(vertices)[..., 2])
@@ -189,7 +189,7 @@ def levers() -> Float[Tensor, " 22"]:
 
 
 @lru_cache(maxsize=1)
-def _worth() -> Float[Tensor, " numbers"]:
+def _metres_per_feature() -> Float[Tensor, " numbers"]:
     """Factor that converts every feature of a frame to metres."""
     places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
     return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))
@@ -231,43 +231,43 @@ class LappedBasis(TensorStruct):
     def synthesise(
         self, coefficients: Float[Tensor, "*batch windows basis"], frames: int
     ) -> Float[Tensor, "*batch time numbers"]:
-        """The first frames of a motion of these coefficients."""
+        """The first `frames` rows of the motion with these coefficients."""
         windows = self.mean + (coefficients * self.scale) @ self.directions
         return _sum_of_windows(windows.unflatten(-1, (WINDOW, NUMBERS)), frames)
 
 
-def windows_of(frames: int) -> int:
-    """Windows that so many frames are cut into."""
+def window_count(frames: int) -> int:
+    """Number of windows that a number of frames is cut into."""
     return math.ceil(frames / HOP) + 1
 
 
 def existing_windows(
     count: Int[Tensor, "*batch 1"], frames: int
 ) -> Bool[Tensor, "*batch windows"]:
-    """Windows that hold one of the first `count` of so many frames."""
-    first = torch.arange(windows_of(frames), device=count.device) * HOP
+    """Mask of the windows that contain one of the first `count` frames."""
+    first = torch.arange(window_count(frames), device=count.device) * HOP
     return first < count + HOP
 
 
 def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*batch windows all"]:
     """Windows of the motion, flattened."""
     frames = rows.shape[-2]
-    count = windows_of(frames)
+    count = window_count(frames)
     place = torch.arange(-HOP, count * HOP, device=rows.device).clamp(0, frames - 1)
     padded = rows[..., place, :]
     windows = padded.unfold(-2, WINDOW, HOP).transpose(-1, -2)
-    return (windows * _sine().to(rows)[:, None]).flatten(-2)
+    return (windows * _sine_window().to(rows)[:, None]).flatten(-2)
 
 
 def _sum_of_windows(
     windows: Float[Tensor, "*batch windows 16 numbers"], frames: int
 ) -> Float[Tensor, "*batch time numbers"]:
     """The sum of overlapping windows, each at its own place in time."""
-    weighed = windows * _sine().to(windows)[:, None]
+    weighed = windows * _sine_window().to(windows)[:, None]
     early, late = weighed[..., 1:, :HOP, :], weighed[..., :-1, HOP:, :]
     return (early + late).flatten(-3, -2)[..., :frames, :]
 
 
 @lru_cache(maxsize=1)
-def _sine() -> Float[Tensor, " window"]:
+def _sine_window() -> Float[Tensor, " window"]:
     return ((torch.arange(WINDOW) + 0.5) * math.pi / WINDOW).sin()

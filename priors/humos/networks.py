@@ -72,7 +72,7 @@ class WindowNetworks(nn.Module):
         exists: Bool[Tensor, "clips windows"],
         frames: int,
     ) -> Float[Tensor, "clips time numbers"]:
-        """The motion of these codes as another body performs it."""
+        """The motion that codes decode to for a body of this shape."""
         bent = self.decoder(latent, shape, exists)
         return self.basis.synthesise(latent @ self.from_code.mT + bent, frames)
 
@@ -148,16 +148,16 @@ class CodeDensity(TensorStruct):
     rest: Float[Tensor, "latent latent"]
     """Lower triangular."""
 
-    def white(
+    def whitened(
         self, codes: Float[Tensor, "*batch memory latent"]
     ) -> Float[Tensor, "*batch memory latent"]:
-        """U of codes."""
+        """Whitened codes u."""
         return torch.linalg.solve_triangular(self.root, (codes - self.mean).mT, upper=False).mT
 
     def codes(
         self, white: Float[Tensor, "*batch memory latent"]
     ) -> Float[Tensor, "*batch memory latent"]:
-        """The inverse of `white`."""
+        """The inverse of `whitened`."""
         return self.mean + white @ self.root.mT
 
     def energy(
@@ -169,7 +169,7 @@ class CodeDensity(TensorStruct):
         every = torch.cat((white[..., :1, :], away), -2).square().sum(-1)
         return 0.5 * every.where(exists[..., : every.shape[-1]], 0.0).sum(-1)
 
-    def drawn(
+    def drawn_codes(
         self, clips: int, memory: int, random: torch.Generator
     ) -> Float[Tensor, "clips memory latent"]:
         """Random codes z, each drawn given the one before."""
@@ -209,13 +209,13 @@ def load_weights(path: str | Path) -> HumosWeights:
     found = named_checkpoint(path, "humos")
     latent, size, shape, width, layers, frames = found.sizes(*_SIZES, codes=CODES_OF)
     numbers = WINDOW * NUMBERS
-    basis = LappedBasis(**found.under(_BASIS).require({
+    basis = LappedBasis(**found.with_prefix(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),
     }))  # fmt: skip
     networks = WindowNetworks(basis, latent, shape, width, layers)
-    found.besides(_BASIS, _DENSITY).into(networks)
+    found.without_prefixes(_BASIS, _DENSITY).copy_into(networks)
     square = (latent, latent)
-    density = CodeDensity(**found.under(_DENSITY).require({
+    density = CodeDensity(**found.with_prefix(_DENSITY).require({
         "mean": (latent,), "root": square, "follow": square, "rest": square,
     }))  # fmt: skip
     networks.eval().requires_grad_(False)

@@ -19,9 +19,9 @@ from priors.humos.frames import (
     BodyFrames,
     existing_windows,
     levers,
-    lowest_of,
+    lowest_heights,
     turn_of,
-    windows_of,
+    window_count,
 )
 from priors.humos.networks import HumosWeights, load_weights
 from recon.body.model import BodyModel
@@ -134,7 +134,7 @@ class Humos(Prior[HumosVariables]):
             codes, _ = self.weights.networks.posterior(frames.pack(), motion.shape, exists)
         zero = torch.zeros_like(motion.rotations[..., 0])
         plain = HumosVariables(
-            latent=self.weights.density.white(codes),
+            latent=self.weights.density.whitened(codes),
             shape=motion.shape,
             turn=zero[..., 0, 0, 0],
             place=zero[..., 0, 0, :2],
@@ -153,33 +153,38 @@ class Humos(Prior[HumosVariables]):
         `latent` is that of codes following each other, `shape` and `details` are half squared
         Mahalanobis distances.
         """
-        x = variables
-        made = self.frames(x)
-        waves = _scaled_cosines(made.clearance.shape[-1], x.fps)[0].to(x.bend)
-        steps = (waves @ x.bend.flatten(-2)).unflatten(-1, (-1, 3))
-        shift = waves @ x.shift
+        made = self.frames(variables)
+        waves = _scaled_cosines(made.clearance.shape[-1], variables.fps)[0].to(variables.bend)
+        steps = (waves @ variables.bend.flatten(-2)).unflatten(-1, (-1, 3))
+        shift = waves @ variables.shift
         detailed = made.replace(
             orientations=made.orientations @ so3.exp(_sizes_of_corrections().to(steps) * steps),
             place=made.place + _SHIFT * shift[..., :2],
             clearance=made.clearance + _LIFT * shift[..., 2],
         )
-        motion = detailed.motion(x.shape, self.body, x.fps, self._base(x))
+        motion = detailed.motion(
+            variables.shape, self.body, variables.fps, self._T_world_start(variables)
+        )
         energies = {
-            "latent": self.weights.density.energy(x.latent, self.exists(x.valid, x.fps)),
-            "shape": 0.5 * x.shape.square().sum(-1),
-            "details": 0.5 * (x.bend.square().sum((-1, -2, -3)) + x.shift.square().sum((-1, -2))),
+            "latent": self.weights.density.energy(
+                variables.latent, self.exists(variables.valid, variables.fps)
+            ),
+            "shape": 0.5 * variables.shape.square().sum(-1),
+            "details": 0.5
+            * (variables.bend.square().sum((-1, -2, -3)) + variables.shift.square().sum((-1, -2))),
         }
-        return Decoded(motion.replace(valid=x.valid, start_time=x.start_time), energies)
+        return Decoded(
+            motion.replace(valid=variables.valid, start_time=variables.start_time), energies
+        )
 
     def frames(self, variables: HumosVariables) -> BodyFrames:
         """The frames that codes alone decode to, relative to the clip's first frame."""
-        x = variables
-        count = x.valid.shape[-1]
-        codes = self.weights.density.codes(x.latent)
-        coarse = frames_at_rate(count, x.fps)
-        exists = self.exists(x.valid, x.fps)
-        rows = self.weights.networks.decode(codes, x.shape, exists, coarse)
-        return BodyFrames.unpack(spline(coarse, count, x.fps).to(rows) @ rows)
+        count = variables.valid.shape[-1]
+        codes = self.weights.density.codes(variables.latent)
+        coarse = frames_at_rate(count, variables.fps)
+        exists = self.exists(variables.valid, variables.fps)
+        rows = self.weights.networks.decode(codes, variables.shape, exists, coarse)
+        return BodyFrames.unpack(spline(coarse, count, variables.fps).to(rows) @ rows)
 
     def sample(
         self, shape: Float[Tensor, "clips shape"], seconds: float, generator: torch.Generator
@@ -192,34 +197,38 @@ class Humos(Prior[HumosVariables]):
         if not 1 <= seconds < float("inf"):
             raise ReconError(f"expected at least 1 second, got {seconds:g}; ask for more")
         frames = round(seconds * FPS) + 1
-        codes = self.weights.density.drawn(len(shape), windows_of(frames), generator)
-        exists = torch.ones(len(shape), windows_of(frames), dtype=torch.bool)
+        codes = self.weights.density.drawn_codes(len(shape), window_count(frames), generator)
+        exists = torch.ones(len(shape), window_count(frames), dtype=torch.bool)
         with torch.no_grad():
             rows = self.weights.networks.decode(codes, shape, exists, frames)
         base = torch.eye(4).expand(len(shape), 4, 4)
         made = BodyFrames.unpack(rows)
         return made.motion(shape, self.body, FPS, base)
 
-    def _with_details(self, x: HumosVariables, motion: Motion) -> HumosVariables:
+    def _with_details(self, variables: HumosVariables, motion: Motion) -> HumosVariables:
         """The corrections with which the variables decode to a given motion."""
-        made, posed, base = self.frames(x), self.body.pose(motion), self._base(x)
+        made, posed, base = (
+            self.frames(variables),
+            self.body.pose(motion),
+            self._T_world_start(variables),
+        )
         turn = base[..., None, :3, :3] @ turn_of(made.direction)
         own = (turn[..., None, :, :] @ made.orientations).mT
         steps = so3.log(own @ posed.orientations) / _sizes_of_corrections().to(posed.joints)
         legs = leg_length(self.body, motion.shape)[..., None]
         pelvis = (posed.joints[..., 0, :] - base[..., None, :3, 3]) @ base[..., :3, :3]
         place = (pelvis[..., :2] / legs[..., None] - made.place) / _SHIFT
-        lift = (lowest_of(posed) / legs - made.clearance)[..., None] / _LIFT
-        inverse = _scaled_cosines(motion.frames, x.fps)[1].to(x.bend)
-        return x.replace(
+        lift = (lowest_heights(posed) / legs - made.clearance)[..., None] / _LIFT
+        inverse = _scaled_cosines(motion.frames, variables.fps)[1].to(variables.bend)
+        return variables.replace(
             bend=(inverse @ steps.flatten(-2)).unflatten(-1, (-1, 3)),
             shift=inverse @ torch.cat((place, lift), -1),
         )
 
-    def _base(self, x: HumosVariables) -> Float[Tensor, "*batch 4 4"]:
-        turn = x.base[..., :3, :3] @ so3.about_z(TURN * x.turn)
-        ahead = torch.nn.functional.pad(PLACE * x.place, (0, 1))
-        return so3.rigid(turn, x.base[..., :3, 3] + ahead)
+    def _T_world_start(self, variables: HumosVariables) -> Float[Tensor, "*batch 4 4"]:
+        turn = variables.base[..., :3, :3] @ so3.about_z(TURN * variables.turn)
+        ahead = torch.nn.functional.pad(PLACE * variables.place, (0, 1))
+        return so3.rigid(turn, variables.base[..., :3, 3] + ahead)
 
     def exists(
         self, valid: Bool[Tensor, "*batch time"], fps: float
@@ -241,7 +250,7 @@ def frames_at_rate(frames: int, fps: float) -> int:
 
 
 def at_rate(motion: Motion) -> Motion:
-    """The motion at 20 Hz, its last frame held as long as it takes."""
+    """The motion resampled to 20 Hz; the last frame is repeated to fill the last interval."""
     count = frames_at_rate(motion.frames, motion.fps)
     times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
     return motion.at(times.clamp(max=float(motion.times[-1])), FPS)

@@ -87,14 +87,14 @@ _STEEP = 1e-2
 """Horizontal share of a view from which on the sensor stands above the cloud."""
 
 
-def standard(
+def in_network_frame(
     points: Float[Tensor, "moments points 3"],
     present: Bool[Tensor, "moments points"],
     eyes: Float[Tensor, "moments 3"],
     has_eye: Bool[Tensor, " moments"],
     level: Bool[Tensor, " moments"],
 ) -> SeenClouds:
-    """Clouds relative to their medians, rotated by `standard_turns`.
+    """Clouds relative to their medians, rotated by `turns_to_network_frame`.
 
     Args:
         points: positions, metres; zero where not present.
@@ -106,7 +106,7 @@ def standard(
     middle = lower_median(points.mT, present[:, None].expand(points.mT.shape))
     about = (points - middle[:, None]).where(present[..., None], 0.0)
     views = (eyes - middle).where(has_eye[:, None], 0.0)
-    turns = standard_turns(about, present, views, has_eye, level)
+    turns = turns_to_network_frame(about, present, views, has_eye, level)
     return SeenClouds(
         points=about @ turns.mT,
         present=present,
@@ -116,7 +116,7 @@ def standard(
     )
 
 
-def standard_turns(
+def turns_to_network_frame(
     points: Float[Tensor, "moments points 3"],
     present: Bool[Tensor, "moments points"],
     views: Float[Tensor, "moments 3"],
@@ -131,11 +131,13 @@ def standard_turns(
     """
     vertical = points.new_tensor([0.0, 0.0, 1.0]).expand(len(points), 3)
     view = normalize(views, dim=-1)
-    first = torch.where(has_eye[:, None], view, longest(points, present, None))
+    first = torch.where(has_eye[:, None], view, widest_direction(points, present, None))
     first = torch.where(level[:, None], vertical, first)
     across = view - (view * first).sum(-1, keepdim=True) * first
     seen = level & has_eye & (across.norm(dim=-1) > _STEEP)
-    second = torch.where(seen[:, None], normalize(across, dim=-1), longest(points, present, first))
+    second = torch.where(
+        seen[:, None], normalize(across, dim=-1), widest_direction(points, present, first)
+    )
     third = torch.linalg.cross(first, second, dim=-1)
     towards = (has_eye & ~level)[:, None, None]
     turned = torch.where(
@@ -146,12 +148,12 @@ def standard_turns(
     return torch.where(seen[:, None, None], torch.stack((second, third, first), -2), turned)
 
 
-def longest(
+def widest_direction(
     points: Float[Tensor, "moments points 3"],
     present: Bool[Tensor, "moments points"],
     across: Float[Tensor, "moments 3"] | None,
 ) -> Float[Tensor, "moments 3"]:
-    """Direction in which points vary most; of all directions, or of those across a given one."""
+    """Direction in which points vary most, among all or those perpendicular to `across`."""
     count = present.sum(-1, keepdim=True).clamp(min=1)[..., None]
     away = (points - points.sum(-2, keepdim=True) / count).where(present[..., None], 0.0)
     if across is not None:
@@ -182,7 +184,7 @@ class CloudLabeller:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> "CloudLabeller":
-        """The bundled network, or one trained by `python -m training labels`.
+        """Load the bundled network, or one trained by `python -m training labels`.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -190,7 +192,7 @@ class CloudLabeller:
         """
         network = LabelNetwork().eval().requires_grad_(False)
         found = named_checkpoint("open" if path is None else path, "labels")
-        found.besides().into(network)
+        found.without_prefixes().copy_into(network)
         return cls(network)
 
     @torch.no_grad()
@@ -203,7 +205,7 @@ class CloudLabeller:
         *,
         level: bool = True,
     ) -> PointLabels:
-        """Labels of all points; each moment is looked at together with those 0.6 s around it.
+        """Labels of all points; each frame is labelled together with frames up to 0.6 s away.
 
         A few hundred points of a person are as many as it takes: give `PointCloud.thinned` clouds.
 
@@ -221,7 +223,7 @@ class CloudLabeller:
         places = [None] * len(flat) if at is None else list(at.to(flat))
         said = stack(
             [
-                believed(self._clip(cloud, shown, fps, eye, level), shown)
+                label_probabilities(self._clip(cloud, shown, fps, eye, level), shown)
                 for cloud, shown, eye in zip(flat, here, places, strict=True)
             ]
         ).to(dtype=points.dtype)
@@ -238,14 +240,14 @@ class CloudLabeller:
             begin, end = max(first - reach, 0), min(first + _CHUNK + reach, len(points))
             some = slice(begin, end)
             flag = torch.ones_like(present[some, 0])
-            clouds = standard(
+            clouds = in_network_frame(
                 points[some],
                 present[some],
                 torch.zeros_like(points[some, 0]) if eyes is None else eyes[some],
                 flag & (eyes is not None),
                 flag & level,
             )
-            neighbours, known = around(clouds.present.any(-1), steps, fps)
+            neighbours, known = neighbouring_moments(clouds.present.any(-1), steps, fps)
             own = slice(first - begin, first - begin + min(_CHUNK, len(points) - first))
             parts.append(self.network(clouds, neighbours, known)[own])
         return concatenate(parts)
@@ -254,10 +256,10 @@ class CloudLabeller:
 _OFFSETS = range(-(STEPS // 2), STEPS // 2 + 1)
 
 
-def around(
+def neighbouring_moments(
     shown: Bool[Tensor, " moments"], steps: list[int], fps: float
 ) -> tuple[Int[Tensor, "moments steps"], Bool[Tensor, "moments steps"]]:
-    """Numbers of the moments around each, and whether there are such moments with points."""
+    """Indices of the frames around each frame, and whether these exist and have points."""
     offset = torch.tensor(steps, device=shown.device)
     asked = torch.arange(len(shown), device=shown.device)[:, None] + offset
     inside = (asked >= 0) & (asked < len(shown))
@@ -267,17 +269,17 @@ def around(
     return index, (inside & shown[index] & in_time) | (offset == 0) & (wanted == 0)
 
 
-def believed(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
+def label_probabilities(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
     """Probabilities from the network's outputs, sides exchanged where likelier."""
-    there = present[..., None]
+    exists = present[..., None]
     as_said = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)
     regions = as_said * regions + (1 - as_said) * regions[..., list(MIRRORED_REGIONS)]
     places = torch.where(as_said < 0.5, mirrored_places(raw.places), raw.places)
     return PointLabels(
         present=present,
-        regions=regions.where(there, 0.0),
+        regions=regions.where(exists, 0.0),
         on_body=raw.on_body.sigmoid().where(present, 0.0),
-        places=places.where(there, 0.0),
+        places=places.where(exists, 0.0),
         log_std=raw.log_std.where(present, 0.0),
     )

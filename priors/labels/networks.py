@@ -201,7 +201,7 @@ class SeenClouds(TensorStruct):
 
     @property
     def flags(self) -> Float[Tensor, "moments 1 2"]:
-        """Known facts besides the points (sensor present, frame level, ...), as input numbers."""
+        """Whether the frame is level and the sensor known, as input numbers."""
         return torch.stack((self.level, self.has_eye), -1).to(self.points)[:, None]
 
     def view(self, places: Float[Tensor, "moments places 3"]) -> Tensor:
@@ -313,7 +313,7 @@ class LabelNetwork(nn.Module):
             )
             around = kernel(squared, _MIDDLE, clouds.present)
             share = kernel(squared.mT, _NEAR)
-            described, normals = _described(clouds, centres, near, wide)
+            described, normals = _surface_features(clouds, centres, near, wide)
             # the token of the whole frame has distance zero to all others
             between = torch.nn.functional.pad(squared_distances(centres, centres), (1, 0, 1, 0))
         flags = clouds.flags.expand(*points.shape[:-1], 2)
@@ -325,7 +325,7 @@ class LabelNetwork(nn.Module):
         for number, layer in enumerate(self.layers):
             tokens = layer(tokens, between)
             if number + 1 == _TOGETHER:
-                tokens = self._together(tokens, neighbours, known)
+                tokens = self._with_neighbours(tokens, neighbours, known)
         told = share @ torch.cat((self.learned(tokens[:, 1:]), centres, normals, near.mean), -1)
         told, middle, normal, mean = told.split((_TOKEN, 3, 3, 3), -1)
         seen = torch.cat((own, points, points - middle, points - mean, normal, flags), -1)
@@ -340,7 +340,7 @@ class LabelNetwork(nn.Module):
         sides = self.sureness * (across[:, 0] * told_so).sum(-1)
         return RawLabels(regions, on_body, places, log_std, sides, across)
 
-    def _together(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
+    def _with_neighbours(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
         """Tokens of frames after attention to the frames around them."""
         around = tokens[:, 0][neighbours] + self.step
         unknown = torch.where(known, 0.0, _UNKNOWN)[:, None].expand(-1, STEPS, STEPS)
@@ -348,7 +348,7 @@ class LabelNetwork(nn.Module):
         return torch.cat((seen[:, None], tokens[:, 1:]), 1)
 
 
-def _described(
+def _surface_features(
     clouds: SeenClouds, centres: Tensor, near: Patch, wide: Patch
 ) -> tuple[Float[Tensor, "moments centres numbers"], Float[Tensor, "moments centres 3"]]:
     """Numbers that describe the surface around centres, and its normals towards the sensor."""

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.derivatives import logarithm_by
+from recon.body.derivatives import inverse_right_jacobian
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
 
@@ -35,7 +35,7 @@ class PoseDensity(TensorStruct):
     the root (radians) and z. Scales the variables of a fit; no energy depends on it."""
 
     def coordinates(self, rotations: Float[Tensor, "*shape 21 3 3"]) -> Float[Tensor, "*shape 63"]:
-        """Z of a pose; |z|² is its squared Mahalanobis distance from the mean pose."""
+        """The coordinates z of a pose: |z|² is its squared Mahalanobis distance from the mean."""
         steps = so3.log(self.mean.mT @ rotations).flatten(-2)
         return steps @ torch.linalg.inv(self.basis).mT
 
@@ -49,6 +49,6 @@ class PoseDensity(TensorStruct):
     ) -> Float[Tensor, "*shape 63 63"]:
         """Derivatives of the coordinates by steps R_j Exp(w_j) of the joints, per radian."""
         steps = so3.log(self.mean.mT @ rotations)
-        slopes = logarithm_by(steps)
+        slopes = inverse_right_jacobian(steps)
         inverse = torch.linalg.inv(self.basis).unflatten(-1, (ROTATIONS, 3))
         return torch.einsum("zja,...jab->...zjb", inverse, slopes).flatten(-2)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from priors.checkpoints import named_checkpoint
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import turned_by
+from recon.body.derivatives import right_jacobian
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
@@ -143,7 +143,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one of `python -m training pose`.
+        """Load the bundled density, or one of `python -m training pose`.
 
         Args:
             path: `open` or None for the bundled density, or a file.
@@ -160,11 +160,11 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
     @property
     def weighed(self) -> PoseWeights:
-        """The weights, by default those for 4 cm of noise."""
+        """The weights given to the constructor, or else those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """The density that these weights amount to for data of this standard deviation, metres.
+        """The density of motions that stands for this prior beside data of this noise, metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share `_TRUST` of it is believed.
@@ -180,7 +180,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """Variables that are steps away from the motion, all zero; exact."""
+        """Variables of zero steps from the motion; they decode to it exactly."""
         density = self.density.to(dtype=torch.float64, device=motion.translation.device)
         start = density.coordinates(motion.rotations[..., 1:, :, :].double())
         zero = torch.zeros_like(motion.translation)
@@ -237,7 +237,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         start = variables.start_pose[clip]
         basis = self.density.basis.to(start)
         steps = (start @ basis.mT).unflatten(-1, (ROTATIONS, 3))
-        return (turned_by(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+        return (right_jacobian(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
         """Add the Hessian of the energy "pose", which is quadratic in z."""

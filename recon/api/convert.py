@@ -6,7 +6,7 @@ import numpy as np
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.made import Made
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.core.arrays import positive
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.findings import Finding
@@ -110,7 +110,7 @@ def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> M
     )  # fmt: skip
     ground = given.file.ground
     level = None if ground is None else float(ground[3] / ground[2])
-    file = described(found.motion, other, level, observed=given.file.observed)
+    file = motion_file_of(found.motion, other, level, observed=given.file.observed)
     about = {
         "source": own.name,
         "target": other.name,

@@ -71,7 +71,7 @@ def estimate_given(
             "(--frame-rate), that of the video"
         )
     FRAME_RATE.check(positive(rate, "frame_rate"), "refine", "frame_rate")
-    coefficients, words = _shape(read, body, own_body, known_shape)
+    coefficients, words = _shape_to_hold(read, body, own_body, known_shape)
     translation, rotations = read.translation, read.rotations
     if hand == "left":
         translation, rotations = _unmirrored(translation, rotations, read.up)
@@ -118,7 +118,7 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
     return "body_checksum" in arrays and str(arrays["body_checksum"]) == body.checksum
 
 
-def _shape(
+def _shape_to_hold(
     read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
 ) -> tuple[Tensor, tuple[str, ...]]:
     """The shape that the fit holds.

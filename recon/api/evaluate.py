@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
-from recon.api.results import Tables, one_line, told
+from recon.api.results import Tables, closing_fields, one_line
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, bool_tensor, float_tensor, require_shape
 from recon.core.errors import ReconError
@@ -54,7 +54,7 @@ class Evaluation(dict[str, float | None]):
         self, inputs: Mapping[str, str] | None = None, _: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The metrics and what they were computed from, in plain values."""
-        return {**self, **told(inputs, None)}
+        return {**self, **closing_fields(inputs, None)}
 
     def save(
         self,
@@ -80,8 +80,10 @@ class Evaluation(dict[str, float | None]):
         """The most important metrics in at most ten lines."""
         values = ((self.get(key), *words) for key, words in _SHOWN.items())
         lines = [f"{w}: {factor * v:.2f} {unit}" for v, w, factor, unit in values if v is not None]
-        told = sum(value is not None for value in self.values())
-        first = f"Evaluation: {told} of {len(self)} metrics could be told, among them errors of"
+        computed = sum(value is not None for value in self.values())
+        first = (
+            f"Evaluation: {computed} of {len(self)} metrics could be told, among them errors of"
+        )
         return "\n".join([first, *map(one_line, lines)])
 
 
@@ -136,11 +138,11 @@ def evaluate(
     own = ours.contacts if contacts is None else _labels(contacts, "contacts", frames)
     visible = _visible_given(truth_visible, frames)
     if not isinstance(truth, Mapping) and _is_array(truth):
-        return Evaluation(_of_joints(ours.motion, truth, visible, model))
+        return Evaluation(_joint_errors(ours.motion, truth, visible, model))
     theirs = _in_double(motion_given(truth, model, "truth").file)
-    seen, path = _read(observation)
+    seen, path = _read_observation(observation)
     labels = (
-        _existing_file(theirs, "contacts", ours.motion)
+        _labels_of_file(theirs, "contacts", ours.motion)
         if truth_contacts is None
         else _labels(truth_contacts, "truth_contacts", frames)
     )
@@ -182,7 +184,7 @@ def _is_array(given: Any) -> bool:
     return hasattr(given, "__array__") or isinstance(given, list | tuple)
 
 
-def _of_joints(
+def _joint_errors(
     motion: Motion, given: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
 ) -> dict[str, float | None]:
     """Position and acceleration errors of joints with known true positions."""
@@ -213,14 +215,16 @@ def _visible_given(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"
     return visible.cpu()
 
 
-def _read(given: ObservationFile | Path | str | None) -> tuple[ObservationFile | None, Path]:
+def _read_observation(
+    given: ObservationFile | Path | str | None,
+) -> tuple[ObservationFile | None, Path]:
     """The observation and its name for messages."""
     if isinstance(given, Path | str):
         return load_observation(given), Path(given)
     return given, Path("observation")
 
 
-def _existing_file(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
+def _labels_of_file(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
     labels = getattr(file, name)
     return None if labels is None else nearest_labels(labels, file.motion.times, motion.times)
 
@@ -252,7 +256,7 @@ def _visible(seen: ObservationFile | None, truth: MotionFile, motion: Motion) ->
         labels = torch.from_numpy(seen.truth_visible)
         times = seen.start_time + torch.arange(len(labels), dtype=torch.float64) / seen.fps
         return nearest_labels(labels, times, motion.times)
-    return _existing_file(truth, "truth_visible", motion)
+    return _labels_of_file(truth, "truth_visible", motion)
 
 
 def _observed(

@@ -24,7 +24,7 @@ from recon.api.observations import GroundChoice, ObservationsLike, Sighting
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import device_at_hand, finite, positive
+from recon.core.arrays import finite, positive, usable_device
 from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
@@ -143,7 +143,7 @@ def fit(
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
-    model = body_given(body).to(device=device_at_hand(device), dtype=torch.float32)
+    model = body_given(body).to(device=usable_device(device), dtype=torch.float32)
     sighting = observed(
         observations, model, how_read, ground=ground, between=between, robust=robust
     )
@@ -172,7 +172,7 @@ def fit(
         clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
         checks,
     )  # fmt: skip
-    arguments = _plain(options) | {
+    arguments = _options_as_values(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
         "checks": "all" if checks is None else [one.__name__ for one in checks],
@@ -277,7 +277,7 @@ def refine(
         )  # fmt: skip
     # imported here: it loads scipy, which only fits to estimates need
     from recon.api.estimates import LEAST_FRAMES, estimate_given
-    from recon.diagnosis.estimates import believed
+    from recon.diagnosis.estimates import as_measurement
 
     model = body_given(body)
     own = body is not None
@@ -288,7 +288,7 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    seen, start, found = believed(given, known, model)
+    seen, start, found = as_measurement(given, known, model)
     seen = seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit(seen, prior, **how)
@@ -314,7 +314,7 @@ def _is_keypoints(path: Path) -> bool:
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
-    given = [name for name in options.given() if name not in heeded]
+    given = [name for name in options.changed_names() if name not in heeded]
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
@@ -376,7 +376,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
     )
 
 
-def _plain(options: FitOptions) -> dict[str, Any]:
+def _options_as_values(options: FitOptions) -> dict[str, Any]:
     """Options in plain values, for a report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {

@@ -21,7 +21,7 @@ from recon.api.made import Made, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel
-from recon.core.arrays import device_at_hand, finite, positive
+from recon.core.arrays import finite, positive, usable_device
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
@@ -73,19 +73,19 @@ def sample(
         if device != "cpu":
             raise ReconError(f"device: HUMOS makes motions on the processor, got {device!r}")
         found = prior if isinstance(prior, Humos) else None
-        return _of_body(found, count, seconds, shape, fps, weights, body, seed)
+        return _humos_motions(found, count, seconds, shape, fps, weights, body, seed)
     if prior != "humor" and not isinstance(prior, Humor):
         raise WeightsError(f"prior: expected 'humor', 'humos' or one of them, got {prior!r:.60}")
     if shape is not None or fps is not None:
         raise ReconError(
             "shape and fps are of the prior humos (--prior humos): HuMoR draws bodies, at 30 Hz"
         )
-    frames = _frames(seconds)
+    frames = _frame_count(seconds)
     humor = _humor_prior(prior, weights, body, device)
     random = torch.Generator().manual_seed(seed)
     factor = _temperature(temperature)
     made = generation.sample(humor, frames, count, random, temperature=factor)
-    return replace(_results(made, humor.body, "sample"), settings={"temperature": factor})
+    return replace(_motion_results(made, humor.body, "sample"), settings={"temperature": factor})
 
 
 def predict(
@@ -125,7 +125,7 @@ def predict(
         FileNotFoundError: when a file does not exist.
     """
     _checked_count(samples, "samples")
-    frames, factor = _frames(seconds), _temperature(temperature)
+    frames, factor = _frame_count(seconds), _temperature(temperature)
     if prior != "humor" and not isinstance(prior, Humor):
         raise WeightsError(f"prior: expected 'humor' or a loaded Humor, got {prior!r:.60}")
     humor = _humor_prior(prior, weights, body, device)
@@ -145,13 +145,13 @@ def predict(
     one = known.to(device=device)[None]
     made = generation.predict(humor, one, frames, samples, random, temperature=factor)
     return replace(
-        _results(made, humor.body, "prediction"),
+        _motion_results(made, humor.body, "prediction"),
         about={"motion": given.name, "at": at},
         settings={"temperature": factor},
     )
 
 
-def _of_body(
+def _humos_motions(
     prior: Humos | None,
     count: int,
     seconds: float,
@@ -162,7 +162,7 @@ def _of_body(
     seed: int,
 ) -> MotionResults:
     """Random motions of one body, drawn from the prior HUMOS."""
-    _frames(seconds)
+    _frame_count(seconds)
     rate = REFERENCE_FPS if fps is None else positive(fps, "fps")
     model = body_given(body) if prior is None else prior.body
     asked = "0" if shape is None else shape
@@ -177,10 +177,12 @@ def _of_body(
         for doubt in doubts(model, coefficients)
     )
     made = Decoded(motion, contacts=labels.to(coefficients))
-    return replace(_results(made, model, "sample"), warnings=warnings, settings={"fps": rate})
+    return replace(
+        _motion_results(made, model, "sample"), warnings=warnings, settings={"fps": rate}
+    )
 
 
-def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
+def _motion_results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
     """Every motion with its joints, contacts and the ground."""
     joints = body.pose(made.motion).joints
     stays = stays_on_its_feet(joints, rest_heights(body, made.motion.shape), made.motion.fps)
@@ -207,12 +209,12 @@ def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
 
 
 def _humor_prior(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:
-    place = device_at_hand(device)
+    place = usable_device(device)
     humor = prior if isinstance(prior, Humor) else Humor.load(weights, body_given(body))
     return humor.to(device=place)
 
 
-def _frames(seconds: float) -> int:
+def _frame_count(seconds: float) -> int:
     if not finite(seconds, "seconds") >= 1 / REFERENCE_FPS:
         raise ReconError(f"seconds: expected a frame (1/30 s) or longer, got {seconds}")
     return round(seconds * REFERENCE_FPS) + 1

@@ -34,7 +34,7 @@ BodyLike = BodyModel | Path | str | None
 
 @dataclass(frozen=True)
 class GivenMotion:
-    """A motion of one clip with its body and what its file says besides."""
+    """A motion of one clip, its body, and the other content of its file."""
 
     file: MotionFile
     name: str
@@ -80,7 +80,7 @@ def motion_given(
         FileNotFoundError: when there is no such file.
         ReconError: when it is no motion of one clip, is damaged, or was made with another body.
     """
-    from recon.body.motion_files import WITH_BODY, of_body  # rarely needed
+    from recon.body.motion_files import WITH_BODY, checked_for_body  # rarely needed
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
@@ -88,7 +88,7 @@ def motion_given(
 
         path = Path(given)
         file = load_motion(path, body.template.dtype)
-        return GivenMotion(of_body(file, path, body, remedy), str(given))
+        return GivenMotion(checked_for_body(file, path, body, remedy), str(given))
     if isinstance(given, Mapping):
         from recon.formats.motions import motion_from
 
@@ -105,7 +105,7 @@ def motion_given(
             f"{name}: expected a recon.Motion, a result, the path of a motion file (.npz) or its "
             f"arrays by name, got {type(given).__name__}"
         )
-    known = of_body(file, name, body, remedy)
+    known = checked_for_body(file, name, body, remedy)
     motion = known.motion.detach().to(device=body.template.device, dtype=body.template.dtype)
     return GivenMotion(replace(known, motion=motion), name)
 

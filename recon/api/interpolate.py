@@ -10,13 +10,19 @@ from priors.anchor.frames import ANCHORS
 from priors.anchor.prior import AnchorFrames
 from recon.api.given import BodyLike, GivenMotion, MotionLike, body_given, motion_given
 from recon.api.made import Made
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
+from recon.fitting.interpolation import (
+    curve_correlation,
+    cycles_of,
+    foot_lift,
+    interpolated_cycle,
+    motion_of_cycle,
+)
 from recon.fitting.retargeting import flies, settled
 
 
@@ -60,9 +66,9 @@ def interpolate(
     model = body_given(body)
     prior = AnchorFrames.load(weights, model)
     given = (motion_given(a, model, "a"), motion_given(b, model, "b"))
-    candidates = [_cycles(one) for one in given]
-    lifts = [_lifts(model, one.motion, x) for one, x in zip(given, candidates, strict=True)]
-    agree = agreement(*lifts)
+    candidates = [_gait_cycles(one) for one in given]
+    lifts = [_foot_lifts(model, one.motion, x) for one, x in zip(given, candidates, strict=True)]
+    agree = curve_correlation(*lifts)
     if float(agree.max()) <= 0:
         raise ReconError(
             f"{given[0].name} and {given[1].name}: where one stands on the left foot the other "
@@ -77,8 +83,8 @@ def interpolate(
         prior.encode(cycle.of(one.motion, ANCHORS).map(lambda tensor: tensor[None]))
         for cycle, one in zip(chosen, given, strict=True)
     ]
-    mixed = between(prior, parts[0], parts[1], share)
-    made = played(prior, mixed, given[0].motion.fps if rate is None else rate)
+    mixed = interpolated_cycle(prior, parts[0], parts[1], share)
+    made = motion_of_cycle(prior, mixed, given[0].motion.fps if rate is None else rate)
     motion = settled(made, made, flies(made, model), model).detach()
     durations = {
         "A": chosen[0].duration,
@@ -95,10 +101,10 @@ def interpolate(
     }
     lines = [f"cycle of {name}: {seconds:.2f} s" for name, seconds in durations.items()]
     shown = {f"{share:g} of the way": {"seconds": durations}}
-    return Made(described(motion[0], model), model, (), about, tuple(lines), shown=shown)
+    return Made(motion_file_of(motion[0], model), model, (), about, tuple(lines), shown=shown)
 
 
-def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:
+def _gait_cycles(given: GivenMotion) -> tuple[Cycle, ...]:
     found = cycles_of(given.motion)
     if len(found) == 0:
         raise ReconError(
@@ -109,7 +115,7 @@ def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:
     return found
 
 
-def _lifts(
+def _foot_lifts(
     body: BodyModel, motion: Motion, cycles: tuple[Cycle, ...]
 ) -> Float[Tensor, "cycles 100"]:
     return torch.stack(

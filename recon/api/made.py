@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from recon.api.results import MotionResult, Tables, in_ten_lines, one_line, told
+from recon.api.results import MotionResult, Tables, closing_fields, in_ten_lines, one_line
 from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import save_motion
@@ -37,10 +37,10 @@ class Made(MotionResult):
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the motion; see `MotionResult.report`."""
-        return {**self.about, **told(inputs, settings)}
+        return {**self.about, **closing_fields(inputs, settings)}
 
     def __repr__(self) -> str:
-        """A summary of at most ten lines: length, person, what is known, and findings."""
+        """A summary of at most ten lines: length, person, known facts, and findings."""
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]
         return in_ten_lines(self._headline(), self.summary, found)
@@ -98,7 +98,12 @@ class MotionResults:
         files = {str(p): dict(one.about) for p, one in zip(paths, self.made, strict=True)}
         warnings = [finding.message for finding in self.warnings]
         asked = None if settings is None else {**settings, **self.settings}
-        return {"files": files, "warnings": warnings, **self.about, **told(inputs, asked)}
+        return {
+            "files": files,
+            "warnings": warnings,
+            **self.about,
+            **closing_fields(inputs, asked),
+        }
 
     def save(
         self,

@@ -50,11 +50,11 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
         seen, names = given.observations, given.names
     else:
         seen = (given,) if isinstance(given, Sensor) else tuple(given)
-        names = _names(seen)
+        names = _observation_names(seen)
     if len(seen) == 0:
         raise ObservationError("nothing to fit: expected at least one observation, got none")
     like = body.template
-    one = tuple(_one_clip(each).to(device=like.device, dtype=like.dtype) for each in seen)
+    one = tuple(_with_clip_axis(each).to(device=like.device, dtype=like.dtype) for each in seen)
     if isinstance(given, Clip):
         return replace(given, observations=one)
     return Clip(one, names, (), unposed_camera(one))
@@ -108,7 +108,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     return replace(found, clip=replace(found.clip, ground_given=True))
 
 
-def counted_less_beyond(clip: Clip, distance: float) -> Clip:
+def with_robust_kernel(clip: Clip, distance: float) -> Clip:
     """The clip with Geman and McClure's kernel for named points.
 
     Args:
@@ -125,7 +125,7 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
     )
 
 
-def _names(seen: Sequence[Any]) -> tuple[str, ...]:
+def _observation_names(seen: Sequence[Any]) -> tuple[str, ...]:
     """A name for every observation: its kind, numbered where there are several of one kind."""
     for one in seen:
         if not isinstance(one, Sensor):
@@ -152,18 +152,18 @@ def _no_observation(given: object) -> ObservationError:
     )
 
 
-def _one_clip(one: Sensor) -> Sensor:
+def _with_clip_axis(sensor: Sensor) -> Sensor:
     """An observation with a leading axis of length one."""
-    if one.sees is None and type(one).predict is not Sensor.predict:
-        one.check()
-    if one.clips == ():
-        return one[None]
-    if one.clips != (1,):
+    if sensor.sees is None and type(sensor).predict is not Sensor.predict:
+        sensor.check()
+    if sensor.clips == ():
+        return sensor[None]
+    if sensor.clips != (1,):
         raise ObservationError(
-            f"expected the observations of one clip, got leading axes {one.clips}; "
+            f"expected the observations of one clip, got leading axes {sensor.clips}; "
             "recon.fit_clips takes several, recon.method.reconstruction.solve a batch"
         )
-    return one
+    return sensor
 
 
 def _with_ground_known(clip: Clip, *, known: bool) -> Clip:

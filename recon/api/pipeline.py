@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from recon.api.given import paths_given
-from recon.api.observations import Sighting, clip_of, counted_less_beyond, on_ground
+from recon.api.observations import Sighting, clip_of, on_ground, with_robust_kernel
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, geometries_given
 from recon.core.errors import ReconError
@@ -60,15 +60,15 @@ def observed(
         given = read(paths or geometries, how, body)
         if given.ground_given:
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
-    elif names := how_read.given():
+    elif names := how_read.changed_names():
         raise ReconError(
-            f"{', '.join(names)}: how to read files, but the observations are read already"
+            f"{', '.join(names)}: options for reading files, but the observations are read already"
         )
     clip = clip_of(given, body)
     if between is not None:
         clip = window(clip, *between)
     if beyond is not None:
-        clip = counted_less_beyond(clip, beyond)
+        clip = with_robust_kernel(clip, beyond)
     return on_ground(clip, ground)
 
 
@@ -113,10 +113,10 @@ def fitted(
     if options.completes:
         fit = _completed(clip.observations, options, body, watch)
     else:
-        # data faster than bodies move are averaged about fewer moments
+        # data recorded faster than bodies move are averaged to a lower rate
         fewer = [paced(one) for one in clip.observations]
         found = clip.start if start is None else None
-        start = _at_pace(fewer, start, found)
+        start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
             from recon.diagnosis.movement import in_room  # imported here: treadmills are rare
 
@@ -132,7 +132,9 @@ def fitted(
     return checked(Examined.of(clip, fit), of_fit)
 
 
-def _at_pace(seen: Sequence[Sensor], start: Motion | None, found: Motion | None) -> Motion | None:
+def _start_at_data_rate(
+    seen: Sequence[Sensor], start: Motion | None, found: Motion | None
+) -> Motion | None:
     """The motion to start from, at the frame rate of the data: the caller's or that of checks.
 
     A caller's motion with a lower frame rate than the data keeps its own.

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.api.observations import ObservationsLike
-from recon.api.results import Tables, told
+from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
@@ -22,7 +22,7 @@ from recon.formats.outputs import Kind, Output
 from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
-from recon.reading.clip import format_errors, together
+from recon.reading.clip import clip_of_files, format_errors
 from recon.reading.icp import OrientedCloud, aligned, rough_poses
 
 _READ = 20_000
@@ -52,21 +52,23 @@ class DepthRig:
     def __iter__(self) -> Iterator[Sensor]:
         """One observation after the other, as `recon.fit` takes them."""
         return iter(
-            together(list(self.files.items()), (), DEFAULTS, BodyModel.load()).observations
+            clip_of_files(list(self.files.items()), (), DEFAULTS, BodyModel.load()).observations
         )
 
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the poses; see `MotionResult.report`."""
-        poses = {name: np.linalg.inv(_pose(file)).tolist() for name, file in self.files.items()}
+        poses = {
+            name: np.linalg.inv(_camera_pose(file)).tolist() for name, file in self.files.items()
+        }
         found = {"T_world_camera": poses, "shared": dict(self.shared)}
-        return {**found, "decisions": list(self.decisions), **told(inputs, settings)}
+        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
 
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
     ) -> tuple[Path, ...]:
-        """Write OUT/CAMERA.npz, which `recon fit` takes, and `--camera` as a calibration.
+        """Write OUT/CAMERA.npz, inputs of `recon fit`, and a calibration file for `--camera`.
 
         Raises:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
@@ -117,18 +119,20 @@ def register(
             f"expected two or more cameras, each of a name of its own, got {', '.join(names)}"
         )
     with format_errors():
-        files = [_read(path, camera, frame_rate, depth_scale) for path in paths]
+        files = [_read_points(path, camera, frame_rate, depth_scale) for path in paths]
     body = BodyModel.load()
     own = [_in_own_frame(file) for file in files]
-    clips = [together([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
+    clips = [clip_of_files([one], (), DEFAULTS, body) for one in zip(names, own, strict=True)]
     level = np.array([one.observations[0].ground_seen for one in clips])  # pyright: ignore[reportAttributeAccessIssue]
     base = int(level.argmax())
     level &= level[base]
     stands = np.stack([np.asarray(one.T_recording_camera) for one in clips])
     posed = all(file.camera and file.camera.T_camera_world is not None for file in files)
-    views = _views(own, stands, level, base)
+    views = _oriented_clouds(own, stands, level, base)
     if posed:
-        start = np.stack([np.linalg.inv(_pose(file)) for file in files]) @ np.linalg.inv(stands)
+        start = np.stack([np.linalg.inv(_camera_pose(file)) for file in files]) @ np.linalg.inv(
+            stands
+        )
         start = np.linalg.inv(start[base]) @ start
         start = np.stack(
             [_levelled_pose(T) if flat else T for T, flat in zip(start, level, strict=True)]
@@ -161,7 +165,7 @@ def register(
     )
 
 
-def _read(
+def _read_points(
     path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
 ) -> PointsFile:
     """The points that one camera measured; in the camera's frame if its pose is unknown."""
@@ -185,7 +189,7 @@ def _read(
 
 def _in_own_frame(file: PointsFile) -> PointsFile:
     """The points in the frame of their camera, with its pose removed."""
-    T = _pose(file)
+    T = _camera_pose(file)
     lens = replace(_camera_of(file), T_camera_world=None)
     return replace(file, points=file.points @ T[:3, :3].T + T[:3, 3], camera=lens)
 
@@ -198,7 +202,7 @@ def _camera_of(file: PointsFile) -> CameraArrays:
     return CameraArrays(usual.camera_matrix.double().numpy(), usual.image_size)
 
 
-def _pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
+def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
     """T_camera_world of a fixed camera; the identity where it has none."""
     known = None if file.camera is None else file.camera.T_camera_world
     if known is not None and len(known) != 1:
@@ -215,7 +219,7 @@ def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     return out
 
 
-def _views(
+def _oriented_clouds(
     files: Sequence[PointsFile], stands: np.ndarray, level: np.ndarray, base: int
 ) -> list[OrientedCloud]:
     """Points of frames that two cameras saw at once, in level frames, without the ground."""

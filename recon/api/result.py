@@ -42,7 +42,7 @@ def describe(
 
     return {
         "failed": result.failed[0],
-        "stages": [_stage(report) for report in result.reports],
+        "stages": [_stage_report(report) for report in result.reports],
         "windows": [
             {"start": start, "stop": stop, "failed": row in result.failed_windows}
             for row, (start, stop) in enumerate(result.windows)
@@ -53,7 +53,7 @@ def describe(
     }
 
 
-def _stage(report: StageReport) -> dict[str, Any]:
+def _stage_report(report: StageReport) -> dict[str, Any]:
     """A stage in plain values.
 
     Over several windows, the largest number of steps and summed energies.
@@ -73,7 +73,7 @@ def _stage(report: StageReport) -> dict[str, Any]:
     }
 
 
-def described(
+def motion_file_of(
     motion: Motion,
     body: BodyModel,
     ground: float | None = 0.0,
@@ -334,7 +334,7 @@ def result_of(
         # on a treadmill the prior's contacts are with the belt, not with the floor of the room
         known["contact_probability"] = None
     return Result(
-        file=described(motion, body, ground, T_world_camera, belt=belt, **known),
+        file=motion_file_of(motion, body, ground, T_world_camera, belt=belt, **known),
         body=body,
         examined=examined,
         warnings=(

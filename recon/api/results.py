@@ -50,16 +50,20 @@ def described_motion(motion: Motion, tall: float) -> str:
     )
 
 
-def described_residual(one: ResidualSummary) -> str:
+def described_residual(summary: ResidualSummary) -> str:
     """An observation's noise and median residual in one line."""
-    seen = "nothing seen" if one.median is None else f"median residual {_size(one.median, one)}"
-    return f"{one.name}: noise {_size(one.noise, one)}, {seen}"
+    seen = (
+        "nothing seen"
+        if summary.median is None
+        else f"median residual {_with_unit(summary.median, summary)}"
+    )
+    return f"{summary.name}: noise {_with_unit(summary.noise, summary)}, {seen}"
 
 
-def _size(value: float, one: ResidualSummary) -> str:
-    if one.unit == "metres":
+def _with_unit(value: float, summary: ResidualSummary) -> str:
+    if summary.unit == "metres":
         return f"{100 * value:.1f} cm"
-    return f"{value:.{2 if one.unit == 'radians' else 1}f} {one.unit}"
+    return f"{value:.{2 if summary.unit == 'radians' else 1}f} {summary.unit}"
 
 
 def one_line(text: str) -> str:
@@ -237,8 +241,10 @@ class MotionResult(ABC):
         return f"{type(self).__name__}: {described_motion(self.motion, tall)}"
 
 
-def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The fields at the end of every report.
+def closing_fields(
+    inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Versions, inputs and settings: the last fields of every report.
 
     Settings, checksums of inputs where they are known, and versions.
     """

@@ -20,10 +20,10 @@ from recon.api.given import (
     shape_name,
 )
 from recon.api.made import Made
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.body.identities import doubts, weight
 from recon.body.model import BodyModel
-from recon.body.motion_files import copied
+from recon.body.motion_files import with_equal_pelvis_path
 from recon.core import rotations as so3
 from recon.core.arrays import finite, positive
 from recon.core.errors import ReconError
@@ -128,8 +128,10 @@ def retarget(
         "rotation_change": float(so3.geodesic(source.rotations, made.rotations).mean()),
         "physics": {
             "source": physics_metrics(before),
-            "copy": _physics(copied(source, model, target), model, before),
-            "retargeted": _physics(made, model, before),
+            "copy": _physical_metrics(
+                with_equal_pelvis_path(source, model, target), model, before
+            ),
+            "retargeted": _physical_metrics(made, model, before),
         },
         "warnings": [finding.message for finding in warnings],
     }
@@ -141,7 +143,7 @@ def retarget(
         },
         "physics at 20 Hz": {k: _metrics_to_show(row) for k, row in about["physics"].items()},
     }
-    file = described(raised(result, level), model, level)
+    file = motion_file_of(raised(result, level), model, level)
     return Made(file, model, warnings, about, tuple(lines), shown=shown)
 
 
@@ -166,7 +168,7 @@ def ground_height(given: GivenMotion, asked: float | None) -> float:
 
 
 def raised(motion: Motion, metres: float) -> Motion:
-    """A motion moved upwards by some metres."""
+    """The motion moved upwards by `metres`."""
     up = motion.translation.new_tensor((0.0, 0.0, 1.0))
     return motion.replace(translation=motion.translation + metres * up)
 
@@ -190,7 +192,7 @@ def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Findi
         )
 
 
-def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator[Finding]:
+def _ground_warnings(name: str, samples: PhysicsSamples, ground_given: bool) -> Iterator[Finding]:
     """Warnings about a body that never touches the ground z = 0.
 
     Raises:
@@ -205,7 +207,7 @@ def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator
         f"{name}: the body never comes within {100 * NO_GROUND:g} cm of the ground; its lowest "
         f"point stays {abs(nearest):.2f} m {where} it"
     )
-    if not told:
+    if not ground_given:
         raise ReconError(
             f"{words} (z = 0, as nothing says where it is). Give the height of the `ground`: "
             f"{float(lowest.median()):.2f} where it is there, or 0 to go on all the same"
@@ -226,7 +228,9 @@ def _retargeted(
     return retargeting.retarget(motion, shape, Humos.load(weights, body))
 
 
-def _physics(motion: Motion, body: BodyModel, source: PhysicsSamples) -> dict[str, float | None]:
+def _physical_metrics(
+    motion: Motion, body: BodyModel, source: PhysicsSamples
+) -> dict[str, float | None]:
     """Physical metrics of a motion, with the contacts of the source motion."""
     touch = source.soles_touch
     contacts = touch | torch.nn.functional.pad(touch, (0, 0, 1, 0))[:-1]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from recon.api.given import MotionLike, motion_given
-from recon.api.results import Tables, in_ten_lines, told
+from recon.api.results import Tables, closing_fields, in_ten_lines
 from recon.body.model import BodyModel
 from recon.core.arrays import positive
 from recon.core.errors import ReconError
@@ -19,7 +19,7 @@ from recon.formats.outputs import Kind, Output
 from recon.formats.scans import write_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
-from recon.reading.clip import together
+from recon.reading.clip import clip_of_files
 from recon.simulation.points import Corner, Corruption
 from recon.simulation.sensors import seen_by
 from recon.simulation.settings import (
@@ -48,9 +48,9 @@ class Simulated:
 
     @cached_property
     def clip(self) -> Clip:
-        """The observations as a fit takes them, read as from files."""
+        """The observations in the form that a fit takes, as if read from files."""
         named = [(name or self.kind, file) for name, file in self.files.items()]
-        return together(named, (), DEFAULTS, self.body)
+        return clip_of_files(named, (), DEFAULTS, self.body)
 
     @property
     def observations(self) -> tuple[Sensor, ...]:
@@ -69,7 +69,7 @@ class Simulated:
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """The JSON report saved beside the files; see `MotionResult.report`."""
-        return {"kind": self.kind, **told(inputs, settings)}
+        return {"kind": self.kind, **closing_fields(inputs, settings)}
 
     def save(
         self,

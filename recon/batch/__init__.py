@@ -1,1 +1,1 @@
-"""Many clips at once: processes, logs by which a run is resumed, whole corpora."""
+"""Fits or converts many clips in parallel processes, with logs to resume from."""

@@ -1,4 +1,4 @@
-"""Fits of many clips in local processes or on a cluster, with a log from which a run resumes."""
+"""Fits many clips in local processes or on a cluster; a log lets later runs resume."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ Shape = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Job:
-    """All that a process needs to fit one clip."""
+    """What a process needs to fit one clip."""
 
     clip: BatchClip
     target: Path
@@ -42,14 +42,14 @@ class Job:
 
 
 def fit_one(job: Job) -> Record:
-    """Fit a clip unless the log has its result; the record holds settings, checksums and outcome.
+    """Fit a clip unless the log has its result; returns the record for the log.
 
     Its status is `failed` when the fit met nan or inf; the last finite estimate is written then.
 
     Raises:
         ValueError, OSError: for bad input.
     """
-    # checksums are taken before reading, so that the next run notices later changes
+    # before reading, so that the next run notices later changes
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:
@@ -72,15 +72,15 @@ def fit_one(job: Job) -> Record:
     }
 
 
-def is_done(job: Job, key: str) -> bool:
+def is_done(job: Job, work_checksum: str) -> bool:
     """Whether the log lists the same work as done and the result file is unchanged."""
     known = job.known
-    same = known.get("status") == "ok" and known.get("key") == key
+    same = known.get("status") == "ok" and known.get("key") == work_checksum
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
 
 
 def estimate_shape(job: Job) -> Record:
-    """The shape of one clip's person, from its record or from a fit under the pose prior.
+    """Estimate the body shape in one clip by a fit under the pose prior, or take it from the log.
 
     Raises:
         ValueError, OSError: for bad input.
@@ -101,7 +101,7 @@ def shapes_of_subjects(
     checksum: str,
     run: Run = run_jobs,
 ) -> dict[str, Shape]:
-    """The shape that every clip of a subject is fitted with, by the clip's id.
+    """Estimate one body shape per subject from all clips of it; keyed by clip id.
 
     Each clip of a subject is fitted by the pose prior; the median of their coefficients is the
     subject's shape. Clips that cannot be fitted tell nothing; their own fit says why. What was
@@ -203,12 +203,12 @@ def fit_all(
 
 
 def large_first(clips: Sequence[BatchClip]) -> list[BatchClip]:
-    """Clips by kind and size of their first observation, those of one kind from large to small."""
+    """Sort clips by kind of file, and those of one kind from large to small."""
     return sorted(clips, key=_size, reverse=True)
 
 
 def _size(clip: BatchClip) -> tuple[str, int]:
-    """The kind and the size of a clip's first observation; those of one kind can be compared.
+    """Kind and size of the file of a clip's first observation.
 
     That of a folder is the number of files in it. What is not there is refused by its own fit.
     """
@@ -224,7 +224,7 @@ def _size(clip: BatchClip) -> tuple[str, int]:
 
 
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
-    """Refuse outputs that would overwrite an input of any clip."""
+    """Refuse results that would overwrite an input of any clip."""
     inputs = {file.resolve() for clip in clips for file in clip.observations}
     inputs |= {path.resolve() for path in paths_in(settings)}
     for clip in clips:

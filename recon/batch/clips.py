@@ -1,4 +1,4 @@
-"""`recon.fit_clips`: several clips, each on its own or all of one person."""
+"""`recon.fit_clips`: fits several clips, each on its own or all of one person."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -25,7 +25,7 @@ def fit_clips(
     subject: bool = False,
     **arguments: Any,
 ) -> list[Result]:
-    """Several clips; a result for each, in their order.
+    """Fit several clips; returns a result for each, in their order.
 
     It is a function beside `recon.fit` so that one always returns a result and the other always
     a list. Clips are fitted in turn, each as `recon.fit` does, with its own noise, ground and
@@ -44,28 +44,28 @@ def fit_clips(
             shape is given that clips of one subject are to share.
         FileNotFoundError: as `recon.fit`.
     """
-    every = _clips(clips)
+    every = _list_of_clips(clips)
     if not subject:
-        return _fitted(every, prior, arguments)
+        return _fit_each(every, prior, arguments)
     if arguments.get("shape") is not None:
         raise ReconError(
             "subject: estimates the shape that all clips share, but a shape is given; leave one "
             "of them out"
         )
     first = {name: value for name, value in arguments.items() if name not in _FIRST}
-    shapes = [one.motion.shape for one in _fitted(every, "pose", first)]
-    return _fitted(every, prior, arguments | {"shape": shared_shape(shapes)})
+    shapes = [one.motion.shape for one in _fit_each(every, "pose", first)]
+    return _fit_each(every, prior, arguments | {"shape": shared_shape(shapes)})
 
 
 def shared_shape(shapes: Sequence[Float[Tensor, " shape"]]) -> Float[Tensor, " shape"]:
-    """The shape of a person from several clips: the median of every coefficient.
+    """A person's shape from those of several clips: the median of every coefficient.
 
     Of an even number of clips it is the mean of the two in the middle.
     """
     return torch.stack(tuple(shapes)).double().quantile(0.5, dim=0).to(shapes[0])
 
 
-def _clips(given: Any) -> list[Any]:
+def _list_of_clips(given: Any) -> list[Any]:
     if isinstance(given, Sensor):
         if given.clips == ():
             raise ReconError(
@@ -79,11 +79,11 @@ def _clips(given: Any) -> list[Any]:
         )
     every = list(given)
     if len(every) == 0:
-        raise ReconError("clips: nothing to fit: expected at least one clip, got none")
+        raise ReconError("clips: expected at least one clip, got none")
     return every
 
 
-def _fitted(
+def _fit_each(
     clips: Sequence[Any], prior: str | PriorLike, arguments: dict[str, Any]
 ) -> list[Result]:
     results: list[Result] = []

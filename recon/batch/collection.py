@@ -1,4 +1,4 @@
-"""The recordings of a folder: clips with unique names, and what manifests note about them."""
+"""Lists the recordings of a folder, with unique names and notes from manifests."""
 
 import csv
 import hashlib
@@ -21,7 +21,7 @@ _UNEVEN = ("playground", "uneven")
 
 @dataclass(frozen=True)
 class SourceClip:
-    """One recording of a collection, not yet read."""
+    """A recording of a collection, before it is read."""
 
     collection: str
     """Folder below the root, used for its output too."""
@@ -36,22 +36,22 @@ class SourceClip:
 
     @property
     def id(self) -> str:
-        """Unique name among the clips of all collections."""
+        """The clip's name, unique among all collections."""
         return f"{self.collection}/{self.name}"
 
     @property
     def source(self) -> str:
-        """The place a clip comes from, for messages."""
+        """The file from which a clip comes, for messages."""
         return str(self.path) if self.member is None else f"{self.path}::{self.member}"
 
     @property
     def subject(self) -> str:
-        """The person who moves, as the manifest says."""
+        """The recorded person, by the manifest."""
         return self.notes.get("subject") or self.notes.get("actor") or ""
 
     @property
     def action(self) -> str:
-        """What is done."""
+        """The recorded action, by the manifest."""
         parts = (self.notes.get("action", ""), self.notes.get("style", ""))
         return ", ".join(part for part in parts if part)
 
@@ -62,7 +62,7 @@ class SourceClip:
 
     @property
     def contacts(self) -> bool:
-        """Whether feet contacts are reliable.
+        """Whether foot contacts are reliable: not for skeletons that all subjects share.
 
         They are not where motions were copied to another skeleton.
         """
@@ -70,7 +70,7 @@ class SourceClip:
 
 
 def collections(root: Path) -> list[list[SourceClip]]:
-    """The clips below a folder, by collection: the folders that hold a manifest, or the folder.
+    """List the clips below a folder by collection: each subfolder with a manifest, else itself.
 
     Raises:
         FileNotFoundError: when there is no such folder.
@@ -81,7 +81,7 @@ def collections(root: Path) -> list[list[SourceClip]]:
         raise FileNotFoundError(f"{root}: no such folder")
     beside = (root / "manifest.csv", *sorted(root.glob("*/manifest.csv")))
     folders = [m.parent for m in beside if m.is_file()] or [root]
-    found = [list(_clips(folder, root)) for folder in folders]
+    found = [list(_clips_of_collection(folder, root)) for folder in folders]
     found = [clips for clips in found if clips]
     if not found:
         raise ValueError(f"{root}: expected BVH or AMC files or archives of them, found none")
@@ -89,7 +89,7 @@ def collections(root: Path) -> list[list[SourceClip]]:
     return found
 
 
-def _clips(folder: Path, root: Path) -> Iterator[SourceClip]:
+def _clips_of_collection(folder: Path, root: Path) -> Iterator[SourceClip]:
     manifest = folder / "manifest.csv"
     title = str(folder.relative_to(root)) if folder != root else (root.name or root.resolve().name)
     if not manifest.is_file():
@@ -97,14 +97,14 @@ def _clips(folder: Path, root: Path) -> Iterator[SourceClip]:
             if path.name.lower().endswith(_SUFFIXES):
                 yield SourceClip(title, _without_suffix(path.relative_to(folder).as_posix()), path)
         return
-    for number, row in _rows(manifest):
+    for number, row in _manifest_rows(manifest):
         where = f"{manifest}, line {number}"
         if row.get("archive"):
             if not row.get("clip"):
                 raise ValueError(f"{where}: expected the name of a clip of {row['archive']}")
             clip = SourceClip(title, row["clip"], folder / row["archive"], row["clip"], row)
         elif row.get("path", "").lower().endswith(_SUFFIXES):
-            clip = SourceClip(title, _name(row), folder / row["path"], None, row)
+            clip = SourceClip(title, _clip_name(row), folder / row["path"], None, row)
         elif row.get("path"):
             continue
         else:
@@ -118,8 +118,8 @@ def _clips(folder: Path, root: Path) -> Iterator[SourceClip]:
         yield clip
 
 
-def _rows(manifest: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Rows of a manifest with the numbers of their lines; missing cells are empty."""
+def _manifest_rows(manifest: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Line numbers and rows of a manifest; missing cells are empty."""
     try:
         with manifest.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, restkey="")
@@ -129,8 +129,8 @@ def _rows(manifest: Path) -> Iterator[tuple[int, dict[str, str]]]:
         raise ValueError(f"{manifest}: expected a table in CSV and UTF-8, but {error}") from error
 
 
-def _name(row: dict[str, str]) -> str:
-    """What the manifest calls a file: its name where a column clip is empty, its path without."""
+def _clip_name(row: dict[str, str]) -> str:
+    """The manifest's name of a clip: column `clip`, else the path without suffix."""
     path = _without_suffix(Path(row["path"]).as_posix())
     return row["clip"] or Path(path).name if "clip" in row else path
 
@@ -142,7 +142,7 @@ def _without_suffix(name: str) -> str:
 
 
 def _check_names(clips: Sequence[SourceClip]) -> None:
-    """Refuse recordings whose outputs would be one file, on any file system."""
+    """Refuse recordings whose outputs would be the same file on some file system."""
     taken: dict[str, SourceClip] = {}
     for clip in clips:
         same = unicodedata.normalize("NFC", clip.id).casefold()
@@ -156,7 +156,7 @@ def _check_names(clips: Sequence[SourceClip]) -> None:
 
 @dataclass(frozen=True)
 class Content:
-    """The source of a clip: a file, or text in an archive, or why it is missing."""
+    """The content of a clip: its file, or its text in an archive, or why it is missing."""
 
     clip: SourceClip
     text: str | None = None
@@ -165,7 +165,7 @@ class Content:
     missing: str = ""
 
     def checksum(self) -> str:
-        """SHA-256 of all that is read.
+        """SHA-256 of all that is read of the clip.
 
         Raises:
             OSError, ValueError: when something cannot be read.
@@ -178,7 +178,7 @@ class Content:
         return value_checksum([file_checksum(file) for file in files])
 
     def read(self) -> SkeletonRecording:
-        """The recording without the T-pose before it.
+        """Read the recording, without a T-pose at its start.
 
         Raises:
             ValueError: when there is none, with the reason.
@@ -197,7 +197,7 @@ class Content:
 
 
 def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
-    """The contents of clips; archives are read through once each.
+    """The contents of clips; each archive is read only once.
 
     A clip that its archive holds twice comes again, as one that cannot be read.
     """
@@ -226,6 +226,6 @@ def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
 
 
 def skeleton_key(recording: SkeletonRecording) -> str:
-    """Equal for recordings of one skeleton: names and bone lengths to the millimetre."""
+    """A key that is equal for recordings of one skeleton: its names and bone lengths."""
     lengths = np.linalg.norm(recording.rest_offsets[recording.body_root + 1 :], axis=-1)
     return ",".join(recording.joint_names) + str((1000 * lengths).round().astype(int).tolist())

@@ -1,4 +1,4 @@
-"""Conversion of whole collections: one shape per skeleton, clips in parallel, resumable."""
+"""Converts whole collections of recordings: one shape per skeleton, in parallel, resumable."""
 
 import hashlib
 import logging
@@ -88,13 +88,13 @@ def convert_clips(
     calibration: Callable[..., Any] = calibrate_group,
     overwrite: bool = False,
 ) -> list[Row]:
-    """Convert the clips of collections that were listed already; see `convert_corpus`.
+    """Convert the given clips of collections, as `convert_corpus` does.
 
     Raises:
         ValueError: when another run is writing to OUT.
     """
     out = Path(out)
-    settings = config_hash(BodyModel.load(body))
+    settings = conversion_checksum(BodyModel.load(body))
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "report.json").exists():
         write_report(out, [])
@@ -128,50 +128,60 @@ class _Corpus:
     """Time at which the report was written last."""
 
     def convert(self, clips: Sequence[SourceClip]) -> None:
-        """Survey, calibrate and convert one collection."""
+        """Survey, calibrate and convert the clips of one collection."""
         surveyed: dict[str, tuple[str, str]] = {}
         jobs = ((content,) for content in contents(clips))
         for (content,), found in run_jobs(survey, jobs, self.processes):
             if isinstance(found, Failure):
-                self._fail(content.clip, found)
+                self._log_failure(content.clip, found)
             else:
                 surveyed[content.clip.id] = found
         groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
-            # a clip may have two records: surveyed first, failed later
+            # a clip may be surveyed and fail later
             if clip.id in surveyed and clip.id not in self.ended:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
         waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
-        # in small groups: a run that is killed then loses only the calibrations of one group
+        # in small groups, so that a killed run loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
-            self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums)
+            self._calibrate_and_convert(
+                waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums
+            )
 
-    def _convert(self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]) -> None:
-        """Calibrate skeletons and convert clips of them."""
+    def _calibrate_and_convert(
+        self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]
+    ) -> None:
+        """Calibrate skeletons and convert their clips."""
         tasks: dict[str, Task] = {}
         jobs = [(group.some, self.body) for group in waiting]
         for (some, _), subject in run_jobs(self.calibrate, jobs, self.processes):
             group = next(one for one in waiting if one.some == some)
-            found = self._without_culprits(some) if isinstance(subject, Failure) else subject
+            found = (
+                self._calibrated_without_bad_clips(some)
+                if isinstance(subject, Failure)
+                else subject
+            )
             for clip, key in group.left:
                 if isinstance(found, SubjectModel):
-                    tasks[clip.id] = self._task(clip, key, checksums[clip.id], found)
+                    tasks[clip.id] = self._task_of(clip, key, checksums[clip.id], found)
                 elif isinstance(found, str):
-                    self._end(clip, {"outputs": {}, "rows": [rejection(clip, found)]}, key)
+                    self._log_result(clip, {"outputs": {}, "rows": [rejection(clip, found)]}, key)
                 else:
                     reason = f"the shape of its subject could not be found: {found.reason}"
-                    self._fail(clip, replace(found, reason=reason))
+                    self._log_failure(clip, replace(found, reason=reason))
         clips = [task.clip for task in tasks.values()]
         work = ((tasks[content.clip.id], content) for content in contents(clips))
         for (task, _), found in run_jobs(convert_task, work, self.processes):
             if isinstance(found, Failure):
-                self._fail(task.clip, found)
+                self._log_failure(task.clip, found)
             else:
-                self._end(task.clip, found, task.key)
+                self._log_result(task.clip, found, task.key)
 
-    def _without_culprits(self, some: list[SourceClip]) -> SubjectModel | str | Failure:
-        """A calibration without the clips that make it fail, found by bisection."""
+    def _calibrated_without_bad_clips(
+        self, some: list[SourceClip]
+    ) -> SubjectModel | str | Failure:
+        """Calibrate without the clips that make a calibration fail, found by bisection."""
         good, suspected = list[SourceClip](), [some]
         result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
         while suspected:
@@ -185,7 +195,7 @@ class _Corpus:
                     suspected.append(half)
                 else:
                     result = found
-        # in the order of `some`, since a calibration depends on the order of its clips
+        # in the given order, on which a calibration depends
         kept = [clip for clip in some if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):
@@ -195,7 +205,7 @@ class _Corpus:
     def _waiting(
         self, group: Sequence[SourceClip], checksums: Mapping[str, str]
     ) -> Iterator["_Waiting"]:
-        """The group of a skeleton, where some of its clips are to be converted."""
+        """Yield the group of a skeleton's clips if some of them must be converted."""
         some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
         subject = value_checksum([checksums[clip.id] for clip in some])
         left: list[tuple[SourceClip, str]] = []
@@ -203,22 +213,22 @@ class _Corpus:
             notes = [clip.id, clip.subject, clip.action, clip.flat, clip.contacts]
             key = value_checksum([self.settings, subject, checksums[clip.id], notes])
             known = self.log.records.get(clip.id, {})
-            if known.get("key") == key and self._is_whole(clip, known):
+            if known.get("key") == key and self._is_unchanged(clip, known):
                 self.ended[clip.id] = known
             else:
                 left.append((clip, key))
         if left:
             yield _Waiting(some, left)
 
-    def _is_whole(self, clip: SourceClip, known: Record) -> bool:
-        """Whether all outputs of a former run are as they were written."""
+    def _is_unchanged(self, clip: SourceClip, known: Record) -> bool:
+        """Whether all outputs of a former run still are as it wrote them."""
         folder = self.out / clip.collection
         return known["status"] in ("ok", "rejected") and all(
             (folder / name).is_file() and file_checksum(folder / name) == checksum
             for name, checksum in known["outputs"].items()
         )
 
-    def _task(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
+    def _task_of(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
         pieces = clip.name + "."
         return Task(
             clip,
@@ -237,18 +247,18 @@ class _Corpus:
             self.overwrite,
         )
 
-    def _fail(self, clip: SourceClip, failure: Failure) -> None:
-        """Log a clip with which something went wrong."""
+    def _log_failure(self, clip: SourceClip, failure: Failure) -> None:
+        """Log a clip whose conversion failed."""
         rows = [rejection(clip, failure.reason)]
-        self._log(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
+        self._log_clip(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
 
-    def _end(self, clip: SourceClip, found: Record, key: str) -> None:
-        """Log a clip that was converted, or that gave no motion."""
+    def _log_result(self, clip: SourceClip, found: Record, key: str) -> None:
+        """Log a clip that was converted or rejected."""
         status = "ok" if found["outputs"] else "rejected"
-        self._log(clip, {"id": clip.id, "status": status, "key": key, **found})
+        self._log_clip(clip, {"id": clip.id, "status": status, "key": key, **found})
 
-    def _log(self, clip: SourceClip, record: Record) -> None:
-        """Log a clip; remove what a former run made of it and this one did not."""
+    def _log_clip(self, clip: SourceClip, record: Record) -> None:
+        """Log a clip, and remove outputs of a former run that this run did not make."""
         folder = self.out / clip.collection
         former = self.log.records.get(clip.id, {}).get("outputs", {})
         for name in former.keys() - record["outputs"].keys():
@@ -262,7 +272,7 @@ class _Corpus:
             self.report()
 
     def rows(self) -> list[Row]:
-        """The rows of the report so far."""
+        """The rows of the report for all clips so far."""
         return [
             {**row, "status": record["status"]}
             for record in self.ended.values()
@@ -270,7 +280,7 @@ class _Corpus:
         ]
 
     def report(self) -> None:
-        """Write the report, and warn of files in OUT that belong to no recording."""
+        """Write the report, and warn of files in the output folder without a recording."""
         write_report(self.out, self.rows())
         self.reported = time.monotonic()
         known = {clip.id for clip in self.clips}
@@ -286,7 +296,7 @@ class _Corpus:
 
 @dataclass(frozen=True)
 class _Waiting:
-    """Clips of one skeleton that are to be converted, with their keys."""
+    """Clips of one skeleton that must be converted, with their keys."""
 
     some: list[SourceClip]
     """Clips from which the skeleton is calibrated."""
@@ -298,8 +308,8 @@ def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:
     return [list(half) for half in (clips[:middle], clips[middle:]) if half]
 
 
-def config_hash(body: BodyModel) -> str:
-    """Checksum of everything besides the recording that decides the converted motion."""
+def conversion_checksum(body: BodyModel) -> str:
+    """Checksum of everything besides the recording on which a converted motion depends."""
     with resources.as_file(resources.files("recon") / "assets" / "skeletons.toml") as skeletons:
         known = file_checksum(skeletons)
     settings = (

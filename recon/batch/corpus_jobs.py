@@ -1,4 +1,4 @@
-"""The jobs of a corpus conversion: survey recordings, calibrate a skeleton, convert clips."""
+"""Jobs of a corpus conversion: survey recordings, calibrate a skeleton, convert clips."""
 
 import contextlib
 import json
@@ -17,11 +17,11 @@ from recon.core.visible import visible
 from recon.formats.replacing import (
     clear_leftovers,
     file_checksum,
-    part_of,
+    temporary_path,
     write_text,
 )
 from recon.formats.text_tables import write_rows
-from recon.ingest.conversion import Conversion, convert_skeletons, glitches
+from recon.ingest.conversion import Conversion, convert_skeletons, jump_frames
 from recon.ingest.maps import recognise
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
@@ -30,7 +30,7 @@ Row = dict[str, str | float | int | bool | None]
 
 
 def rejection(clip: SourceClip, reason: str) -> Row:
-    """The row of a clip that has no motion."""
+    """The report's row of a clip without a motion."""
     return {
         "collection": clip.collection,
         "clip": clip.name,
@@ -42,7 +42,7 @@ def rejection(clip: SourceClip, reason: str) -> Row:
 
 
 def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """OUT/report.csv and OUT/report.json, in one step each."""
+    """Write OUT/report.csv and OUT/report.json, each atomically."""
     ordered = sorted(rows, key=lambda row: (str(row["collection"]), str(row["clip"])))
     shown = [
         {k: visible(v) if isinstance(v, str) else v for k, v in row.items()} for row in ordered
@@ -57,7 +57,7 @@ SHORTEST_PIECE = 1.0
 
 @dataclass(frozen=True)
 class Task:
-    """A clip to convert."""
+    """A clip to convert, with its subject's calibration."""
 
     clip: SourceClip
     key: str
@@ -80,7 +80,7 @@ class Task:
 
 @dataclass(frozen=True)
 class RecordingPiece:
-    """A recording, or the part of one between two jumps."""
+    """A recording, or a part of it between two jumps."""
 
     name: str
     recording: SkeletonRecording
@@ -89,7 +89,7 @@ class RecordingPiece:
 
 
 def survey(content: Content) -> tuple[str, str]:
-    """The checksum of a recording, and the key of its skeleton, equal for recordings of one.
+    """Checksum of a recording, and a key that recordings of the same skeleton share.
 
     Raises:
         ValueError, OSError: when it cannot be read.
@@ -101,13 +101,13 @@ def survey(content: Content) -> tuple[str, str]:
 def calibrate_group(
     clips: Sequence[SourceClip], body_path: str | Path | None
 ) -> SubjectModel | str:
-    """Shape, offsets and alignments of one skeleton, from some of its clips.
+    """Calibrate one skeleton (shape, offsets, alignments) from some of its clips.
 
     Or why there is none: nobody knows the skeleton, or no clip is whole.
     """
     recordings: list[SkeletonRecording] = []
     for content in contents(clips):
-        # a file that changed after the survey is refused at its conversion
+        # a file that has changed since the survey is refused when it is converted
         with contextlib.suppress(ValueError):
             pieces, _ = split(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
@@ -117,11 +117,11 @@ def calibrate_group(
         skeleton = recognise(recordings[0])
     except ValueError as error:
         return str(error)
-    return calibrate(recordings, skeleton, _body(body_path))
+    return calibrate(recordings, skeleton, _loaded_body(body_path))
 
 
 def convert_task(task: Task, content: Content) -> Record:
-    """Convert a clip, piece by piece; each is written beside its row of the report.
+    """Convert a clip, and write each of its pieces with its row of the report.
 
     Returns `rows` of the report, one per piece and one for what was left out, and `outputs`:
     SHA-256 of every motion file, by its name in the collection's folder.
@@ -136,7 +136,7 @@ def convert_task(task: Task, content: Content) -> Record:
         raise ValueError(
             f"{task.clip.source}: it changed while the folder was converted; run again"
         )
-    body = _body(task.body)
+    body = _loaded_body(task.body)
     pieces, rows = split(task.clip, recording)
     for piece in pieces:
         _check_target(task, piece)
@@ -159,23 +159,23 @@ def convert_task(task: Task, content: Content) -> Record:
             "reason": "",
             "settings": task.settings,
         }
-        outputs[f"{piece.name}.npz"] = _write(path, conversion, row, body)
+        outputs[f"{piece.name}.npz"] = _write_piece(path, conversion, row, body)
         rows.append(row)
     return {"outputs": outputs, "rows": rows}
 
 
-def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str:
-    """Put a motion and its row of the report in place; the checksum of the motion.
+def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str:
+    """Write a motion and its row of the report atomically; returns the motion's checksum.
 
     The report comes first: there is never a motion without one, and a motion that a killed run
     left beside the report of its successor is known by it, too.
     """
-    beside, stage = path.with_suffix(".json"), part_of(path)
+    beside, stage = path.with_suffix(".json"), temporary_path(path)
     for place in (path, beside):
         clear_leftovers(place)
     try:
         stage.mkdir()
-        motion = stage / "motion"  # without `.npz`: not read as a motion
+        motion = stage / "motion"  # no suffix, so that nobody reads it as a motion
         conversion.save(motion, body, contacts=bool(row["contacts"]))
         found = file_checksum(motion)
         noted = {**row, "checksum": found}
@@ -190,8 +190,8 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
 def split(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
-    """The usable parts of a recording: runs between jumps that last a second or more."""
-    jumps = glitches(recording)
+    """The parts of a recording between jumps that last at least a second."""
+    jumps = jump_frames(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]
     pieces: list[RecordingPiece] = []
@@ -212,8 +212,8 @@ def split(
 
 
 @lru_cache(maxsize=1)
-def _body(path: str | Path | None) -> BodyModel:
-    """The body, read once by every process and checked against the checksum at the start."""
+def _loaded_body(path: str | Path | None) -> BodyModel:
+    """The body model, read once by every process."""
     return BodyModel.load(path)
 
 
@@ -227,7 +227,10 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
     path = task.target / f"{piece.name}.npz"
     if task.overwrite or not path.exists():
         return
-    if file_checksum(path) not in {task.known.get(f"{piece.name}.npz"), *_known_checksums(path)}:
+    if file_checksum(path) not in {
+        task.known.get(f"{piece.name}.npz"),
+        *_reported_checksums(path),
+    }:
         raise FileExistsError(
             f"{path} is there already, and recon did not write it as it is (its checksum does not "
             f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
@@ -235,8 +238,8 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
         )
 
 
-def _known_checksums(path: Path) -> tuple[object, ...]:
-    """Checksums of a motion that its report knows as made by recon."""
+def _reported_checksums(path: Path) -> tuple[object, ...]:
+    """Checksums that the report next to a motion has for it."""
     beside = path.with_suffix(".json")
     if not beside.is_file():
         return ()
@@ -247,6 +250,6 @@ def _known_checksums(path: Path) -> tuple[object, ...]:
     if not isinstance(row, dict):
         return ()
     if "checksum" not in row and {"collection", "clip", "settings"} <= row.keys():
-        # records of version 0.1.0 have none
+        # reports of version 0.1.0 have no checksum
         return (file_checksum(path),)
     return row.get("checksum"), row.get("replaces")

@@ -1,4 +1,4 @@
-"""Jobs on a Ray cluster: the same work, log and resume as in processes of this machine.
+"""Runs jobs on a Ray cluster, with the same log and resuming as in local processes.
 
 Ray starts the processes and notices when one, or its whole machine, dies. Code is not sent:
 every machine has recon installed, in the same version, and sees the same files under the same
@@ -26,7 +26,7 @@ _TRIES = 3
 
 @contextmanager
 def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Run]]:
-    """Join a cluster until the block ends: its processors, and what runs jobs on it.
+    """Context that joins a cluster; yields the number of processors and a runner of jobs.
 
     Args:
         address: `local`, which begins one on this machine; `auto` for the one that this machine
@@ -36,7 +36,7 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Ru
     Raises:
         ReconError: when Ray is not installed, or there is no cluster at the address.
     """
-    # imported by name, since type checkers do not find an optional package
+    # imported by name, so that type checkers ignore the optional package
     try:
         ray: Any = import_module("ray")
         import_module("ray.exceptions")
@@ -47,17 +47,17 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Ru
         ) from error
     joined = not ray.is_initialized()
     if joined:
-        _join(ray, address, cpus)
+        _join_cluster(ray, address, cpus)
     try:
         known = ray.cluster_resources().get("CPU", 1)
-        yield max(int(known), 1), partial(_run, ray)
+        yield max(int(known), 1), partial(_run_on_cluster, ray)
     finally:
         if joined:
             ray.shutdown()
 
 
-def absolute(settings: FitSettings) -> FitSettings:
-    """The settings with absolute paths, since processes of a cluster start in another folder."""
+def with_absolute_paths(settings: FitSettings) -> FitSettings:
+    """The settings with absolute paths, since a cluster's processes start in other folders."""
     found: dict[str, Any] = {}
     for field in fields(settings):
         value = getattr(settings, field.name)
@@ -69,8 +69,8 @@ def absolute(settings: FitSettings) -> FitSettings:
     return replace(settings, **found)
 
 
-def _join(ray: Any, address: str, cpus: int | None) -> None:
-    # no usage statistics are sent from a cluster that is started here
+def _join_cluster(ray: Any, address: str, cpus: int | None) -> None:
+    # do not send usage statistics
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
@@ -85,13 +85,13 @@ def _join(ray: Any, address: str, cpus: int | None) -> None:
         ) from error
 
 
-def _run(
+def _run_on_cluster(
     ray: Any,
     function: Callable[..., Any],
     jobs: Iterable[tuple[Any, ...]],
     processes: int,
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Jobs and their results as they end; see `recon.batch.workers.run_jobs`."""
+    """Run jobs on the cluster; yields jobs and results as they end, like `run_jobs`."""
     remote = ray.remote(num_cpus=1, max_retries=0)(_attempt)
     drawn, busy = iter(jobs), dict[Any, tuple[tuple[Any, ...], int]]()
     try:
@@ -102,7 +102,7 @@ def _run(
                 return
             (ready,), _ = ray.wait(list(busy), num_returns=1)
             job, tries = busy.pop(ready)
-            result = _received(ray, ready)
+            result = _result_or_failure(ray, ready)
             if isinstance(result, Failure) and result.kind == "crashed" and tries < _TRIES:
                 busy[remote.remote(function, job)] = job, tries + 1
             else:
@@ -113,13 +113,13 @@ def _run(
 
 
 def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """What `recon.batch.workers.attempt` gives, in a process of the cluster."""
+    """Run a job in a process of the cluster, like `recon.batch.workers.attempt`."""
     as_worker()
     return attempt(function, job)
 
 
-def _received(ray: Any, reference: Any) -> Any:
-    """The result of a job that ended, or the `Failure` that its process was."""
+def _result_or_failure(ray: Any, reference: Any) -> Any:
+    """The result of a job, or a `Failure` if its process died."""
     known = ray.exceptions
     try:
         return ray.get(reference)

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 def _is_former(folder: Path) -> bool:
-    """Whether a folder has the log of a batch, possibly without a complete line."""
+    """Whether a folder has the log of a batch, even one without a complete line."""
     from recon.batch.worklog import read_log
 
     logs = list(folder.glob("log*.jsonl"))
     return any(b"\n" not in log.read_bytes() or read_log(log) for log in logs)
 
 
-def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
+def _batch_output(out: Path, _: Arguments) -> tuple[Output, ...]:
     return (Output(out, Kind.CONTINUED, is_former=_is_former),)
 
 
-def _observations(given: Arguments) -> Iterator[Path]:
+def _observations_in_manifest(given: Arguments) -> Iterator[Path]:
     from recon.batch.worklog import read_manifest
 
     if given["manifest"].is_file():
@@ -38,7 +38,7 @@ def _observations(given: Arguments) -> Iterator[Path]:
             yield from clip.observations
 
 
-@writes(Place("out", _results), reads=_observations)
+@writes(Place("out", _batch_output), reads=_observations_in_manifest)
 def batch(
     manifest: Positional[Path],
     out: Path,
@@ -72,21 +72,25 @@ def batch(
     """
     del quiet  # used by the decorator `writes`
     from recon.cli import console
-    from recon.cli.looks import check_plugs
+    from recon.cli.looks import check_plugins
 
-    check_plugs(settings.prior, settings.reader)
+    check_plugins(settings.prior, settings.reader)
     from recon.batch.batch import fit_all
     from recon.batch.worklog import read_manifest
     from recon.batch.worklog import shard as part
 
     if ray is not None:
-        from recon.batch.ray_cluster import absolute
+        from recon.batch.ray_cluster import with_absolute_paths
 
-        # processes of a cluster start in another working folder
-        manifest, out, settings = manifest.absolute(), out.absolute(), absolute(settings)
+        # a cluster's processes start in other folders
+        manifest, out, settings = (
+            manifest.absolute(),
+            out.absolute(),
+            with_absolute_paths(settings),
+        )
     index, slash, count = shard.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
-        raise ValueError(f"--shard is I/N, for example 0/4; got {shard!r}")
+        raise ValueError(f"--shard must be I/N, for example 0/4; got {shard!r}")
     clips = part(read_manifest(manifest), int(index), int(count))
     out.mkdir(parents=True, exist_ok=True)
     log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
@@ -115,13 +119,13 @@ def _executor(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Ru
         return
     from recon.batch.ray_cluster import ray_cluster
 
-    # Ray prints what happens to its processes; stdout is for the answer
+    # Ray's output must not mix with the answer on stdout
     with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as (cpus, run):
         yield cpus if processes is None else processes, run
 
 
 def _is_former_corpus(folder: Path) -> bool:
-    """Whether a folder has the report of a conversion: a list with a row for every clip."""
+    """Whether a folder has the report of a conversion, a list with a row per clip."""
     import json
 
     try:
@@ -131,12 +135,12 @@ def _is_former_corpus(folder: Path) -> bool:
     return isinstance(rows, list) and all(isinstance(row, dict) and "clip" in row for row in rows)
 
 
-def _corpus(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # OUT may be inside the folder of recordings: motion files are not taken for recordings
+def _corpus_output(out: Path, _: Arguments) -> tuple[Output, ...]:
+    # OUT may lie in the folder of recordings, since motion files are no recordings
     return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
 
 
-@writes(Place("out", _corpus))
+@writes(Place("out", _corpus_output))
 def convert_all(
     recordings: Positional[Path],
     out: Positional[Path],
@@ -146,7 +150,7 @@ def convert_all(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Bring every skeleton recording below a folder onto the body, one shape per subject.
+    """Convert every skeleton recording below a folder to our body, one shape per subject.
 
     Run it again to continue. Exit code 1 says that something went wrong with some; those that are
     too short or of an unknown skeleton are rejected, which is in the report alone. Unit, axis and

@@ -1,4 +1,4 @@
-"""Jobs in separate processes: when one fails or dies, the others continue.
+"""Runs jobs in separate processes, which continue when one fails or dies.
 
 A job that raises anything, runs out of memory or takes its process down ends as a `Failure` with
 its reason. Unlike in `concurrent.futures`, a process that dies costs its own job alone.
@@ -31,7 +31,7 @@ _PATIENCE = 5.0
 
 @dataclass(frozen=True)
 class Failure:
-    """The reason why a job gave no result."""
+    """Why a job gave no result."""
 
     kind: Kind
     reason: str
@@ -40,7 +40,7 @@ class Failure:
 
     @property
     def record(self) -> dict[str, str]:
-        """The failure as a record of the log."""
+        """The failure as a record for the log."""
         said = {"status": self.kind, "error": self.reason}
         return said | ({"traceback": self.traceback} if self.traceback else {})
 
@@ -54,7 +54,7 @@ Run = Callable[
 def run_jobs(
     function: Callable[..., Any], jobs: Iterable[tuple[Any, ...]], processes: int
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Call `function(*job)` for every job in some processes; yields jobs and results as they end.
+    """Call `function(*job)` for all jobs in parallel; yields jobs and results as they end.
 
     The result is what the function returned, or a `Failure`. Jobs are drawn when a process is free
     for them. When the caller stops iterating, or is killed, the processes end.
@@ -96,34 +96,34 @@ class _Worker:
     """A worker process that runs jobs one after the other."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        # spawned, not forked: forked processes would inherit locks that threads of torch hold
+        # spawned, since a forked process would inherit locks of torch's threads
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(function, theirs), daemon=True)
+        self._process = context.Process(target=_worker_loop, args=(function, theirs), daemon=True)
         self._process.start()
         theirs.close()
 
     def begin(self, job: tuple[Any, ...]) -> None:
-        """Send a job to the process; if the process has died, `result` reports that."""
+        """Send a job to the process; `result` reports whether the process has died."""
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self.connection.send(job)
 
     def result(self) -> tuple[Any, bool]:
-        """The result of the job, and whether the process can do another."""
+        """The result of the job, and whether the process can run another."""
         try:
             result = self.connection.recv()
         except (EOFError, ConnectionResetError):
             self.connection.close()
             self._process.join()
-            return Failure("crashed", _failure_of_process(self._process.exitcode or 0)), False
+            return Failure("crashed", _exit_in_words(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
-            # after such an error the state of the process is unknown
+            # the process is in an unknown state then
             self.stop()
             return result, False
         return result, True
 
     def stop(self) -> None:
-        """End the process at once; it removes files that it has half written."""
+        """End the process at once; it removes half-written files."""
         self._process.terminate()
         self._process.join(_PATIENCE)
         if self._process.is_alive():
@@ -132,7 +132,7 @@ class _Worker:
         self.connection.close()
 
 
-def _failure_of_process(code: int) -> str:
+def _exit_in_words(code: int) -> str:
     if code >= 0:
         return f"its process ended with exit code {code}"
     name = signal.Signals(-code).name
@@ -140,9 +140,9 @@ def _failure_of_process(code: int) -> str:
     return f"its process was ended by {name}{memory}"
 
 
-def _serve(function: Callable[..., Any], connection: Connection) -> None:
+def _worker_loop(function: Callable[..., Any], connection: Connection) -> None:
     """The loop of a worker process: run jobs from the connection until it closes."""
-    # workers ignore Ctrl-C: the parent receives it and stops them
+    # the parent process handles Ctrl-C and stops the workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -153,19 +153,19 @@ def _serve(function: Callable[..., Any], connection: Connection) -> None:
 
 
 def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """The result of a job, or the `Failure` that ended it; other jobs go on."""
+    """Run a job; returns its result, or the `Failure` that ended it."""
     try:
         return function(*job)
     except MemoryError as error:
-        return Failure("out of memory", _described(error))
+        return Failure("out of memory", _error_in_words(error))
     except Exception as error:
         if _is_refusal(error):
             return Failure("bad input", str(error))
-        return Failure("error", _described(error), "".join(traceback.format_exception(error)))
+        return Failure("error", _error_in_words(error), "".join(traceback.format_exception(error)))
 
 
 def _is_refusal(error: Exception) -> bool:
-    """Whether recon raised the error to refuse an input, rather than a library it uses.
+    """Whether recon itself, and not a library, raised an error to refuse an input.
 
     Libraries raise subclasses of ValueError, such as UnicodeDecodeError and LinAlgError.
     """
@@ -173,23 +173,23 @@ def _is_refusal(error: Exception) -> bool:
     return type(error) in _REFUSALS or (own and isinstance(error, ValueError))
 
 
-def _described(error: Exception) -> str:
+def _error_in_words(error: Exception) -> str:
     text = str(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent dies, so that it writes no results that nobody logs."""
+    """End this process when its parent dies, so that nothing is written without a log."""
     from multiprocessing import parent_process
 
     parent = parent_process()
-    assert parent is not None  # a spawned process always has a parent
+    assert parent is not None  # spawned processes have a parent
     parent.join()
     os._exit(1)
 
 
 def as_worker() -> None:
-    """Set up a worker process: one thread each, as several per job compete for cores."""
+    """Set up a worker process with one thread, since several would compete for cores."""
     os.environ["OMP_NUM_THREADS"] = "1"
     if "torch" in sys.modules:
         import torch

@@ -1,4 +1,4 @@
-"""Manifests of batches: the clips to fit, one JSON object per line."""
+"""Reads manifests of batches (clips to fit, a JSON object per line), and keeps their logs."""
 
 import contextlib
 import hashlib
@@ -18,7 +18,7 @@ _EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
 
 @dataclass(frozen=True)
 class BatchClip:
-    """One line of a manifest."""
+    """A clip to fit: one line of a manifest."""
 
     name: str
     observations: tuple[Path, ...]
@@ -27,7 +27,7 @@ class BatchClip:
 
 
 def read_manifest(path: Path) -> tuple[BatchClip, ...]:
-    """The clips of a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
+    """Read a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
 
     Each may have a `subject`, whose clips share one shape. Paths are relative to the manifest.
 
@@ -38,7 +38,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such manifest")
     try:
-        # not splitlines, which also splits at characters that JSON allows inside texts
+        # splitlines would also split at characters that JSON allows inside texts
         lines = path.read_text(encoding="utf-8-sig").split("\n")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected text in UTF-8, but {error}") from error
@@ -46,8 +46,8 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        clip = _clip(line, path, number)
-        # on many file systems, ids that differ only in case name the same file
+        clip = _parsed_clip(line, path, number)
+        # many file systems do not distinguish ids that differ only in case
         same = unicodedata.normalize("NFC", clip.name).casefold()
         if same in clips:
             before, other = clips[same]
@@ -59,8 +59,8 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     return tuple(clip for _, clip in clips.values())
 
 
-def _clip(line: str, path: Path, number: int) -> BatchClip:
-    """The clip of one line."""
+def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
+    """Parse the clip in one line of a manifest."""
     where = f"{path}, line {number}"
     try:
         row = json.loads(line)
@@ -89,12 +89,12 @@ def _clip(line: str, path: Path, number: int) -> BatchClip:
 
 
 def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
-    """The clips of one of `count` equal workers: the same every time.
+    """The clips for one of `count` runs that share the work, always the same ones.
 
     They are told apart by a hash of the id; clips of one subject stay together.
     """
     if not 0 <= index < count:
-        raise ValueError(f"--shard is I/N with 0 <= I < N, got {index}/{count}")
+        raise ValueError(f"--shard must be I/N with 0 <= I < N, got {index}/{count}")
     return tuple(
         clip
         for clip in clips
@@ -111,7 +111,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class WorkLog:
-    """An open log."""
+    """A log that is open for reading and appending."""
 
     path: Path
     descriptor: int
@@ -119,7 +119,7 @@ class WorkLog:
     """The last record of every id."""
 
     def append(self, record: Record) -> None:
-        """Write a record, whose `id` names what it is about, as one line.
+        """Append a record, which has an `id`, as one line.
 
         One that says the same as the last of its id but for its `seconds` is not written again.
 
@@ -143,7 +143,7 @@ class WorkLog:
 
 @contextlib.contextmanager
 def open_log(path: Path) -> Iterator[WorkLog]:
-    """A log to read and to append to, held against other writers until the block ends.
+    """Context with an open log that no other process may write to.
 
     Raises:
         ValueError: when another process holds it.
@@ -156,7 +156,7 @@ def open_log(path: Path) -> Iterator[WorkLog]:
         whole = data.rfind(b"\n") + 1
         if whole < len(data):
             os.ftruncate(descriptor, whole)
-        yield WorkLog(path, descriptor, _records(data[:whole]))
+        yield WorkLog(path, descriptor, _last_records(data[:whole]))
     finally:
         os.close(descriptor)
 
@@ -164,10 +164,10 @@ def open_log(path: Path) -> Iterator[WorkLog]:
 def read_log(path: Path) -> dict[str, Record]:
     """The last record of every id in a log, which another process may be writing."""
     data = path.read_bytes() if path.is_file() else b""
-    return _records(data[: data.rfind(b"\n") + 1])
+    return _last_records(data[: data.rfind(b"\n") + 1])
 
 
-def _records(data: bytes) -> dict[str, Record]:
+def _last_records(data: bytes) -> dict[str, Record]:
     records: dict[str, Record] = {}
     for line in data.split(b"\n"):
         try:
@@ -184,7 +184,7 @@ def _without_time(record: Record) -> Record:
 
 
 def _lock_file(descriptor: int, path: Path) -> None:
-    """Lock the file until it is closed; the lock ends also when the process is killed."""
+    """Lock a file until it is closed or the process ends."""
     if sys.platform == "win32":
         return
     import fcntl

@@ -1,1 +1,1 @@
-"""A public benchmark: every method gets the same windows of freely licensed motions."""
+"""A public benchmark of methods on the same windows of freely licensed motions."""

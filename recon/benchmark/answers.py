@@ -1,4 +1,4 @@
-"""The answer of a method for a window: a motion, or joint positions alone."""
+"""Checks and evaluates the answer of a method for a window: a motion or joint positions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,20 +37,20 @@ Row = dict[str, float | None]
 def stance_height(
     motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
 ) -> float | None:
-    """Mean distance of the lowest skin of a foot from the ground while that foot stands."""
-    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)  # ankles or toes; left, right
+    """Mean distance of a standing foot's lowest skin from the ground, metres."""
+    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)  # of either foot
     return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
 
 
-def feet_balanced(windows: TrueWindows, said: Bool[Tensor, "clips time 22"]) -> float | None:
-    """Balanced accuracy of ankle and toe contacts, averaged over the counted subjects.
+def feet_balanced(windows: TrueWindows, predicted: Bool[Tensor, "clips time 22"]) -> float | None:
+    """Balanced accuracy of ankle and toe contacts, averaged over subjects.
 
     Each subject's is taken over all windows together.
     """
     found: list[float] = []
     for subject in windows.counted:
         own = [i for i, one in enumerate(windows.subjects) if one == subject]
-        value = metrics.contact_balanced_accuracy(said[own], windows.contacts[own], FEET)
+        value = metrics.contact_balanced_accuracy(predicted[own], windows.contacts[own], FEET)
         if value is not None:
             found.append(value)
     return float(np.mean(found)) if found else None
@@ -63,7 +63,7 @@ both in metres, and probabilities of contact (time, 22). Joints are needed."""
 
 @dataclass(frozen=True)
 class Answer:
-    """The output of a method for one window; each tensor has one row per frame."""
+    """A method's output for one window; each tensor has a row per frame."""
 
     joints: Float[Tensor, "time 22 3"]
     motion: Motion | None = None
@@ -73,11 +73,11 @@ class Answer:
     for joints alone."""
 
 
-def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Answer:
-    """The answer of a method, after its shapes, lengths and numbers were checked.
+def answer_of(output: Any, window: SeenWindow, body: BodyModel, name: str) -> Answer:
+    """Check the output of a method for one window, and make an `Answer` of it.
 
     Args:
-        given: places of the 22 joints, an array (time, 22, 3) in metres; a mapping of such arrays
+        output: places of the 22 joints, an array (time, 22, 3) in metres; a mapping of such arrays
             by the names in `ARRAYS`; or a motion, as every function of recon takes it.
         window: for which it was given.
         body: whose motions are judged.
@@ -87,11 +87,11 @@ def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Ans
         ReconError: when it is none of these, has other frames than the window, or holds NaN.
     """
     where = f"{name}, window {window.name}"
-    if isinstance(given, Mapping) and set(given) & set(ARRAYS):
-        return _of_arrays(given, window, where)
-    if hasattr(given, "__array__") or isinstance(given, list):
-        return _of_arrays({"joints": given}, window, where)
-    file = motion_given(given, body, where).file
+    if isinstance(output, Mapping) and set(output) & set(ARRAYS):
+        return _answer_of_arrays(output, window, where)
+    if hasattr(output, "__array__") or isinstance(output, list):
+        return _answer_of_arrays({"joints": output}, window, where)
+    file = motion_given(output, body, where).file
     motion, truth = file.motion, window.truth
     if motion.frames != truth.frames or abs(motion.fps - truth.fps) > 1e-3:
         raise ReconError(
@@ -109,7 +109,7 @@ def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Ans
 
 
 def answer_in(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
-    """The prediction of a window in a folder: a motion file, or arrays as `answer_of` takes them.
+    """Read the prediction for a window in a folder: a motion file, or arrays.
 
     Raises:
         FileNotFoundError: when the folder has no file of the window's name.
@@ -131,9 +131,9 @@ def answer_in(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
     return answer_of(own or path, window, body, str(folder))
 
 
-def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answer:
+def _answer_of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answer:
     if unknown := sorted(set(given) - set(ARRAYS)):
-        raise ReconError(f"{where}: expected arrays {', '.join(ARRAYS)}; got {unknown} besides")
+        raise ReconError(f"{where}: expected arrays {', '.join(ARRAYS)}; got also {unknown}")
     if "joints" not in given:
         raise ReconError(f"{where}: expected joints (time, 22, 3) beside {', '.join(given)}")
     time = window.truth.frames
@@ -157,8 +157,8 @@ def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answ
     return Answer(tensors["joints"], points=points, contacts=tensors.get("contacts"))
 
 
-def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
-    """The metrics of a method's answer over the evaluated frames, in SI units."""
+def evaluated(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
+    """Metrics of a method's answer over the frames that a protocol evaluates, in SI units."""
     part = slice(*protocol.judged)
     truth = window.truth.window(*protocol.judged)
     touching = window.touching[part]

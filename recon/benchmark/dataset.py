@@ -1,4 +1,4 @@
-"""The converted corpus: its clips, their subjects, and their split (training, test, ...)."""
+"""Lists the clips of a converted corpus, with subjects and parts (training, test, ...)."""
 
 import json
 import tomllib
@@ -20,7 +20,7 @@ Listed = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True)
 class Splits:
-    """The parts of the corpus (training, validation, test), decided by clip names alone."""
+    """The split of a corpus into training, validation and test, by clip names alone."""
 
     subjects: dict[str, tuple[str, ...]]
     """Name patterns of the clips of each subject, the first that matches counts; a clip of no
@@ -42,7 +42,7 @@ class Splits:
 
     @classmethod
     def load(cls, path: str | Path = SPLITS) -> "Splits":
-        """Read the committed table.
+        """Read the split from a TOML file.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -75,18 +75,18 @@ class Splits:
             ) from error
 
     def subject(self, clip: str) -> str:
-        """The subject of a clip."""
+        """The subject (person) of a clip."""
         for name, patterns in self.subjects.items():
             if _matches(clip, patterns):
                 return name
         return clip.split("/" if "/" in clip else "_", 1)[0]
 
     def is_open(self, clip: str) -> bool:
-        """Whether weights trained on it may be published under an open licence."""
+        """Whether weights trained on a clip may be published under an open licence."""
         return not _matches(clip, self.non_commercial)
 
     def parts(self, clips: Sequence[str]) -> dict[str, Part]:
-        """The part of every clip of the whole corpus; excluded clips are left out.
+        """The part of every clip (training, test, ...), without excluded clips.
 
         Every tenth is counted in the order of names, from the first.
         """
@@ -106,14 +106,14 @@ class Splits:
 
 
 def clip_files(corpus: str | Path) -> dict[str, Path]:
-    """The motion files of a converted corpus by clip name, in the order of names.
+    """The motion files of a converted corpus, keyed and sorted by clip name.
 
     Raises:
         FileNotFoundError: when the folder holds none.
         ValueError: when two files have the same name.
     """
     found: dict[str, Path] = {}
-    for name, path in sorted((_name(path), path) for path in Path(corpus).rglob("*.npz")):
+    for name, path in sorted((_clip_name(path), path) for path in Path(corpus).rglob("*.npz")):
         if name in found:
             raise ValueError(f"two clips are called {name}: {found[name]} and {path}")
         found[name] = path
@@ -124,8 +124,8 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
     return found
 
 
-def notes(motion: Path) -> dict[str, Any]:
-    """What the conversion noted in the file beside a motion; empty where there is none.
+def conversion_notes(motion: Path) -> dict[str, Any]:
+    """Read what the conversion noted in the .json file next to a motion; empty without one.
 
     Raises:
         ValueError: when that file is no JSON.
@@ -135,20 +135,20 @@ def notes(motion: Path) -> dict[str, Any]:
         noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
     except ValueError as error:
         raise ValueError(
-            f"{beside}: expected the notes of recon convert --all, got no JSON ({error})"
+            f"{beside}: expected JSON notes of recon convert --all, but it is damaged ({error})"
         ) from error
     return noted if isinstance(noted, dict) else {}
 
 
-def _name(motion: Path) -> str:
-    """A clip's name: its path as the conversion noted it, else the name of its file."""
-    name = notes(motion).get("clip")
+def _clip_name(motion: Path) -> str:
+    """A clip's name as the conversion noted it, else the name of its file."""
+    name = conversion_notes(motion).get("clip")
     return name if isinstance(name, str) else motion.stem
 
 
 def is_flat(path: Path) -> bool:
     """Whether the notes beside a clip say that the ground is flat; true without notes."""
-    return bool(notes(path).get("flat", True))
+    return bool(conversion_notes(path).get("flat", True))
 
 
 def _matches(clip: str, patterns: Sequence[str]) -> bool:

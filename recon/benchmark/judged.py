@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from recon.benchmark.answers import Answer, Row, answer_in, answer_of, feet_balanced, judged
+from recon.benchmark.answers import Answer, Row, answer_in, answer_of, evaluated, feet_balanced
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
 from recon.benchmark.table import BenchTable
@@ -35,7 +35,7 @@ def bench(
     only: int | None = None,
     callback: Callable[[str, str], None] | None = None,
 ) -> BenchTable:
-    """Evaluate methods on the windows and the noise of a published protocol.
+    """Evaluate methods on the windows and with the noise of a published protocol.
 
     Args:
         protocol: what is seen: `noisy-joints`, `hidden-points`, `gap` or `upper-body`.
@@ -70,7 +70,7 @@ def bench(
     )
     folders = {Path(folder).name: Path(folder) for folder in predictions}
     if TRUTH in {*made, *folders} or set(made) & set(folders) or len(folders) < len(predictions):
-        raise ReconError("every method and folder of predictions needs a name of its own")
+        raise ReconError("methods and folders of predictions need different names")
     windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
     seen = seen_windows(asked, windows, body)
     rows: dict[str, list[Row]] = {}
@@ -85,14 +85,14 @@ def bench(
             answer = method(window.seen)
             seconds.append(time.process_time() - began)
             given.append(answer_of(answer, window, body, name))
-        rows[name], feet[name] = _judged(asked, windows, seen, given, body)
+        rows[name], feet[name] = _evaluated_windows(asked, windows, seen, given, body)
         for row, own in zip(rows[name], seconds, strict=True):
             row["seconds"] = own
     for name, folder in folders.items():
         given = [answer_in(folder, window, body) for window in seen]
-        rows[name], feet[name] = _judged(asked, windows, seen, given, body)
+        rows[name], feet[name] = _evaluated_windows(asked, windows, seen, given, body)
     truth = [answer_of(window.truth, window, body, TRUTH) for window in seen]
-    rows[TRUTH], feet[TRUTH] = _judged(asked, windows, seen, truth, body)
+    rows[TRUTH], feet[TRUTH] = _evaluated_windows(asked, windows, seen, truth, body)
     values = {
         name: {
             metric: [row.get(metric) for row in own]
@@ -114,7 +114,7 @@ def write_windows(
     only: int | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write what a method sees of every window, one observation file each, without the truth.
+    """Write an observation file per window, as methods see it, without the truth.
 
     Predictions go into another folder under the same names, for `bench(predictions=...)`.
 
@@ -144,15 +144,15 @@ def write_windows(
     return written
 
 
-def _judged(
+def _evaluated_windows(
     protocol: BenchProtocol,
     windows: TrueWindows,
     seen: Sequence[SeenWindow],
     answers: Sequence[Answer],
     body: BodyModel,
 ) -> tuple[list[Row], float | None]:
-    """The metrics of every window, and the accuracy of foot contacts."""
-    rows = [judged(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
+    """Metrics of a method's answer for every window, and the accuracy of foot contacts."""
+    rows = [evaluated(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):
         return rows, None

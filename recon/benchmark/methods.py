@@ -1,4 +1,4 @@
-"""The benchmarked methods: built-in ones by name, or a class of the user's."""
+"""The methods of the benchmark: built-in ones by name, or a user's class."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -25,7 +25,7 @@ from recon.method.reconstruction import solve
 def butterworth(
     positions: Float[Tensor, "clips time points 3"], fps: float, cutoff: float
 ) -> Float[Tensor, "clips time points 3"]:
-    """Second-order Butterworth low-pass run forwards and backwards: no delay.
+    """Low-pass by a second-order Butterworth filter, run forwards and backwards.
 
     Args:
         positions: metres.
@@ -42,7 +42,7 @@ def butterworth(
 def whittaker(
     positions: Float[Tensor, "clips time points 3"], stiffness: float
 ) -> Float[Tensor, "clips time points 3"]:
-    """Least squares with penalised second differences: min |x - y|² + stiffness |D²x|²."""
+    """Smooth by penalised second differences: min |x - y|² + stiffness |D²x|²."""
     frames = positions.shape[1]
     bend = torch.eye(frames, dtype=torch.float64).diff(n=2, dim=0)
     system = torch.eye(frames, dtype=torch.float64) + stiffness * bend.mT @ bend
@@ -59,13 +59,13 @@ STIFFNESS = 42.2
 
 @runtime_checkable
 class BenchMethod(Protocol):
-    """A benchmarked method: a callable that takes the observation of one window.
+    """A method for the benchmark: a callable that takes one window's observation.
 
     A class "package.module:Class" is made without arguments, once, before time is taken.
     """
 
     def __call__(self, seen: PositionsFile) -> Any:
-        """The motion of a window.
+        """Estimate the motion of a window.
 
         Args:
             seen: named points in the world, z up, the ground at z = 0: `positions` (time, points,
@@ -82,7 +82,7 @@ class BenchMethod(Protocol):
 
 
 def method_named(name: str, body: BodyModel) -> BenchMethod:
-    """A built-in method by its name, or an object of a class at "package.module:Class".
+    """A built-in method by name, or an object of the class "package.module:Class".
 
     Raises:
         ReconError: names the built-in methods, or says why a class cannot be had.
@@ -103,19 +103,19 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
     return BUILT_IN[name](body)
 
 
-def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
-    """A fit under a prior with weights for the noise stated in the record."""
+def _fit_under_prior(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
+    """A method that fits under a prior, weighted for the noise that the window states."""
 
-    def given_back(seen: PositionsFile) -> MotionFile:
+    def run(seen: PositionsFile) -> MotionFile:
         stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)
         found = solve([sensor_of(seen)], stages, body)
         return MotionFile(found.motion[0].detach())
 
-    return given_back
+    return run
 
 
-def _linear(seen: PositionsFile) -> np.ndarray:
-    """The measured joints, with linear interpolation across gaps."""
+def _interpolated_joints(seen: PositionsFile) -> np.ndarray:
+    """The measured joints of a window, linearly interpolated across gaps."""
     if seen.names != tuple(JOINTS):
         raise ReconError(
             "linear has no body model: it needs protocols with all 22 joints (noisy-joints, gap)"
@@ -130,29 +130,29 @@ def _linear(seen: PositionsFile) -> np.ndarray:
     return filled
 
 
-def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMethod:
-    """A smoothing filter for every coordinate, after linear interpolation across gaps."""
+def _smoothing_method(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMethod:
+    """A method that interpolates gaps linearly, then filters every coordinate."""
 
-    def given_back(seen: PositionsFile) -> np.ndarray:
-        return smooth(torch.from_numpy(_linear(seen))[None], seen.fps)[0].numpy()
+    def run(seen: PositionsFile) -> np.ndarray:
+        return smooth(torch.from_numpy(_interpolated_joints(seen))[None], seen.fps)[0].numpy()
 
-    return given_back
-
-
-def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
-    return lambda body: _fitted(body, Humor.load(body=body), way)
+    return run
 
 
-def _pose(body: BodyModel) -> BenchMethod:
-    return _fitted(body, PosePrior.load(body=body))
+def _fit_under_humor(fit_method: str) -> Callable[[BodyModel], BenchMethod]:
+    return lambda body: _fit_under_prior(body, Humor.load(body=body), fit_method)
+
+
+def _fit_under_pose_prior(body: BodyModel) -> BenchMethod:
+    return _fit_under_prior(body, PosePrior.load(body=body))
 
 
 BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {
-    "linear": lambda _: _linear,
-    "butterworth": lambda _: _smoothed(lambda x, fps: butterworth(x, fps, CUTOFF)),
-    "least-squares": lambda _: _smoothed(lambda x, _: whittaker(x, STIFFNESS)),
-    "pose": _pose,
-    **{way: _humor(way) for way in Humor.methods},
+    "linear": lambda _: _interpolated_joints,
+    "butterworth": lambda _: _smoothing_method(lambda x, fps: butterworth(x, fps, CUTOFF)),
+    "least-squares": lambda _: _smoothing_method(lambda x, _: whittaker(x, STIFFNESS)),
+    "pose": _fit_under_pose_prior,
+    **{way: _fit_under_humor(way) for way in Humor.methods},
 }
 """Names of the built-in methods: the data on straight lines, two smoothers, stages 1-2 under the
 pose prior, and the ways to fit under HuMoR."""

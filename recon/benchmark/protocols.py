@@ -1,4 +1,4 @@
-"""The protocols.
+"""Defines the protocols of the benchmark: what is seen, and what is evaluated.
 
 Which data of a true motion are given, with which noise, and which frames count.
 """
@@ -34,7 +34,7 @@ def noisy_joints(
     noise: float = 0.04,
     joints: tuple[int, ...] = tuple(range(len(JOINTS))),
 ) -> Joints3D:
-    """Joints (by default all 22) with Gaussian noise of the given metres per coordinate."""
+    """Simulate joints (by default all 22) with Gaussian noise, metres per coordinate."""
     positions = body.pose(truth).joints
     random = torch.Generator().manual_seed(seed)
     errors = torch.randn(positions.shape, generator=random, dtype=torch.float64)
@@ -48,7 +48,7 @@ def noisy_joints(
 
 
 def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
-    """Joints that are all unseen in some frames (in-betweening)."""
+    """Hide all joints in a range of frames (in-betweening)."""
     positions, visible = observed.positions.clone(), observed.visible.clone()
     positions[:, gap], visible[:, gap] = 0.0, False
     return observed.replace(positions=positions, visible=visible)
@@ -57,7 +57,7 @@ def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
 def occluded_points(
     truth: Motion, body: BodyModel, height: float = 0.9
 ) -> tuple[Markers3D, Float[Tensor, "clips time 43 3"]]:
-    """43 exact points of the skin without those below `height` metres, and the complete set."""
+    """Simulate 43 exact skin points without those below `height` metres; also the full set."""
     vertices = tuple(landmark(name) for name in KEYPOINTS_43)
     points = body.pose(truth).points(torch.tensor(vertices))
     visible = points[..., 2] >= height
@@ -73,7 +73,7 @@ def occluded_points(
 
 
 def sensor_of(seen: PositionsFile) -> Joints3D | Markers3D:
-    """A record of joints or points of the skin as an observation with one leading axis."""
+    """The joints or skin points of a window as a sensor with a batch axis of one."""
     positions = torch.from_numpy(seen.positions).float()[None]
     visible = torch.from_numpy(seen.visible)[None]
     if seen.kind == "joints3d":
@@ -98,7 +98,7 @@ _GAPS: Columns = {"root_joints_all": ("pose cm", 100.0), **_FEET}
 
 @dataclass(frozen=True)
 class BenchProtocol:
-    """A protocol: how observations are simulated from true motions, and how results are scored."""
+    """A protocol: how observations of true motions are simulated, and what is evaluated."""
 
     name: str
     about: str
@@ -160,7 +160,7 @@ PROTOCOLS: Mapping[str, BenchProtocol] = {
 
 
 def protocol_named(name: str) -> BenchProtocol:
-    """The protocol of a name.
+    """The protocol with this name.
 
     Raises:
         ReconError: names the protocols there are.
@@ -172,7 +172,7 @@ def protocol_named(name: str) -> BenchProtocol:
 
 @dataclass(frozen=True)
 class SeenWindow:
-    """One window: the data given to a method, and the truth that is withheld."""
+    """A window: the data that a method gets, and the truth that is withheld."""
 
     name: str
     """Clip and first second, such as `07_01@0.20`."""
@@ -187,14 +187,14 @@ class SeenWindow:
 
     @property
     def file_name(self) -> str:
-        """The name of the files of this window, of observations and of predictions."""
+        """Name of the window's observation file, and of a prediction for it."""
         return f"{self.name.replace('/', '_')}.npz"
 
 
 def seen_windows(
     protocol: BenchProtocol, windows: TrueWindows, body: BodyModel
 ) -> list[SeenWindow]:
-    """The observed data of every window.
+    """Simulate the observations of all windows under a protocol.
 
     Noise depends on the name of the window alone, so that it is the same whichever other windows
     there are.
@@ -231,5 +231,5 @@ def _seen_window(
 
 
 def noise_of(seen: PositionsFile) -> float:
-    """Standard deviation of the simulated data, metres; zero where the record has none."""
+    """Standard deviation of a window's noise, metres; zero if it has none."""
     return 0.0 if seen.std is None else float(torch.from_numpy(seen.std[seen.visible]).median())

@@ -1,4 +1,4 @@
-"""Results of a benchmark: means over subjects with confidence intervals, by method."""
+"""The table of a benchmark: means over subjects with confidence intervals, by method."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Values = Sequence[float | None]
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its confidence interval."""
+    """A mean with its confidence interval."""
 
     mean: float
     low: float
@@ -34,7 +34,7 @@ class Interval:
 
 
 def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> Interval:
-    """Mean over subjects of a subject's mean over windows, with its 95 % interval.
+    """Mean over subjects of each subject's mean over windows, with a 95 % interval.
 
     Args:
         values: of one metric, window by window.
@@ -63,7 +63,7 @@ def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> I
 def paired(
     values: Values, others: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> Interval:
-    """The mean difference `values` - `others` on the same windows, with its 95 % interval.
+    """Mean difference of two methods on the same windows, with a 95 % interval.
 
     Raises:
         ValueError: when the lengths differ, or no window has both values.
@@ -79,7 +79,7 @@ def paired(
 def _by_clip(
     values: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> dict[str, Float[np.ndarray, "clips 2"]]:
-    """The sum and number of values of each clip, by subject."""
+    """Sum and number of the values of each clip, keyed by subject."""
     found: dict[str, dict[str, list[float]]] = {}
     for value, clip, subject in zip(values, clips, subjects, strict=True):
         if value is not None:
@@ -93,7 +93,7 @@ def _by_clip(
 def _resampled(
     clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
 ) -> Float[np.ndarray, " draws"]:
-    """Bootstrap means of a subject: clips are drawn with replacement."""
+    """Bootstrap means of one subject, whose clips are drawn with replacement."""
     drawn = clips[random.integers(0, len(clips), (DRAWS, len(clips)))].sum(1)
     return drawn[:, 0] / drawn[:, 1]
 
@@ -120,7 +120,7 @@ class BenchTable:
     """SHA-256 of the motion files that were read, with their names."""
 
     def mean(self, method: str, metric: str) -> Interval | None:
-        """The mean of the counted subjects' means, with its 95 % interval.
+        """Mean of a metric over the counted subjects, with its 95 % interval.
 
         Whole clips are drawn again within each subject (`recon.benchmark.table`). None where no
         window has a value.
@@ -133,7 +133,7 @@ class BenchTable:
         return interval(values, clips, [self.subjects[i] for i in chosen])
 
     def by_subject(self, method: str, metric: str) -> dict[str, float | None]:
-        """Means over the windows of each subject; None where none of them has a value."""
+        """Mean of a metric over each subject's windows; None if no window has a value."""
         rows = tuple(zip(self.subjects, self.values[method][metric], strict=True))
         found: dict[str, float | None] = {}
         for subject in sorted(set(self.subjects)):
@@ -142,7 +142,7 @@ class BenchTable:
         return found
 
     def rows(self) -> dict[str, dict[str, str]]:
-        """The cells of the table by method and heading, as people read them.
+        """The cells of the printed table, by method and heading.
 
         The first two columns have intervals; those of all metrics are in `as_json`.
         """
@@ -150,7 +150,9 @@ class BenchTable:
         columns = tuple(self.protocol.columns.items())
         for method in self.values:
             found[method] = {
-                heading: _cell(self.mean(method, metric), factor, self._told and column < 2)
+                heading: _interval_as_text(
+                    self.mean(method, metric), factor, self._has_intervals and column < 2
+                )
                 for column, (metric, (heading, factor)) in enumerate(columns)
             }
             right = self.feet[method]
@@ -164,14 +166,14 @@ class BenchTable:
         return found
 
     @property
-    def _told(self) -> bool:
-        """Whether every subject has several clips, as a meaningful interval requires."""
+    def _has_intervals(self) -> bool:
+        """Whether every subject has several clips, which an interval needs."""
         clips = set(zip(self.subjects, (n.rsplit("@", 1)[0] for n in self.names), strict=True))
         counts = [sum(own == subject for own, _ in clips) for subject in self.counted]
         return min(counts) > 1
 
     def as_json(self) -> dict[str, Any]:
-        """All numbers: the setting, the means with intervals, and the values of every window."""
+        """All numbers: settings, means with intervals, and the values of every window."""
         return {
             "protocol": self.protocol.name,
             "about": self.protocol.about,
@@ -179,20 +181,23 @@ class BenchTable:
             "data": self.data,
             "versions": versions(),
             "windows": {"names": self.names, "subjects": self.subjects, "counted": self.counted},
-            "methods": {method: self._method(method) for method in self.values},
+            "methods": {method: self._method_as_json(method) for method in self.values},
         }
 
-    def _method(self, method: str) -> dict[str, Any]:
+    def _method_as_json(self, method: str) -> dict[str, Any]:
         rows = self.values[method]
         return {
-            "mean": {metric: _numbers(self.mean(method, metric), self._told) for metric in rows},
+            "mean": {
+                metric: _interval_as_numbers(self.mean(method, metric), self._has_intervals)
+                for metric in rows
+            },
             "feet_balanced": self.feet[method],
             "subjects": {metric: self.by_subject(method, metric) for metric in rows},
             "windows": rows,
         }
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> None:
-        """Write all numbers as JSON.
+        """Write all numbers of the table as JSON.
 
         Raises:
             FileExistsError: when it is there and recon did not write it, unless `overwrite`.
@@ -200,23 +205,25 @@ class BenchTable:
         write_report(Path(path), self.as_json(), overwrite=overwrite)
 
     def __str__(self) -> str:
-        """The first column of the table, one line per method."""
+        """The first column of the table, a line per method."""
         metric, (heading, _) = next(iter(self.protocol.columns.items()))
         lines = [f"  {name}: {row[heading]}" for name, row in self.rows().items()]
         return "\n".join([f"{self.protocol.name}, {self.source}: {heading} ({metric})", *lines])
 
 
-def _cell(found: Interval | None, factor: float, told: bool) -> str:
+def _interval_as_text(found: Interval | None, factor: float, with_interval: bool) -> str:
     if found is None:
         return "–"
     mean = f"{factor * found.mean:.2f}"
-    if not told or found.low == found.high:
+    if not with_interval or found.low == found.high:
         return mean
     return f"{mean} [{factor * found.low:.2f}, {factor * found.high:.2f}]"
 
 
-def _numbers(found: Interval | None, told: bool) -> dict[str, float | None] | None:
+def _interval_as_numbers(
+    found: Interval | None, with_interval: bool
+) -> dict[str, float | None] | None:
     if found is None:
         return None
-    low, high = (found.low, found.high) if told else (None, None)
+    low, high = (found.low, found.high) if with_interval else (None, None)
     return {"mean": found.mean, "low": low, "high": high}

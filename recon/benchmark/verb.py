@@ -1,4 +1,4 @@
-"""`recon bench`: methods on the same windows as everybody else's."""
+"""`recon bench`: evaluates methods on the same windows as everybody else's."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,7 +22,7 @@ def bench(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Judge methods by the same windows and noise as everybody else's.
+    """Evaluate methods on the same windows and noise as everybody else's.
 
     The windows are those of the free CMU recordings that the package lists, 2 s each. Without
     --corpus they are two of the bundled walk, which shows that a method runs, not how good it is.
@@ -45,11 +45,11 @@ def bench(
     """
     del quiet  # used by the decorator `writes`
     from recon.cli import console
-    from recon.cli.looks import find_here
+    from recon.cli.looks import allow_current_folder
 
     if write is not None and (method or predictions or json is not None):
-        raise ValueError("--write only writes the observations; evaluate in another run")
-    find_here(method)
+        raise ValueError("--write writes observations only; evaluate methods in another run")
+    allow_current_folder(method)
     from recon.benchmark import judged as work
 
     if write is not None:
@@ -61,14 +61,14 @@ def bench(
     with console.progress() as bar:
         tasks = {}
 
-        def show(name: str, window: str) -> None:
+        def advance_bar(name: str, window: str) -> None:
             if name not in tasks:
                 tasks[name] = bar.add_task(name, total=None)
             bar.update(tasks[name], description=f"{name}: {window}", advance=1)
 
         table = work.bench(
             protocol, method, corpus, predictions=predictions, part=part, splits=splits, only=only,
-            callback=show,
+            callback=advance_bar,
         )  # fmt: skip
     console.table(f"{protocol}, {table.source}", table.rows())
     if json is None:

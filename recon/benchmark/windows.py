@@ -1,4 +1,4 @@
-"""True windows as one batch: those that the splits list, or those of the bundled clip."""
+"""Loads the true motions of windows that the splits list, or of the bundled clip."""
 
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -31,7 +31,7 @@ BONE_ERROR = 0.005
 
 @dataclass(frozen=True)
 class TrueWindows:
-    """True motions, each clock starting at zero."""
+    """True motions of windows as a batch; every window's time starts at zero."""
 
     truth: Motion
     contacts: Bool[Tensor, "clips time 22"]
@@ -48,7 +48,7 @@ class TrueWindows:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """The clip of every window."""
+        """The clip from which every window is."""
         return tuple(name.rsplit("@", 1)[0] for name in self.names)
 
     @property
@@ -58,13 +58,13 @@ class TrueWindows:
         return [subject for subject in every if subject not in self.apart] or every
 
     def frames(self, start: int, stop: int) -> "TrueWindows":
-        """Some frames of every window; the clocks go on."""
+        """The same range of frames of every window."""
         return replace(
             self, truth=self.truth.window(start, stop), contacts=self.contacts[:, start:stop]
         )
 
     def take(self, rows: list[int]) -> "TrueWindows":
-        """Some of them."""
+        """Some of the windows."""
         return replace(
             self,
             truth=self.truth[rows],
@@ -82,7 +82,7 @@ def load_windows(
     seed: int = 0,
     frames: int = FRAMES,
 ) -> TrueWindows:
-    """All windows of one length that the splits list for a part, at 30 Hz.
+    """Load all windows of one length that the splits list for a part, at 30 Hz.
 
     Where the splits list no windows of that length, they lie about the middle of the listed ones
     of 60 frames, shifted as far as needed to lie inside the clip; clips shorter than that drop
@@ -141,7 +141,7 @@ def load_windows(
 def contacts_at(
     recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
 ) -> Bool[Tensor, "time 22"]:
-    """The recording's contact labels, nearest in time; computed from the motion if it has none."""
+    """Contact labels at some times: the recording's nearest ones, else computed ones."""
     motion, labels = recorded.motion, recorded.contacts
     if labels is None:
         heights = rest_heights(body, motion.shape)
@@ -154,7 +154,7 @@ def contacts_at(
 def draw_girth(
     body: BodyModel, shape: Float[Tensor, " shape"], random: np.random.Generator
 ) -> Float[Tensor, " shape"]:
-    """A random shape with about the same bone lengths.
+    """A random shape (girth) with about the same bone lengths as the given one.
 
     Drawn from the conditional density of shapes.
 
@@ -183,7 +183,7 @@ def bench_source(
     only: int | None,
     body: BodyModel,
 ) -> tuple[TrueWindows, str, str]:
-    """The windows of a split in a folder of motions, or of the bundled clip.
+    """Load the windows of a split from a folder of motions, or of the bundled clip.
 
     Returns the windows, which they are for people, and the SHA-256 of the motion files that were
     read, with their names.
@@ -202,11 +202,13 @@ def bench_source(
         ReconError: when listed clips are missing, or `splits` come without `corpus`.
     """
     if only is not None and only < 1:
-        raise ReconError(f"expected one window or more to use, got {only}")
+        raise ReconError(f"only: expected at least one window, got {only}")
     if corpus is None and splits is not None:
-        raise ReconError("splits list windows of a folder of motions: give it as --corpus")
+        raise ReconError(
+            "splits need the folder of motions whose windows they list: give it as --corpus"
+        )
     if corpus is None:
-        windows, about, checksum = _bundled(body)
+        windows, about, checksum = _bundled_windows(body)
     else:
         listed = Splits.load(SPLITS if splits is None else splits)
         if splits is None:
@@ -231,7 +233,7 @@ def free_windows(splits: Splits, part: Part) -> Splits:
     return replace(splits, windows={part: lengths})
 
 
-def _bundled(body: BodyModel) -> tuple[TrueWindows, str, str]:
+def _bundled_windows(body: BodyModel) -> tuple[TrueWindows, str, str]:
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         recorded = load_motion(path)
         checksum = files_checksum([path], path.parent)

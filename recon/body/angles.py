@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
-from recon.body.segments import BONES, cardan, carried, elevation, isb_axes
+from recon.body.segments import BONES, cardan, elevation_angles, isb_axes, posed_axes
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import PARENTS, joint_index
@@ -23,7 +23,7 @@ _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class _Angles:
+class _JointAngles:
     """Three angles between two segments."""
 
     proximal: str
@@ -41,41 +41,43 @@ class _Angles:
         relative = np.swapaxes(proximal, -1, -2) @ distal
         if end == "l":
             relative = _MIRROR @ relative @ _MIRROR
-        angles = elevation(relative) if self.order == "YXY" else cardan(relative, self.order)
+        angles = (
+            elevation_angles(relative) if self.order == "YXY" else cardan(relative, self.order)
+        )
         return np.rad2deg(angles) * self.signs
 
 
 _MIDDLE = (
-    _Angles(
+    _JointAngles(
         "ground", "pelvis", "YXZ",
         ("pelvis_left_rotation", "pelvis_left_up_obliquity", "pelvis_anterior_tilt"),
         (1.0, 1.0, -1.0),
     ),
-    _Angles(
+    _JointAngles(
         "pelvis", "thorax", "ZXY",
         ("trunk_flexion", "trunk_right_bending", "trunk_left_rotation"), (-1.0, 1.0, 1.0),
     ),
 )  # fmt: skip
 _SIDED = (
-    _Angles(
+    _JointAngles(
         "pelvis", "femur", "ZXY", ("hip_flexion", "hip_adduction", "hip_internal_rotation")
     ),
-    _Angles(
+    _JointAngles(
         "femur", "tibia", "ZXY", ("knee_flexion", "knee_adduction", "knee_internal_rotation"),
         (-1.0, 1.0, 1.0),
     ),
-    _Angles(
+    _JointAngles(
         "tibia", "foot", "ZXY",
         ("ankle_dorsiflexion", "ankle_inversion", "ankle_internal_rotation"),
     ),
-    _Angles(
+    _JointAngles(
         "thorax", "humerus", "YXY",
         ("shoulder_plane_of_elevation", "shoulder_elevation", "shoulder_internal_rotation"),
     ),
-    _Angles(
+    _JointAngles(
         "humerus", "forearm", "ZXY", ("elbow_flexion", "elbow_adduction", "forearm_pronation")
     ),
-    _Angles(
+    _JointAngles(
         "forearm", "hand", "ZXY", ("wrist_flexion", "wrist_ulnar_deviation", "wrist_pronation")
     ),
 )  # fmt: skip
@@ -116,7 +118,7 @@ def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "
     Raises:
         ValueError: when the body is another one.
     """
-    axes = _axes(motion, body)
+    axes = _segment_axes(motion, body)
     found = [
         one.degrees(axes[proximal], axes[distal], end) for one, proximal, distal, end in _PAIRS
     ]
@@ -137,7 +139,7 @@ def isb_slopes(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angle
     Raises:
         ValueError: when the body is another one.
     """
-    axes, turns = _axes(motion, body), so3.exp(_STEP * torch.eye(3).double()).numpy()
+    axes, turns = _segment_axes(motion, body), so3.exp(_STEP * torch.eye(3).double()).numpy()
     bones = body.pose(motion).orientations.detach().double().cpu().numpy()
     found = np.zeros((motion.frames, len(_PAIRS), 3, 22, 3))
     for row, (one, near, far, end) in enumerate(_PAIRS):
@@ -146,7 +148,7 @@ def isb_slopes(motion: Motion, body: BodyModel) -> Float[np.ndarray, "time angle
         away = np.stack([one.degrees(before, after @ turn, end) for turn in turns], -1)
         away -= here[..., None]
         by_own_axes = (away - 360 * np.round(away / 360)) / _STEP
-        for joint in _between(near, far):
+        for joint in _joints_between(near, far):
             own = np.swapaxes(after, -1, -2) @ bones[:, joint]
             found[:, row, :, joint] = by_own_axes @ own
     return found.reshape(motion.frames, len(ISB_ANGLES), -1)
@@ -156,14 +158,14 @@ _STEP = 1e-4
 """Radians by which a segment is turned where derivatives are differences."""
 
 
-def _axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 3 3"]]:
+def _segment_axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 3 3"]]:
     """Axes of the segments in every frame, and the axes of the ground."""
-    axes = carried(isb_axes(body, motion.shape), body, motion)
+    axes = posed_axes(isb_axes(body, motion.shape), body, motion)
     return axes | {"ground": np.broadcast_to(to_z_up("y"), axes["pelvis"].shape)}
 
 
-def _between(proximal: str, distal: str) -> list[int]:
-    """The joints between two segments, whose rotations turn one relative to the other."""
+def _joints_between(proximal: str, distal: str) -> list[int]:
+    """The joints whose rotations turn one segment relative to the other."""
     last = -1 if proximal == "ground" else joint_index(BONES[proximal])
     joints = [joint_index(BONES[distal])]
     while PARENTS[joints[-1]] != last:

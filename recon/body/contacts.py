@@ -69,7 +69,7 @@ def contact_probabilities(
     fps: float,
     std: Float[Tensor, "*batch time 22"] | None = None,
 ) -> Float[Tensor, "*batch time 22"]:
-    """Probability that a joint is in contact, by its height, its speed and how sure both are.
+    """Probability that a joint is in contact, from its height, its speed and their uncertainty.
 
     p = σ(min(lower / √(h² + std²), slower / √(v² + (std / t)²))), where lower and slower are
     what the joint is below the limits of `contact_labels`: p is above one half where the label is
@@ -106,7 +106,7 @@ def _margins(
 
 
 def speeds(joints: Tensor, fps: float) -> Tensor:
-    """Speed of every joint in every frame, m/s; a single frame stands still."""
+    """Speed of every joint in every frame, m/s; zero for a single frame."""
     if joints.shape[-3] < 2:
         return torch.zeros_like(joints[..., 0])
     (velocity,) = torch.gradient(joints, spacing=1 / fps, dim=-3)

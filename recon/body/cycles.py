@@ -67,15 +67,15 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
     of the path's cost; of overlapping cycles the best is kept. Marsot et al., section 4, with
     what it leaves open.
     """
-    times = _clock(motion)
+    times = _frame_times(motion)
     if len(times) < SHORTEST_CYCLE * RATE:
         return ()
     flexion = hip_flexion(motion.at(torch.from_numpy(times), float(RATE)))
     hips = _standardised(flexion)
     found: list[Cycle] = []
-    for side, template in _templates().items():
-        cost, first = warp(template, hips)
-        for last in _minima(cost, threshold):
+    for side, template in _hip_flexion_templates().items():
+        cost, first = warping_costs(template, hips)
+        for last in _minima_below(cost, threshold):
             begin, end = times[first[last]], times[last]
             returns = np.abs(flexion[last] - flexion[first[last]]).max() <= _RETURN
             if SHORTEST_CYCLE <= end - begin <= LONGEST_CYCLE and returns:
@@ -90,7 +90,7 @@ def hip_flexion(motion: Motion) -> Float[np.ndarray, "frames 2"]:
     return np.arctan2(down[..., 2], -down[..., 1])
 
 
-def warp(
+def warping_costs(
     template: Float[np.ndarray, "rows hips"], hips: Float[np.ndarray, "frames hips"]
 ) -> tuple[Float[np.ndarray, " frames"], Int[np.ndarray, " frames"]]:
     """Cost of the best path that ends at each frame, per row of the template; and its first frame.
@@ -114,13 +114,13 @@ def warp(
     return total[-1] / rows, begin[-1]
 
 
-def _clock(motion: Motion) -> Float[np.ndarray, " frames"]:
+def _frame_times(motion: Motion) -> Float[np.ndarray, " frames"]:
     last = (int(motion.valid.sum()) - 1) / motion.fps
     return motion.start_time + np.arange(int(last * RATE + 1e-6) + 1) / RATE
 
 
-def _templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
-    """A second of gait that begins with the left foot, and one with the right."""
+def _hip_flexion_templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
+    """Hip flexion in one second of gait that begins with the left foot, and with the right."""
     from scipy.interpolate import CubicSpline
 
     curve = CubicSpline(np.linspace(0, 1, 11), np.radians([*_GAIT, _GAIT[0]]), bc_type="periodic")
@@ -144,7 +144,7 @@ def _standardised(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "
     return away / np.maximum(np.sqrt(variance), _LEAST_SWING)[:, None]
 
 
-def _minima(cost: Float[np.ndarray, " frames"], threshold: float) -> list[int]:
+def _minima_below(cost: Float[np.ndarray, " frames"], threshold: float) -> list[int]:
     """Frames that are local minima of the cost below the threshold."""
     padded = np.concatenate([[np.inf], cost, [np.inf]])
     lowest: Bool[np.ndarray, " frames"] = (cost < padded[:-2]) & (cost <= padded[2:])

@@ -14,7 +14,7 @@ from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 @dataclass(frozen=True)
 class CarriedPoints:
-    """Points that bones carry: p_v = Σ_j O_j c_vj + m_vj p_j, with O_j and p_j the bones' poses.
+    """Points carried by bones of rotation O_j and origin p_j: p_v = Σ_j O_j c_vj + m_vj p_j.
 
     Joints, points of the skin (linear blend skinning) and their means are such points.
     """
@@ -81,7 +81,7 @@ class CarriedPoints:
         joints: Float[Tensor, "*batch 22 3"],
     ) -> Float[Tensor, "*batch points 3"]:
         """The points on bones in these poses, metres."""
-        return _parts(self.place, orientations).sum(-2) + self.share @ joints
+        return _offsets_in_world(self.place, orientations).sum(-2) + self.share @ joints
 
     def by_rotations(
         self, orientations: Float[Tensor, "time 22 3 3"], joints: Float[Tensor, "time 22 3"]
@@ -90,7 +90,9 @@ class CarriedPoints:
 
         A step turns all that hangs from joint a about p_a by the world vector O_a d_a.
         """
-        parts = _parts(self.place, orientations) + self.share[:, :, None] * joints[:, None]
+        parts = (
+            _offsets_in_world(self.place, orientations) + self.share[:, :, None] * joints[:, None]
+        )
         below = BELOW.to(parts)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
         axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
@@ -99,12 +101,10 @@ class CarriedPoints:
 
     def by_shape(
         self,
-        rotations: Float[Tensor, "time 22 3 3"],
         orientations: Float[Tensor, "time 22 3 3"],
         body: BodyModel,
     ) -> Float[Tensor, "time points 3 shape"]:
         """Derivatives by the coefficients of the shape, metres."""
-        del rotations
         count = len(self.place_by_shape)
         return self.by_shape_of(orientations, joints_by_shape(orientations, body, count))
 
@@ -123,7 +123,7 @@ class CarriedPoints:
 def joints_by_shape(
     orientations: Float[Tensor, "time 22 3 3"], body: BodyModel, count: int
 ) -> Float[Tensor, "time 22 3 shape"]:
-    """Derivatives of the joints by so many coefficients of the shape, metres."""
+    """Derivatives of the joints by the first `count` shape coefficients, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
     bones = directions.clone()
     bones[1:] -= directions[list(PARENTS[1:])]
@@ -133,7 +133,7 @@ def joints_by_shape(
     return (BELOW.to(turned).mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 
-def turned_by(
+def right_jacobian(
     steps: Float[Tensor, "*batch joints 3"],
 ) -> Float[Tensor, "*batch joints 3 3"]:
     """The right Jacobian J of SO(3): Exp(v + dv) = Exp(v) Exp(J dv) to first order."""
@@ -148,10 +148,10 @@ def turned_by(
     return identity - first * cross + second * (cross @ cross)
 
 
-def logarithm_by(
+def inverse_right_jacobian(
     steps: Float[Tensor, "*batch joints 3"],
 ) -> Float[Tensor, "*batch joints 3 3"]:
-    """The inverse of `turned_by`: Log(Exp(v) Exp(d)) = v + J⁻¹ d to first order.
+    """The inverse of `right_jacobian`: Log(Exp(v) Exp(d)) = v + J⁻¹ d to first order.
 
     J⁻¹ = 1 + ½ [v] + (1/θ² - cot(θ/2) / 2θ) [v]², with θ = |v| up to π.
     """
@@ -165,7 +165,7 @@ def logarithm_by(
     return identity + 0.5 * cross + factor * (cross @ cross)
 
 
-def _parts(
+def _offsets_in_world(
     place: Float[Tensor, "points 22 3"], orientations: Float[Tensor, "*batch 22 3 3"]
 ) -> Float[Tensor, "*batch points 22 3"]:
     return torch.einsum("...jab,vjb->...vja", orientations, place)

@@ -31,17 +31,17 @@ FORMS = (
 """The forms of description that `identity` takes."""
 
 
-class Lean(Enum):
+class _FromAverage(Enum):
     """Whether a measurement should be below or above the average."""
 
-    LESS = -1
-    MORE = 1
+    BELOW = -1
+    ABOVE = 1
 
 
 _WORDS = {
-    "man": ("sex", Lean.MORE), "woman": ("sex", Lean.LESS),
-    "tall": ("height", Lean.MORE), "short": ("height", Lean.LESS),
-    "heavy": ("weight", Lean.MORE), "slim": ("weight", Lean.LESS),
+    "man": ("sex", _FromAverage.ABOVE), "woman": ("sex", _FromAverage.BELOW),
+    "tall": ("height", _FromAverage.ABOVE), "short": ("height", _FromAverage.BELOW),
+    "heavy": ("weight", _FromAverage.ABOVE), "slim": ("weight", _FromAverage.BELOW),
 }  # fmt: skip
 _LIMITS = {"height": (1.0, 2.5, "metres"), "weight": (20.0, 250.0, "kilograms")}
 """Least and greatest values; beyond them a unit is wrong."""
@@ -55,13 +55,13 @@ Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
 
 
 @dataclass(frozen=True)
-class _Wishes:
+class _WantedMeasures:
     """The wanted measures: below or above average, a number (m, kg), or None."""
 
-    sex: Lean | None = None
-    """More is a man."""
-    height: Lean | float | None = None
-    weight: Lean | float | None = None
+    sex: _FromAverage | None = None
+    """Above the average is a man."""
+    height: _FromAverage | float | None = None
+    weight: _FromAverage | float | None = None
 
 
 def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
@@ -79,11 +79,11 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
             no shape has it.
     """
     words = [word.strip() for word in spec.split(",")]
-    if _numbers(words):
+    if _all_numbers(words):
         return _coefficients(spec, words, body)
     if spec.strip().endswith(".npz") or Path(spec).is_file():
         return load_motion_of(Path(spec.strip()), body).motion.shape
-    return _person(_measures_asked(spec, words), body)
+    return _shape_with(_measures_asked(spec, words), body)
 
 
 def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
@@ -111,8 +111,8 @@ def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
 def nearest_shape(
     base: Float[Tensor, " shape"],
     measures: Sequence[Measure],
-    asked: Sequence[float],
-    free: Float[Tensor, "shape shape"],
+    wanted: Sequence[float],
+    allowed: Float[Tensor, "shape shape"],
 ) -> Float[Tensor, " shape"]:
     """The shape nearest to `base` that has the wanted measures.
 
@@ -122,26 +122,26 @@ def nearest_shape(
     Args:
         base: s0.
         measures: c(s), metres or kilograms.
-        asked: c.
-        free: projection onto the directions in which the shape may change.
+        wanted: c.
+        allowed: projection onto the directions in which the shape may change.
 
     Raises:
         ValueError: when no shape is found that has them.
     """
-    goal, shape = base.new_tensor(asked), base
+    goal, shape = base.new_tensor(wanted), base
     for _ in range(_STEPS):
-        values, slopes = _linear(shape, measures, free)
+        values, slopes = _values_and_gradients(shape, measures, allowed)
         if bool(((goal - values).abs() < _CLOSE).all()):
             return shape
-        wanted = goal - values + slopes @ (shape - base)
-        away = slopes.mT @ torch.linalg.solve(slopes @ slopes.mT, wanted)
+        change = goal - values + slopes @ (shape - base)
+        away = slopes.mT @ torch.linalg.solve(slopes @ slopes.mT, change)
         if not float(away.norm()) < _MAX_STDS:
             break
         shape = base + away
     raise ReconError("no body of this model has these measures; ask for milder ones")
 
 
-def _numbers(words: list[str]) -> bool:
+def _all_numbers(words: list[str]) -> bool:
     try:
         return bool([float(word) for word in words])
     except ValueError:
@@ -160,13 +160,13 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
-def _measures_asked(spec: str, words: list[str]) -> _Wishes:
+def _measures_asked(spec: str, words: list[str]) -> _WantedMeasures:
     """The measures that the words of a description ask for."""
     found: dict[str, Any] = {}
     for word in words:
         name, equals, value = (part.strip() for part in word.partition("="))
         if equals and name in _LIMITS:
-            slot, wish = name, _measure(spec, name, value)
+            slot, wish = name, _parsed_measure(spec, name, value)
         elif not equals and name in _WORDS:
             slot, wish = _WORDS[name]
         else:
@@ -174,10 +174,10 @@ def _measures_asked(spec: str, words: list[str]) -> _Wishes:
         if slot in found:
             raise ReconError(f"shape {spec!r}: says the {slot} twice")
         found[slot] = wish
-    return _Wishes(**found)
+    return _WantedMeasures(**found)
 
 
-def _measure(spec: str, name: str, value: str) -> float:
+def _parsed_measure(spec: str, name: str, value: str) -> float:
     least, most, unit = _LIMITS[name]
     try:
         number = float(value)
@@ -192,20 +192,20 @@ def _measure(spec: str, name: str, value: str) -> float:
     return number
 
 
-def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
+def _shape_with(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     exact = body.to(dtype=torch.float64)
-    base, free = _sex(wishes.sex, exact)
+    base, free = _mean_of_sex(wanted.sex, exact)
     tall, heavy = exact.height, partial(weight, exact)
-    metres, kilograms = wishes.height, wishes.weight
-    if isinstance(metres, Lean):
+    metres, kilograms = wanted.height, wanted.weight
+    if isinstance(metres, _FromAverage):
         # one standard deviation of a linear measure is the length of its gradient
-        values, slopes = _linear(base, (tall,), free)
+        values, slopes = _values_and_gradients(base, (tall,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
-    if isinstance(kilograms, Lean):
+    if isinstance(kilograms, _FromAverage):
         # heavy and slim are relative to people of this height
         goal = float(tall(base)) if metres is None else metres
         shape = nearest_shape(base, (tall,), (goal,), free)
-        _, slopes = _linear(shape, (tall, heavy), free)
+        _, slopes = _values_and_gradients(shape, (tall, heavy), free)
         up = slopes[0] / slopes[0].norm()
         wide = slopes[1] - (slopes[1] @ up) * up
         return (shape + kilograms.value * ONE_IN_TWENTY * wide / wide.norm()).to(body.template)
@@ -215,26 +215,27 @@ def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
     return base.to(body.template)
 
 
-def _sex(wish: Lean | None, body: BodyModel) -> tuple[Tensor, Tensor]:
+def _mean_of_sex(sex: _FromAverage | None, body: BodyModel) -> tuple[Tensor, Tensor]:
     """The mean shape of a sex, and the projection onto shape changes that keep the sex."""
     free = torch.eye(body.shape_size).to(body.male)
-    if wish is None:
+    if sex is None:
         return torch.zeros_like(body.male), free
     between = body.male - body.female
     if not bool((between != 0).any()):
         raise ReconError(
-            f"the body {body.name!r} has one sex: give height and weight, or coefficients"
+            f"the body {body.name!r} has no mean shapes of men and women: give height and "
+            "weight, or coefficients"
         )
     axis = between / between.norm()
-    mean = body.male if wish is Lean.MORE else body.female
+    mean = body.male if sex is _FromAverage.ABOVE else body.female
     return mean, free - axis[:, None] * axis
 
 
-def _linear(
-    shape: Tensor, measures: Sequence[Measure], free: Tensor
+def _values_and_gradients(
+    shape: Tensor, measures: Sequence[Measure], allowed: Tensor
 ) -> tuple[Float[Tensor, " measures"], Float[Tensor, "measures shape"]]:
-    """Values of the measures, and their gradients as far as the shape may follow them."""
+    """Values of the measures, and their gradients, projected onto the allowed changes of shape."""
     at = shape.detach().requires_grad_()
     values = [of(at) for of in measures]
     slopes = torch.stack([torch.autograd.grad(value, at)[0] for value in values])
-    return torch.stack(values).detach(), slopes @ free
+    return torch.stack(values).detach(), slopes @ allowed

@@ -22,10 +22,10 @@ def forward_kinematics(
     parents = constant(tuple(PARENTS[1:]), rest.device)
     bones = torch.cat((rest[..., :1, :], rest[..., 1:, :] - rest[..., parents, :]), -2)
     bones = bones[..., None, :, :].expand(rotations.shape[:-1])
-    return _Chain.apply(rotations, bones)
+    return _KinematicChain.apply(rotations, bones)
 
 
-class _Chain(torch.autograd.Function):
+class _KinematicChain(torch.autograd.Function):
     """Rigid transforms [R_c | b_c] of every joint, multiplied along the tree."""
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Feet that stand flat, and the rotation that levels a floor by where they stand."""
+"""Frames in which feet stand flat, and the rotation that makes a tilted floor level."""
 
 import math
 
@@ -84,7 +84,7 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
         return None
     angle = torch.atan(slope)
     axis = torch.stack((plane[1], -plane[0], torch.zeros_like(slope))) / slope
-    # the normal (-a, -b, 1) goes to z: about n × z = (-b, a, 0)
+    # rotate the normal n = (-a, -b, 1) to z: the axis is n × z = (-b, a, 0)
     return so3.exp(-axis * angle).float()
 
 

@@ -27,7 +27,7 @@ COORDINATES = 3 + 3 * len(JOINTS)
 """Coordinates of a step of one frame: metres and radians."""
 
 
-def affine(
+def bone_affines(
     orientations: Float[Tensor, "frames 22 3 3"], joints: Float[Tensor, "frames 22 3"]
 ) -> Float[Tensor, "frames 3 88"]:
     """The poses of all bones side by side, [O_j | p_j]."""
@@ -39,19 +39,19 @@ def turned(
     orientations: Float[Tensor, "frames 22 3 3"],
     turns: Float[Tensor, "frames 66"],
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """Rotations R_a Exp(O_aᵀ w_a) after turns w_a about world axes, as in a step's coordinates."""
+    """Rotations R_a Exp(O_aᵀ w_a) after rotation steps w_a about world axes."""
     world = turns.unflatten(-1, (3, -1)).transpose(1, 2)
     return rotations @ so3.exp((orientations.mT @ world[..., None])[..., 0])
 
 
-def world_turns(
+def flat_world_vectors(
     local: Float[Tensor, "frames 22 3"], orientations: Float[Tensor, "frames 22 3 3"]
 ) -> Float[Tensor, "frames 66"]:
-    """Vectors in bone frames, such as gradients by R_a Exp(d_a), in the coordinates of steps."""
+    """Vectors in bone frames, rotated to the world and flattened as a step is, (xyz, joints)."""
     return (orientations @ local[..., None])[..., 0].transpose(1, 2).flatten(-2)
 
 
-def gathered(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
+def sums_over_descendants(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
     """For every joint, the sum over it and its descendants."""
     return values @ BELOW.to(values).mT
 
@@ -67,7 +67,7 @@ class Levers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints) -> "Levers":
-        """The columns of some points: places c_vj on the bones and shares m_vj of the joints."""
+        """The matrices for points, from their places c_vj on bones and shares m_vj of joints."""
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
@@ -82,11 +82,13 @@ class Levers(TensorStruct):
         """The points, world, metres."""
         return pose @ self.points
 
-    def about(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points 22"]:
-        """The levers, world, metres."""
+    def arms_about_joints(
+        self, pose: Float[Tensor, "frames 3 88"]
+    ) -> Float[Tensor, "frames 3 points 22"]:
+        """Vectors from joints to the points that they turn, world, metres."""
         return (pose @ self.arms).unflatten(-1, (-1, len(JOINTS)))
 
-    def pull(
+    def gradient_of(
         self, pose: Float[Tensor, "frames 3 88"], forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Gradient of Σ forces · points by the 69 coordinates of a step."""
@@ -94,13 +96,13 @@ class Levers(TensorStruct):
         loads = (forces @ self.points.mT).unflatten(-1, (-1, 4))
         push = loads[..., 3]
         torque = torch.linalg.cross(bones, loads, dim=1).sum(-1)
-        torque, push = gathered(torque), gathered(push)
+        torque, push = sums_over_descendants(torque), sums_over_descendants(push)
         turns = torque - torch.linalg.cross(bones[..., 3], push, dim=1)
         return torch.cat((forces.sum(-1), turns.flatten(1)), -1)
 
     def jacobian(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames points 3 69"]:
         """Jacobian of the points by the 69 coordinates of a step, metres."""
-        arms = self.about(pose).transpose(1, 2)
+        arms = self.arms_about_joints(pose).transpose(1, 2)
         out = arms.new_zeros(*arms.shape[:2], 3, COORDINATES)
         out.diagonal(dim1=-2, dim2=-1)[:] = 1  # derivative by the translation: the identity
         turns = out[..., 3:].unflatten(-1, (3, len(JOINTS)))
@@ -114,7 +116,7 @@ class Levers(TensorStruct):
         self, pose: Float[Tensor, "frames 3 88"], weights: Float[Tensor, "frames points"]
     ) -> Float[Tensor, "frames 69 69"]:
         """Σ weight JᵀJ over points, with J their derivatives by the coordinates of a step."""
-        arms = self.about(pose)
+        arms = self.arms_about_joints(pose)
         joints = len(JOINTS)
         flat = arms.transpose(1, 2).flatten(-2)
         weighted = flat * weights[..., None]
@@ -137,15 +139,15 @@ class Levers(TensorStruct):
         out[:, 3:, :3] = out[:, :3, 3:].mT
         return out
 
-    def add_rising(
+    def add_height_hessian(
         self,
-        to: Float[Tensor, "all 69 69"],
+        hessians: Float[Tensor, "all 69 69"],
         frames: Int[Tensor, " frames"],
         pose: Float[Tensor, "frames 3 88"],
         weights: Float[Tensor, "frames points"],
     ) -> None:
         """Add the Gauss-Newton Hessian Σ weight jᵀj of heights to the matrices of some frames."""
-        joints = self._joints
+        joints = self._turning_joints
         columns = self.arms.unflatten(-1, (-1, len(JOINTS)))[..., joints].flatten(1)
         arms = (pose[:, :2] @ columns).unflatten(-1, (-1, len(joints)))
         # the height changes by (w x lever)_z = w_x lever_y - w_y lever_x
@@ -153,12 +155,12 @@ class Levers(TensorStruct):
         slopes = torch.cat((up, arms[:, 1], -arms[:, 0]), -1)
         gram = (slopes * weights[..., None]).mT @ slopes
         turned_by = torch.cat((joints, joints + len(JOINTS)))
-        place = torch.cat((torch.tensor([2]), 3 + turned_by))
-        to[frames[:, None, None], place[:, None], place] += gram
+        rows = torch.cat((torch.tensor([2]), 3 + turned_by))
+        hessians[frames[:, None, None], rows[:, None], rows] += gram
 
     @cached_property
-    def _joints(self) -> Int[Tensor, " some"]:
-        """The joints from which any of the points hang."""
+    def _turning_joints(self) -> Int[Tensor, " some"]:
+        """The joints whose rotation moves any of the points."""
         arms = self.arms.unflatten(-1, (-1, len(JOINTS)))
         return (arms != 0).any(0).any(0).nonzero()[:, 0]
 
@@ -174,7 +176,7 @@ class ShapeLevers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
-        """The matrices of some points; a shape changes places on bones and bone lengths."""
+        """The matrices for some points; shape changes their places on bones and bone lengths."""
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
@@ -188,6 +190,6 @@ class ShapeLevers(TensorStruct):
     def by_shape(
         self, pose: Float[Tensor, "frames 3 88"]
     ) -> Float[Tensor, "frames points 3 shape"]:
-        """Derivatives of the points, metres."""
+        """Derivatives of the points by shape coefficients, metres."""
         moved = (pose @ self.columns).unflatten(-1, (-1, self.root.shape[-1]))
         return moved.transpose(1, 2) + self.root

@@ -41,7 +41,7 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     labels = tuple(labels)
     plain = {label: normalised(label) for label in labels}
     table = _synonyms()
-    if (shorter := _without_beginning(labels)) is not None and (
+    if (shorter := _without_common_prefix(labels)) is not None and (
         sum(word in table for word in shorter.values())
         > sum(word in table for word in plain.values())
     ):
@@ -50,7 +50,7 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     matched: dict[str, str] = {}
     unknown: list[str] = []
     for label, word in plain.items():
-        point = None if _centres().get(word) in words else table.get(word)
+        point = None if _joint_centres().get(word) in words else table.get(word)
         if point is None:
             unknown.append(label)
         else:
@@ -58,8 +58,8 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     return matched, tuple(unknown)
 
 
-def _without_beginning(labels: Sequence[str]) -> dict[str, str] | None:
-    """Normalised labels without the beginning that all share up to a separator, if they do.
+def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
+    """Normalised labels without the prefix that all share up to a separator; None without one.
 
     Points without a name, *12 or C_12, do not count.
     """
@@ -96,7 +96,7 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
         ) from error
     if not isinstance(entries, dict):
         raise ReconError(f'{path}: expected an object like {{"LASI": "left_asis"}}')
-    return {label: _vertex(path, label, point) for label, point in entries.items()}
+    return {label: _vertex_number(path, label, point) for label, point in entries.items()}
 
 
 def mapping_to_write(labels: Sequence[str]) -> str:
@@ -110,7 +110,7 @@ def mapping_to_write(labels: Sequence[str]) -> str:
     )
 
 
-def _vertex(path: Path, label: str, point: object) -> int | None:
+def _vertex_number(path: Path, label: str, point: object) -> int | None:
     if point in ("", None):
         return None
     if isinstance(point, str):
@@ -154,8 +154,8 @@ def _synonyms() -> Mapping[str, str]:
 
 
 @cache
-def _centres() -> Mapping[str, str]:
-    """Normalised label of a computed joint centre -> label of the marker beside it."""
+def _joint_centres() -> Mapping[str, str]:
+    """Normalised label of a computed joint centre -> label of the marker at the same joint."""
     pairs = cast("dict[str, str]", _sections()["centres"])
     return MappingProxyType(
         {

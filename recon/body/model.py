@@ -57,12 +57,12 @@ class BodyModel(TensorStruct):
             ValueError: when the file is no body model; the message says what is missing.
         """
         if path is None:
-            return _bundled()
+            return _bundled_body()
         from recon.formats.smpl import load_smpl  # most fits use the bundled body
 
         path = Path(path)
         arrays = load_smpl(path).of_body()
-        return _model(path.stem, path.read_bytes(), arrays)
+        return _model_from_arrays(path.stem, path.read_bytes(), arrays)
 
     @property
     def shape_size(self) -> int:
@@ -77,7 +77,7 @@ class BodyModel(TensorStruct):
 
     def rest_joints(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 22 3"]:
         """Joints of the unposed body, metres; missing trailing coefficients are zero."""
-        directions = self.joint_directions[..., : self._size(shape)].flatten(0, 1)
+        directions = self.joint_directions[..., : self._coefficient_count(shape)].flatten(0, 1)
         return self.joint_template + (shape @ directions.mT).unflatten(-1, (-1, 3))
 
     def rest_vertices(
@@ -90,7 +90,7 @@ class BodyModel(TensorStruct):
         if vertices is not None:
             template, directions = template[vertices], directions[vertices]
         return template + torch.einsum(
-            "vdk,...k->...vd", directions[..., : self._size(shape)], shape
+            "vdk,...k->...vd", directions[..., : self._coefficient_count(shape)], shape
         )
 
     def height(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
@@ -111,7 +111,7 @@ class BodyModel(TensorStruct):
             orientations=orientations,
         )
 
-    def _size(self, shape: Tensor) -> int:
+    def _coefficient_count(self, shape: Tensor) -> int:
         if shape.shape[-1] > self.shape_size:
             raise ValueError(
                 f"body {self.name!r} has {self.shape_size} shape coefficients, "
@@ -160,9 +160,9 @@ class PosedBody:
         skinned = (left @ right).unflatten(-1, (self.joints.shape[-3], 3)).movedim(-2, -3)
         if self.model.pose_directions is None:
             return skinned
-        return skinned + self._corrective(vertices, weights)
+        return skinned + self._pose_corrections(vertices, weights)
 
-    def _corrective(self, vertices: Tensor, weights: Tensor) -> Tensor:
+    def _pose_corrections(self, vertices: Tensor, weights: Tensor) -> Tensor:
         """Pose-dependent offsets (SMPL), turned by the blended rotation of each vertex."""
         directions = self.model.pose_directions
         assert directions is not None
@@ -174,7 +174,7 @@ class PosedBody:
 
 
 @lru_cache(maxsize=1)
-def _bundled() -> BodyModel:
+def _bundled_body() -> BodyModel:
     data = (resources.files("recon") / "assets" / "body.npz").read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
         arrays = {key: file[key] for key in file.files}
@@ -182,11 +182,11 @@ def _bundled() -> BodyModel:
     weights = np.zeros((len(index), len(JOINTS)))
     np.add.at(weights, (np.arange(len(index))[:, None], index), arrays["weight_value"])
     arrays["weights"] = weights / weights.sum(1, keepdims=True)
-    return _model("recon", data, arrays)
+    return _model_from_arrays("recon", data, arrays)
 
 
-def _model(name: str, data: bytes, arrays: Mapping[str, np.ndarray]) -> BodyModel:
-    """The model of arrays by its fields' names, in single precision, and of their file."""
+def _model_from_arrays(name: str, data: bytes, arrays: Mapping[str, np.ndarray]) -> BodyModel:
+    """A model in single precision from arrays named like its fields; `data` is their file."""
     tensors = {
         key: torch.from_numpy(np.ascontiguousarray(arrays[key], np.float32))
         for key in (

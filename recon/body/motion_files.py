@@ -33,10 +33,10 @@ def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> Moti
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, or made with another body.
     """
-    return of_body(load_motion(path, body.template.dtype), path, body, remedy)
+    return checked_for_body(load_motion(path, body.template.dtype), path, body, remedy)
 
 
-def of_body(
+def checked_for_body(
     file: MotionFile, path: object, body: BodyModel, remedy: str = WITH_BODY
 ) -> MotionFile:
     """As `load_motion_of`, for a file that was read already; `path` is for messages.
@@ -65,8 +65,10 @@ def of_body(
     return replace(file, motion=file.motion.replace(shape=shape))
 
 
-def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """A motion on another shape with equal rotations and an equal path of the pelvis.
+def with_equal_pelvis_path(
+    motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]
+) -> Motion:
+    """The motion on another body shape, with equal joint rotations and pelvis path.
 
     Feet may leave the ground or sink into it; see `with_shape`.
     """
@@ -75,7 +77,7 @@ def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]
 
 
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """A motion on another shape, its path scaled by the length of the legs.
+    """The motion on another body shape, with its path scaled by leg length.
 
     Rotations stay. The pelvis' path, from its place above the ground in the first frame and the
     level of the toe joints at rest, grows with the legs (pelvis to toes), and the toes' level
@@ -85,11 +87,11 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     Raises:
         ValueError: when the body has fewer shape coefficients.
     """
-    toes_before, toes_after = _toes(body, motion.shape), _toes(body, shape)
+    toes_before, toes_after = _toe_heights(body, motion.shape), _toe_heights(body, shape)
     scale = (leg_length(body, shape) / leg_length(body, motion.shape))[..., None, None]
     pelvis = motion.translation + body.rest_joints(motion.shape)[..., None, 0, :]
-    origin = torch.cat((pelvis[..., :1, :2], _column(toes_before)), -1)
-    target = torch.cat((pelvis[..., :1, :2], _column(toes_after)), -1)
+    origin = torch.cat((pelvis[..., :1, :2], _per_frame(toes_before)), -1)
+    target = torch.cat((pelvis[..., :1, :2], _per_frame(toes_after)), -1)
     moved = target + scale * (pelvis - origin)
     return motion.replace(
         translation=moved - body.rest_joints(shape)[..., None, 0, :], shape=shape
@@ -102,7 +104,7 @@ def leg_length(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[T
     return rest[..., 0] - rest[..., list(TOES)].mean(-1)
 
 
-def _toes(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+def _toe_heights(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
     """Height of the toe joints above the sole of a body at rest, metres."""
     level = body.joint_template[list(TOES), 1].min()
     below = (body.template[:, 1] < level).nonzero()[:, 0]
@@ -110,5 +112,5 @@ def _toes(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor
     return body.rest_joints(shape)[..., list(TOES), 1].mean(-1) - sole
 
 
-def _column(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 1 1"]:
+def _per_frame(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 1 1"]:
     return height[..., None, None]

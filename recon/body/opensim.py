@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.body.segments import SIDES, UP, Axes, along_y, cardan, carried, rest_points
+from recon.body.segments import SIDES, UP, Axes, axes_along_y, cardan, posed_axes, rest_points
 from recon.core.motion import Motion
 from recon.core.units import to_z_up
 
@@ -110,7 +110,7 @@ def opensim_coordinates(
     Raises:
         ValueError: when the body is another one.
     """
-    axes = carried(opensim_axes(body, motion.shape), body, motion)
+    axes = posed_axes(opensim_axes(body, motion.shape), body, motion)
     to_ground = to_z_up("y").T
     angles = np.rad2deg(cardan(to_ground @ axes["pelvis"], "ZXY"))
     found = {name: angles[:, k] for k, name in enumerate(_PELVIS)}
@@ -169,20 +169,20 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
         hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
         flexion = points.rightwards(end, "knee_medial", "knee_lateral")
-        foot = along_y(UP, flexion)
+        foot = axes_along_y(UP, flexion)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
-            f"femur_{end}": along_y(hip - knee, flexion),
-            f"tibia_{end}": along_y(knee - ankle, flexion),
+            f"femur_{end}": axes_along_y(hip - knee, flexion),
+            f"tibia_{end}": axes_along_y(knee - ankle, flexion),
             f"foot_{end}": foot,
             f"toes_{end}": foot,
-            f"humerus_{end}": along_y(
+            f"humerus_{end}": axes_along_y(
                 shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
             ),
-            f"forearm_{end}": along_y(
+            f"forearm_{end}": axes_along_y(
                 elbow - wrist, points.rightwards(end, "wrist_ulnar", "wrist_radial")
             ),
-            f"hand_{end}": along_y(
+            f"hand_{end}": axes_along_y(
                 wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
             ),
         }
@@ -219,25 +219,25 @@ def about_axes(
         angles[:, 0] = _nearest_angle(rotations, units[0])
     else:
         for _ in range(_ROUNDS):
-            rest = rotations @ _turns(-angles[:, 1], units[1])
+            rest = rotations @ _rotations_about(-angles[:, 1], units[1])
             angles[:, 0] = _nearest_angle(rest, units[0])
-            rest = _turns(-angles[:, 0], units[0]) @ rotations
+            rest = _rotations_about(-angles[:, 0], units[0]) @ rotations
             angles[:, 1] = _nearest_angle(rest, units[1])
     return np.unwrap(angles, axis=0)
 
 
-def _turns(angles: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "time 3 3"]:
-    """Rotation matrices of turns about one axis."""
+def _rotations_about(angles: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "time 3 3"]:
+    """Rotation matrices about one axis."""
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_rotvec(angles[:, None] * unit).as_matrix()
+    return Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
 
 
-def _nearest_angle(matrices: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, " time"]:
+def _nearest_angle(matrices: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, " time"]:
     """The angle q at which trace(R(q)ᵀ M) is greatest."""
     m = matrices
     axial = np.stack(
         (m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]), 1
     )
     trace = np.trace(m, axis1=1, axis2=2)
-    return np.arctan2(axial @ unit, trace - np.einsum("i,tij,j->t", unit, m, unit))
+    return np.arctan2(axial @ axis, trace - np.einsum("i,tij,j->t", axis, m, axis))

@@ -26,7 +26,7 @@ spine and collars to the torso, shoulder joints to the upper arms."""
 
 @dataclass(frozen=True)
 class Parts(TensorStruct):
-    """The part of every vertex, and its share in the skin of its part."""
+    """The part of every vertex, and its share of the skin area of that part."""
 
     of_vertex: Int[Tensor, " vertices"]
     """Part whose joints carry most of the vertex."""
@@ -82,7 +82,7 @@ def vertex_areas(
     )
 
 
-def farthest(
+def farthest_points(
     points: Float[Tensor, "points 3"], seeds: Int[Tensor, " seeds"], count: int
 ) -> Int[Tensor, " count"]:
     """The seeds and, one by one, the point farthest from all chosen so far."""

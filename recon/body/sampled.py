@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel
-from recon.body.parts import PARTS, Parts, farthest, vertex_areas
+from recon.body.parts import PARTS, Parts, farthest_points, vertex_areas
 from recon.core.skeleton import FEET, JOINTS
 from recon.core.struct import TensorStruct
 
@@ -40,14 +40,14 @@ class SampledSurface(TensorStruct):
             _KNOWN[body.template] = _sampled(body)
         return _KNOWN[body.template]
 
-    def run(self, part: int) -> slice:
+    def rows_of(self, part: int) -> slice:
         """The rows of the points of one part."""
         first = int(torch.searchsorted(self.part, part))
         return slice(first, int(torch.searchsorted(self.part, part, right=True)))
 
     @property
     def soles(self) -> tuple[slice, slice]:
-        """The rows in `tread` of the soles of the left and of the right foot."""
+        """The rows, among points of soles, of the soles of the left and of the right foot."""
         left = int((self.part[self.sole] == PARTS.index("left_lower_leg")).sum())
         return slice(0, left), slice(left, int(self.sole.sum()))
 
@@ -56,7 +56,7 @@ _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def _sampled(body: BodyModel) -> SampledSurface:
-    """The extreme vertices of every bone, then those farthest from all that are chosen.
+    """Choose the extreme vertices of every bone, then those farthest from all chosen ones.
 
     Bones are nearly rigid: whatever the pose, the lowest vertex of one is extreme in some
     direction.
@@ -71,7 +71,7 @@ def _sampled(body: BodyModel) -> SampledSurface:
             continue
         count = POINTS_PER_FOOT_BONE if joint in FEET else POINTS_PER_BONE
         seeds = (rest[bone] @ _sphere(count).to(rest).T).argmax(0).unique()
-        points = farthest(rest[bone], seeds, min(count, len(bone)))
+        points = farthest_points(rest[bone], seeds, min(count, len(bone)))
         nearest = torch.cdist(rest[bone], rest[bone][points]).argmin(-1)
         areas.append(rest.new_zeros(len(points)).index_add(0, nearest, all_areas[bone]))
         chosen.append(bone[points])
@@ -100,12 +100,12 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
     """Vertices of the unposed average body that are farthest from each other; ascending."""
     template = body.template.detach().cpu().double().contiguous().numpy()
     wanted = min(count, len(template))
-    found = _in_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
+    found = _farthest_point_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
     return torch.from_numpy(np.sort(found[:wanted])).to(body.template.device)
 
 
 @lru_cache(maxsize=4)
-def _in_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
+def _farthest_point_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
     """Vertices in the order of farthest point sampling; cached per mesh."""
     points = torch.from_numpy(np.frombuffer(template).reshape(-1, 3).copy())
-    return farthest(points, torch.tensor([0]), count).numpy()
+    return farthest_points(points, torch.tensor([0]), count).numpy()

@@ -63,7 +63,7 @@ class RestPoints:
         return points.detach().double().numpy().mean(0)
 
     def rightwards(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
-        """The vector between two landmarks of one side, to the right where palms face forwards."""
+        """The vector between two landmarks of one side; it points right if palms face forwards."""
         side = SIDES[end]
         across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
         return across if end == "r" else -across
@@ -86,8 +86,8 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     # the sagittal plane of the thorax contains the two landmarks at its upper end
     depth = points.mean("sternal_notch") - points.mean("c7")
     axes = {
-        "pelvis": _about_z(across, np.cross(across, front)),
-        "thorax": along_y(high - low, np.cross(depth, high - low)),
+        "pelvis": _axes_along_z(across, np.cross(across, front)),
+        "thorax": axes_along_y(high - low, np.cross(depth, high - low)),
     }
     for end, side in SIDES.items():
         knee = points.mean(f"{side}_knee_lateral", f"{side}_knee_medial")
@@ -96,29 +96,29 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
         ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
         malleoli = points.rightwards(end, "ankle_medial", "ankle_lateral")
-        tibia = _about_z(malleoli, knee - ankle)
+        tibia = _axes_along_z(malleoli, knee - ankle)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
-            f"femur_{end}": along_y(
+            f"femur_{end}": axes_along_y(
                 hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
             ),
             f"tibia_{end}": tibia,
-            f"foot_{end}": along_y(UP, tibia[:, 2]),
-            f"humerus_{end}": along_y(
+            f"foot_{end}": axes_along_y(UP, tibia[:, 2]),
+            f"humerus_{end}": axes_along_y(
                 shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
             ),
-            f"forearm_{end}": along_y(
+            f"forearm_{end}": axes_along_y(
                 elbow - points.mean(f"{side}_wrist_ulnar"),
                 points.rightwards(end, "wrist_ulnar", "wrist_radial"),
             ),
-            f"hand_{end}": along_y(
+            f"hand_{end}": axes_along_y(
                 wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
             ),
         }
     return axes
 
 
-def carried(
+def posed_axes(
     axes: Axes, body: BodyModel, motion: Motion
 ) -> dict[str, Float[np.ndarray, "time 3 3"]]:
     """Axes of every segment in every frame of one clip, in the world.
@@ -146,7 +146,7 @@ def rest_points(body: BodyModel, shape: Tensor) -> RestPoints:
     return RestPoints(body, shape)
 
 
-def along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
+def axes_along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
     """Orthonormal axes with y along `up` and z in the plane of `up` and `right`."""
     y = up / np.linalg.norm(up)
     x = np.cross(y, right)
@@ -154,7 +154,7 @@ def along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
     return np.stack((x, y, np.cross(x, y)), -1)
 
 
-def _about_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
+def _axes_along_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
     """Orthonormal axes with z along `right` and y in the plane of `right` and `up`."""
     z = right / np.linalg.norm(right)
     x = np.cross(up, z)
@@ -192,7 +192,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 
 
-def elevation(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "time 3"]:
+def elevation_angles(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "time 3"]:
     """Angles (q1, e, q3), radians, with R = R_y(q1) R_x(-e) R_y(q3) and e from 0° to 180°.
 
     It is the sequence of the ISB for the shoulder: plane of elevation, elevation, axial rotation.
@@ -211,26 +211,26 @@ def elevation(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "ti
 def _without_jumps(
     first: Float[np.ndarray, "time 3"],
     second: Float[np.ndarray, "time 3"],
-    unlocked: Float[np.ndarray, " time"],
-    turned: Float[np.ndarray, " time"],
-    way: Float[np.ndarray, " time"],
+    lock_distance: Float[np.ndarray, " time"],
+    known_angle: Float[np.ndarray, " time"],
+    sign: Float[np.ndarray, " time"],
 ) -> Float[np.ndarray, "time 3"]:
     """One of two solutions per frame, so that angles do not jump; it begins with the first.
 
     Args:
         first: one solution of every frame.
         second: the other one.
-        unlocked: distance from gimbal lock.
-        turned: q1 + way q3, which is known in gimbal lock, too.
-        way: 1 or -1.
+        lock_distance: sine of the angle to gimbal lock.
+        known_angle: q1 + sign q3, which is known in gimbal lock, too.
+        sign: 1 or -1.
     """
-    if (unlocked < _LOCKED).any():
-        return _continued_through_lock(first, second, unlocked, turned, way)
+    if (lock_distance < _LOCKED).any():
+        return _continued_through_lock(first, second, lock_distance, known_angle, sign)
     both = np.stack((first, second))
     steps = both[None, :, 1:] - both[:, None, :-1]
     steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
     branch = [0]
-    # the solution that follows each of the two, frame by frame
+    # for each solution of a frame, the nearer of the next frame's two
     for follows in steps.argmin(1).T.tolist():
         branch.append(follows[branch[-1]])
     return np.unwrap(both[branch, np.arange(len(branch))], axis=0)
@@ -239,9 +239,9 @@ def _without_jumps(
 def _continued_through_lock(
     first: Float[np.ndarray, "time 3"],
     second: Float[np.ndarray, "time 3"],
-    unlocked: Float[np.ndarray, " time"],
-    turned: Float[np.ndarray, " time"],
-    way: Float[np.ndarray, " time"],
+    lock_distance: Float[np.ndarray, " time"],
+    known_angle: Float[np.ndarray, " time"],
+    sign: Float[np.ndarray, " time"],
 ) -> Float[np.ndarray, "time 3"]:
     """Solutions without jumps where some frames are in gimbal lock.
 
@@ -250,13 +250,12 @@ def _continued_through_lock(
     found = np.empty_like(first)
     before = np.zeros(3)
     for k in range(len(first)):
-        if unlocked[k] < _LOCKED:
+        if lock_distance[k] < _LOCKED:
             held = before[2]
-            choices = [np.array([turned[k] - way[k] * held, first[k, 1], held])]
+            choices = [np.array([known_angle[k] - sign[k] * held, first[k, 1], held])]
         else:
             choices = [first[k]] if k == 0 else [first[k], second[k]]
         near = [one - 2 * np.pi * np.round((one - before) / (2 * np.pi)) for one in choices]
-        # the first frame has no predecessor
         if k == 0:
             near = choices
         before = found[k] = min(near, key=lambda q: float(np.abs(q - before).sum()))

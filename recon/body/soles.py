@@ -8,7 +8,7 @@ from torch import Tensor
 
 from recon.body.contacts import MAXIMUM_SPEED, speeds
 from recon.body.model import BodyModel
-from recon.body.parts import farthest
+from recon.body.parts import farthest_points
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, joint_index
 
@@ -41,7 +41,7 @@ class Soles:
             low = foot[body.template[foot, 1] < body.template[foot, 1].min() + _SOLE_DEPTH]
             place = body.template[low]
             rearmost = place[:, 2].argmin()[None]
-            spread.append(low[farthest(place, rearmost, min(_SOLE_POINTS, len(low)))])
+            spread.append(low[farthest_points(place, rearmost, min(_SOLE_POINTS, len(low)))])
             rigid = low[bone[low] == ankle]
             along = body.template[rigid, 2].argsort()
             heels.append(rigid[along[:_PATCH]])

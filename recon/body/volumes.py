@@ -12,7 +12,7 @@ from recon.body.parts import PARTS, Parts
 
 @dataclass(frozen=True)
 class Openings:
-    """The parts that faces belong to, and the loops of open edges where these are cut off."""
+    """The part of every face, and the loops of open edges where parts are cut apart."""
 
     of_face: Int[Tensor, " faces"]
     """Part of most corners; the parts tile the surface."""
@@ -27,7 +27,7 @@ class Openings:
         """The openings of the parts of a closed surface."""
         of_face, count = parts.of_vertex[parts.faces].mode(-1).values, len(parts.of_vertex)
         edges, owner = _open_edges(parts.faces, of_face, count)
-        return cls(of_face, edges, *_loops(edges, owner, count))
+        return cls(of_face, edges, *_loops_of_edges(edges, owner, count))
 
 
 _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
@@ -73,25 +73,23 @@ def _corners(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> Tensor:
     return vertices.index_select(-2, faces.flatten()).unflatten(-2, tuple(faces.shape))
 
 
-def _open_edges(faces: Tensor, part: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def _open_edges(faces: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor, Tensor]:
     """Directed edges whose reverse is in no face of the same part, and the part of each."""
     edges = torch.cat([faces[:, [i, (i + 1) % 3]] for i in range(3)])
     owner = part.repeat(3)
-    forward = (owner * count + edges[:, 0]) * count + edges[:, 1]
-    reverse = (owner * count + edges[:, 1]) * count + edges[:, 0]
+    forward = (owner * vertex_count + edges[:, 0]) * vertex_count + edges[:, 1]
+    reverse = (owner * vertex_count + edges[:, 1]) * vertex_count + edges[:, 0]
     is_open = ~torch.isin(forward, reverse)
     return edges[is_open], owner[is_open]
 
 
-def _loops(edges: Tensor, owner: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def _loops_of_edges(edges: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor, Tensor]:
     """Loop of every open edge, and part of every loop."""
     # one node per part and vertex, so that loops of neighbouring parts stay apart
-    names, place = torch.unique(owner[:, None] * count + edges, return_inverse=True)
+    names, place = torch.unique(part[:, None] * vertex_count + edges, return_inverse=True)
     first = torch.arange(len(names), device=edges.device)
     while True:
-        # connected components by pointer jumping: every node takes the least label of its
-        # neighbours;
-        # importing a graph library would take longer than this computation
+        # connected components by pointer jumping: nodes take the least label of their neighbours
         least = first[place].amin(-1)
         lower = first.clone()
         for end in range(2):
@@ -102,4 +100,4 @@ def _loops(edges: Tensor, owner: Tensor, count: int) -> tuple[Tensor, Tensor]:
         first = lower
     roots, loop_of_node = torch.unique(first, return_inverse=True)
     loop = loop_of_node[place[:, 0]]
-    return loop, owner.new_zeros(len(roots)).scatter(0, loop, owner)
+    return loop, part.new_zeros(len(roots)).scatter(0, loop, part)

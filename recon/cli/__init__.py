@@ -1,4 +1,4 @@
-"""The command `recon`: its verbs are Python functions, from a table and from entry points.
+"""The command `recon`, whose verbs are Python functions from a table and entry points.
 
 Exit codes: 0 done, 1 the fit failed (the last finite estimate was written), 2 bad input or no
 place to write to, 130 interrupted.
@@ -18,14 +18,16 @@ from recon import __distribution__, __version__
 from recon.core.visible import visible
 
 if __distribution__ != "motion-recon":
-    raise ImportError("this `recon` is not motion-recon's; reinstall motion-recon")
+    raise ImportError(
+        "another package `recon` shadows that of motion-recon; reinstall motion-recon"
+    )
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main() -> None:
-    """The console script."""
-    # operations of one clip are so small that more threads make them slower
+    """Run the command line: the console script's entry point."""
+    # more threads would slow down the small operations of one clip
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
     sys.exit(run(sys.argv[1:]))
@@ -55,7 +57,7 @@ def _run(words: Sequence[str]) -> int:
 
 
 def run_command(command: Callable[[], object]) -> int:
-    """Run a command: errors become one line on stderr and an exit code."""
+    """Run a command, and turn errors into a line on stderr and an exit code."""
     from recon.cli.errors import Failed
 
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
@@ -66,7 +68,7 @@ def run_command(command: Callable[[], object]) -> int:
         sys.stderr.write(f"recon: {visible(failure)}\n")
         return FAILED
     except BrokenPipeError:
-        # the pipe was closed by its reader, as `head` does; Python must not flush into it either
+        # the reader closed the pipe, as `head` does, so Python must not flush into it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except (ValueError, OSError) as error:
@@ -76,7 +78,7 @@ def run_command(command: Callable[[], object]) -> int:
 
 
 def _version() -> str:
-    """Versions for bug reports; torch's is read without importing torch."""
+    """Versions of recon, torch and Python, read without importing torch."""
     from importlib.metadata import version
 
     return f"recon {__version__}, torch {version('torch')}, Python {platform.python_version()}"

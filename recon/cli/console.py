@@ -1,4 +1,4 @@
-"""Output of commands: progress and tables on stderr, answers on stdout."""
+"""Prints the output of commands: progress and tables on stderr, answers on stdout."""
 
 import json
 import logging
@@ -20,7 +20,7 @@ _DIM, _YELLOW, _PLAIN = "\x1b[2m", "\x1b[33m", "\x1b[0m"
 
 @contextmanager
 def quietly(is_quiet: bool) -> Iterator[None]:
-    """If asked to, suppress all output except by `last`, `complain`, `answer` and `facts`."""
+    """Context that, with `--quiet`, suppresses output except errors, answers and last lines."""
     before, log = _quiet.set(is_quiet), logging.getLogger()
     level = log.level
     log.setLevel(logging.ERROR if is_quiet else level)
@@ -34,29 +34,29 @@ def quietly(is_quiet: bool) -> Iterator[None]:
 def say(message: str) -> None:
     """Print a line about progress to stderr."""
     if not _quiet.get():
-        _line(message)
+        _print_line(message)
 
 
 def note(message: str) -> None:
-    """Print an assumption, which may explain a surprising result."""
+    """Print a remark, such as an assumption that explains the result."""
     if not _quiet.get():
-        _line(message, _DIM)
+        _print_line(message, _DIM)
 
 
 def warn(message: str) -> None:
     """Print a warning: a line that should be read before the result is used."""
     if not _quiet.get():
-        _line(f"warning: {message}", _YELLOW)
+        _print_line(f"warning: {message}", _YELLOW)
 
 
 def complain(message: str) -> None:
-    """Print an error about a part of the work."""
-    _line(message)
+    """Print an error that concerns only a part of the work."""
+    _print_line(message)
 
 
 def last(message: str) -> None:
     """Print the last line of a verb, which says where its result is."""
-    _line(message)
+    _print_line(message)
 
 
 def findings(report: Mapping[str, Any]) -> None:
@@ -70,17 +70,17 @@ def findings(report: Mapping[str, Any]) -> None:
 
 
 def answer(value: Mapping[str, Any]) -> None:
-    """The result of a verb for a program: one JSON object on stdout."""
+    """Print a command's result for programs, as one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, indent=1, default=str) + "\n")
 
 
 def facts(title: str, values: Mapping[str, Any]) -> None:
-    """The answer of a verb for a person, on stdout: a name and a value per row."""
+    """Print a command's result for people on stdout, a name and a value per row."""
     _table(title, {name: {"value": value} for name, value in values.items()}, stderr=False)
 
 
 def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """Rows by name, one column per key of the first."""
+    """Print a table on stderr: rows by name, one column per key of the first row."""
     if not _quiet.get():
         _table(title, rows, stderr=True)
 
@@ -88,7 +88,7 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
 def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text  # plain text: rich would interpret markup
+    from rich.text import Text  # plain text, in which rich interprets no markup
 
     shown = Table(title=Text(visible(title)), title_justify="left")
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))
@@ -96,12 +96,12 @@ def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -
         justify = "right" if column else "left"
         shown.add_column(Text(visible(column)), justify=justify, overflow="fold")
     for name, row in rows.items():
-        cells = (name, *(_cell(row.get(column)) for column in columns))
+        cells = (name, *(_cell_text(row.get(column)) for column in columns))
         shown.add_row(*(Text(visible(cell)) for cell in cells))
     Console(stderr=stderr).print(shown)
 
 
-def _cell(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
@@ -112,7 +112,7 @@ def _cell(value: Any) -> str:
 
 @contextmanager
 def fitting(limits: Mapping[str, int]) -> Iterator[Any]:
-    """A bar per stage; yields the `watch` that `recon.fit` calls.
+    """Context with a progress bar per stage; yields the callback for `recon.fit`.
 
     The bars appear with the first call, so that nothing is loaded for a fit that is refused.
     """
@@ -141,14 +141,14 @@ def _stage_bars() -> "Progress":
 
 
 def progress(*columns: Any) -> "Progress":
-    """Bars on stderr that vanish in the end; default columns: name, bar, share, time left."""
+    """Progress bars on stderr that vanish at the end: name, bar, share, time left."""
     from rich.console import Console
     from rich.progress import Progress
 
     return Progress(*columns, console=Console(stderr=True), transient=True, disable=_quiet.get())
 
 
-def _line(message: str, colour: str = "") -> None:
+def _print_line(message: str, colour: str = "") -> None:
     coloured = colour and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
     shown = visible(message)
     sys.stderr.write(f"{colour}{shown}{_PLAIN}\n" if coloured else f"{shown}\n")

@@ -1,5 +1,5 @@
-"""The exception with which a verb reports a failure."""
+"""The exception by which a command reports that its work failed."""
 
 
 class Failed(Exception):
-    """The work could not be finished though the input was good; exit code 1."""
+    """The work failed although the input was good; exit code 1."""

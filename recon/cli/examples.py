@@ -1,4 +1,4 @@
-"""Commands to copy, two or three for every verb, shown at the end of its help."""
+"""Example commands, two or three for every verb, shown at the end of its help."""
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "demo": (

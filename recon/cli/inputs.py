@@ -1,4 +1,4 @@
-"""Checks that the input files of a verb exist, before slow imports."""
+"""Checks, before slow imports, that the input files of a command exist."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -39,7 +39,7 @@ EXPECTED = {
 
 
 def check_inputs(given: Mapping[str, Any]) -> None:
-    """Refuse paths at which there is nothing.
+    """Refuse input paths that do not exist.
 
     Args:
         given: the values of a verb's arguments, by name, without those that it writes.
@@ -48,10 +48,10 @@ def check_inputs(given: Mapping[str, Any]) -> None:
         FileNotFoundError: names the path, what was expected there, and files like it.
     """
     for name, path in _named_paths(given):
-        # FILE::MEMBER is read from FILE
+        # of FILE::MEMBER, FILE must exist
         if not path.exists() and not Path(str(path).partition("::")[0]).exists():
             raise FileNotFoundError(
-                f"there is nothing at {path}: expected {EXPECTED[name]}{_hint(path)}"
+                f"there is nothing at {path}: expected {EXPECTED[name]}{_hint_at_missing(path)}"
             )
 
 
@@ -64,8 +64,8 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
                 yield from _named_paths({f.name: getattr(one, f.name) for f in fields(one)})
 
 
-def _hint(path: Path) -> str:
-    """The end of a message about a missing file: similar names, or that its folder is missing."""
+def _hint_at_missing(path: Path) -> str:
+    """Hint for a missing file: similar names, or that its folder is missing."""
     folder = path.parent
     if not folder.is_dir():
         return f"; the folder {folder} is not there either"

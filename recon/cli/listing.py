@@ -17,7 +17,7 @@ from recon.method.plugins import VERBS, registered
 
 
 def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
-    """The output: one file, or a folder for scans and for several (calibrated) cameras."""
+    """The output as one file, or as a folder for scans and for several cameras."""
     several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
     return (Output(out, Kind.FOLDER if several and out.suffix != ".npz" else Kind.FILE),)
 
@@ -58,11 +58,14 @@ WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
 
 
 def names() -> tuple[str, ...]:
-    """Every verb: the core's, then the registered ones whose package is installed."""
-    return (*CORE, *sorted(name for name, place in registered(VERBS).items() if _is_there(place)))
+    """Names of all verbs: the core's, then registered ones whose package is installed."""
+    return (
+        *CORE,
+        *sorted(name for name, place in registered(VERBS).items() if _is_installed(place)),
+    )
 
 
-def _is_there(place: str) -> bool:
+def _is_installed(place: str) -> bool:
     try:
         return find_spec(place.partition(":")[0]) is not None
     except ModuleNotFoundError:
@@ -71,7 +74,7 @@ def _is_there(place: str) -> bool:
 
 @cache
 def verb(name: str) -> Callable[..., None]:
-    """The function that the command line of a verb calls."""
+    """The function behind a verb of the command line."""
     if name in CORE:
         return command(name, CORE[name])
     module, _, function = registered(VERBS)[name].partition(":")

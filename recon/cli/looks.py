@@ -1,4 +1,4 @@
-"""Quick checks before torch is loaded: unsuitable files and unknown priors are refused."""
+"""Refuses unsuitable files and unknown priors quickly, before torch is loaded."""
 
 import os
 import sys
@@ -21,7 +21,7 @@ _HEAD = 1 << 16
 
 
 def look_at(given: Mapping[str, Any]) -> None:
-    """Refuse arguments that must fail: unknown priors, unsuitable files, unknown markers.
+    """Refuse arguments that cannot work: unknown priors, markers, and unsuitable files.
 
     Args:
         given: a verb's arguments by name.
@@ -30,7 +30,7 @@ def look_at(given: Mapping[str, Any]) -> None:
         ValueError: says what was seen and what would fit.
     """
     if (settings := given.get("settings")) is not None:
-        check_plugs(settings.prior, settings.reader)
+        check_plugins(settings.prior, settings.reader)
         from recon.method.plugins import SENSORS, registered
 
         paths = given.get("observations", ())
@@ -45,7 +45,7 @@ def look_at(given: Mapping[str, Any]) -> None:
 
 
 def refuse_foreign(paths: Sequence[Path]) -> None:
-    """Refuse files that cannot be fitted, recognised by producer, suffix and first bytes.
+    """Refuse files that cannot be fitted, judged by program, suffix and first bytes.
 
     Raises:
         ValueError: says what was seen and what would fit.
@@ -67,7 +67,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
 
 
 def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
-    """The fault of a file, by its ending and first bytes; None if it has none."""
+    """Why a file cannot be read, judged by suffix and first bytes; None if it may be good."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
     first = repr(text.strip().splitlines()[0][:60]) if text.strip() else "nothing"
@@ -100,7 +100,7 @@ def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
 
 
 def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> None:
-    """Refuse a recording whose skeleton or markers are not known.
+    """Refuse a recording whose skeleton or markers recon does not know.
 
     Raises:
         ValueError: says what was seen, and which mapping file to write.
@@ -115,7 +115,7 @@ def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> No
 
 
 def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: str | None) -> None:
-    """Refuse recordings that cannot be read or have too few markers of known places.
+    """Refuse recordings that cannot be read or have too few known markers.
 
     With a mapping, and for files of other kinds, nothing is done. Callers who know the up axis
     need no look, which would ask for it.
@@ -151,8 +151,8 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
             )
 
 
-def check_plugs(prior: str, reader: str | None) -> None:
-    """Refuse unknown priors; modules of "module:Class" may be in the current folder.
+def check_plugins(prior: str, reader: str | None) -> None:
+    """Refuse unknown priors and readers; "module:Class" may be in the current folder.
 
     The folder comes last in Python's search, so that its files take no installed module's place.
 
@@ -169,10 +169,10 @@ def check_plugs(prior: str, reader: str | None) -> None:
         )
     if reader is not None and ":" not in reader:
         raise ValueError(f"--reader takes package.module:Class, got {reader}")
-    find_here((prior, reader or ""))
+    allow_current_folder((prior, reader or ""))
 
 
-def find_here(names: Iterable[str]) -> None:
-    """Make the current folder importable if any of the names is of the form "module:Class"."""
+def allow_current_folder(names: Iterable[str]) -> None:
+    """Make the current folder importable if any name has the form "module:Class"."""
     if any(":" in name for name in names) and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

@@ -1,4 +1,4 @@
-"""Makes a command line from a function's source code, so that help does not load torch."""
+"""Makes command lines from the source of functions, so that help does not load torch."""
 
 import ast
 import builtins
@@ -47,10 +47,10 @@ it. Arguments of other types, such as functions and arrays, no command line can 
 
 @dataclass(frozen=True)
 class Verb:
-    """A function whose command line is made from its signature and docstring."""
+    """A verb, whose command line is made from a function's signature and docstring."""
 
-    place: str
-    """Place of the function, "module:name"."""
+    function_name: str
+    """The function as "module:name"."""
     places: tuple[Place, ...] = (Place("out"),)
     """Its outputs; what it does not write itself is its result, which is saved at the first."""
     out: str = (
@@ -65,42 +65,42 @@ class Verb:
 
 
 def command(name: str, verb: Verb) -> Callable[..., None]:
-    """The function behind a verb: it checks, computes, writes and reports."""
-    node = _function(verb.place)
+    """Make the function of a verb, which checks, computes, writes and reports."""
+    function = _function(verb.function_name)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
-    own = [one for one in _parameters(node) if one.name not in taken]
+    own = [one for one in _parameters(function) if one.name not in taken]
     shown = [*own, *_further_options(verb, {one.name for one in own})]
     given = [one for one in shown if one.annotation is not Parameter.empty]
     given.sort(key=lambda one: one.default is not Parameter.empty)
 
     def run(**arguments: Any) -> None:
-        running.run(verb.place, [place.parameter for place in verb.places], arguments)
+        running.run(verb.function_name, [place.parameter for place in verb.places], arguments)
 
-    for one in {run, unwrap(run)}:  # both: the type checker of the tests wraps functions
-        one.__name__, one.__doc__ = name, ast.get_docstring(node)
+    for one in {run, unwrap(run)}:  # both, since the tests' type checker wraps functions
+        one.__name__, one.__doc__ = name, ast.get_docstring(function)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
         vars(one)["__signature__"] = Signature(given)
     return writes(*verb.places)(run)
 
 
-def _function(place: str) -> ast.FunctionDef:
-    """The definition of a function "module:name"."""
-    module, _, name = place.partition(":")
+def _function(function_place: str) -> ast.FunctionDef:
+    """Parse the definition of a function "module:name"."""
+    module, _, name = function_place.partition(":")
     path = Path(recon.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return next(one for one in tree.body if isinstance(one, ast.FunctionDef) and one.name == name)
 
 
 def _parameters(node: ast.FunctionDef) -> list[Parameter]:
-    """Parameters of a function; those that a command line cannot express lose their annotation."""
+    """Parameters of a function, without annotations that a command line cannot express."""
     plain = node.args.args
     missing = [None] * (len(plain) - len(node.args.defaults))
     defaults = [*missing, *node.args.defaults, *node.args.kw_defaults]
     every = zip((*plain, *node.args.kwonlyargs), defaults, strict=True)
-    return [_parameter(one, default) for one, default in every]
+    return [_parameter_of_argument(one, default) for one, default in every]
 
 
-def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
+def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter:
     assert node.annotation is not None
     try:
         kind = _type_of(node.annotation)
@@ -114,7 +114,7 @@ def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
 
 
 def _type_of(node: ast.expr) -> Any:
-    """The type of an annotation given as source code.
+    """The type that an annotation in source code means for a command line.
 
     Raises:
         NameError: when it is of something that no command line can give.
@@ -140,7 +140,7 @@ def _type_of(node: ast.expr) -> Any:
 
 
 def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
-    """Options that a command line has besides the arguments of its function."""
+    """Options of a command line besides the arguments of its function."""
     if verb.settings is not None:
         yield _option("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)
     if verb.places and (result := verb.places[0].parameter) not in own:
@@ -162,6 +162,6 @@ def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
 
 
 def _option(name: str, kind: Any, *default: Any) -> Parameter:
-    """A parameter with its default, if it has one."""
+    """A keyword parameter, with its default if it has one."""
     value = default[0] if default else Parameter.empty
     return Parameter(name, Parameter.KEYWORD_ONLY, annotation=kind, default=value)

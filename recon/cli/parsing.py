@@ -1,4 +1,4 @@
-"""Parses a command line to a verb and its arguments, or to an error message."""
+"""Parses a command line into a verb and its arguments, or an error message."""
 
 import functools
 import inspect
@@ -16,33 +16,33 @@ BAD_USAGE = 2
 
 
 def parsed(words: Sequence[str]) -> Callable[[], None]:
-    """The verb of a command line with its arguments, not yet run.
+    """A function that runs the verb of a command line with its arguments.
 
     Raises:
         SystemExit: after `--help`, and, with code 2, when the words are no command.
     """
     import tyro
 
-    words = _of_all(list(words))
+    words = _with_verb_of_all(list(words))
     first = words[0] if len(words) > 0 else ""
     if first in listing.CORE or (first and first in listing.names()):
-        return _of_verb(first, words[1:])
+        return _parsed_verb(first, words[1:])
     names = listing.names()
     if first and not first.startswith("-"):
-        _refuse(
+        _exit_with_error(
             f"there is no verb {first}{_did_you_mean(first, names)}; the verbs are "
             f"{', '.join(names)}. `recon --help` tells what they do"
         )
-    if unknown := _unknown(words, ("-h", "--help", *_COMPLETION)):
-        _refuse(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
+    if unknown := _unknown_options(words, ("-h", "--help", *_COMPLETION)):
+        _exit_with_error(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
     app = tyro.extras.SubcommandApp()
     for name in names:
-        app.command(name=name)(_in_short(listing.verb(name)))
+        app.command(name=name)(_with_short_help(listing.verb(name)))
     return app.cli(prog="recon", description=listing.__doc__ or "", args=words or ["--help"])
 
 
-def _of_all(words: list[str]) -> list[str]:
-    """`VERB --all` is the verb `VERB-all`, which another package registers."""
+def _with_verb_of_all(words: list[str]) -> list[str]:
+    """Replace `VERB --all` by the verb `VERB-all`, which another package registers."""
     option = listing.WHOLE.get(words[0], ()) if words else ()
     for k in range(len(words)):
         for spelt in (list(option), ["=".join(option)]):
@@ -54,15 +54,15 @@ def _of_all(words: list[str]) -> list[str]:
 _COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
 
 
-def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
-    """Parse one verb alone: four times faster than all, and errors are about it only."""
+def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
+    """Parse the words of one verb, four times as fast as with all verbs."""
     import tyro
 
     verb = listing.verb(name)
     options = options_of(verb)
     if "--out" not in options and "out" in inspect.signature(verb).parameters:
         words = _out_last(words)
-    later = _put_off(verb)
+    later = _storing_arguments(verb)
     ask = functools.partial(
         tyro.cli, later, prog=f"recon {name}", description=_description(name, verb), args=words
     )
@@ -71,18 +71,18 @@ def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     except SystemExit as end:
         if not end.code:
             raise
-    if unknown := _unknown(words, options):
+    if unknown := _unknown_options(words, options):
         word = unknown[0]
-        _refuse(
+        _exit_with_error(
             f"`recon {name}` has no option {word}{_did_you_mean(word, options)}; "
             f"`recon {name} --help` lists its options"
         )
-    # other errors are reported by tyro
+    # tyro reports all other errors
     return ask()
 
 
 def _out_last(words: Sequence[str]) -> Sequence[str]:
-    """The words with `--out PLACE` as the last one, for verbs whose output follows the inputs."""
+    """Move `--out PLACE` to the end, for verbs whose output is the last argument."""
     for k, word in enumerate(words):
         if word == "--out" and k + 1 < len(words):
             return [*words[:k], *words[k + 2 :], words[k + 1]]
@@ -92,7 +92,7 @@ def _out_last(words: Sequence[str]) -> Sequence[str]:
 
 
 def options_of(verb: Callable[..., None]) -> set[str]:
-    """Every option of a verb, `--no-` of switches included."""
+    """Names of all options of a verb, with `--no-` of switches."""
     parameters = inspect.signature(verb).parameters.values()
     return {"-h", "--help", *_COMPLETION}.union(
         *(_options(one.name, one.annotation, one.default) for one in parameters)
@@ -100,7 +100,7 @@ def options_of(verb: Callable[..., None]) -> set[str]:
 
 
 def _options(name: str, hint: Any, default: Any) -> set[str]:
-    """The options of one parameter; a record of settings has one option per field."""
+    """Option names of a parameter; a record of settings has one per field."""
     from tyro.conf import Positional
 
     if is_dataclass(default):
@@ -116,8 +116,8 @@ def _options(name: str, hint: Any, default: Any) -> set[str]:
     return {f"--{word}", f"--no-{word}"} if isinstance(default, bool) else {f"--{word}"}
 
 
-def _put_off(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """A function with the verb's signature and help that only stores its arguments."""
+def _storing_arguments(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """A function with the verb's signature and help that stores the arguments for later."""
 
     @functools.wraps(verb)
     def later(*args: Any, **kwargs: Any) -> Callable[[], None]:
@@ -126,9 +126,9 @@ def _put_off(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     return later
 
 
-def _in_short(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """The verb with the first line of its help alone, for the list of all verbs."""
-    later = _put_off(verb)
+def _with_short_help(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """The verb with only the first line of its help, for the list of all verbs."""
+    later = _storing_arguments(verb)
     later.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
     return later
 
@@ -140,8 +140,8 @@ def _description(name: str, verb: Callable[..., None]) -> str:
     return "\n".join((text, "", "Examples:", *(f"  {one}" for one in EXAMPLES[name])))
 
 
-def _unknown(words: Sequence[str], options: Iterable[str]) -> list[str]:
-    """Arguments that look like options but are none of the known ones."""
+def _unknown_options(words: Sequence[str], options: Iterable[str]) -> list[str]:
+    """Words that look like options but are not known ones."""
     known = set(options)
     names = [word.partition("=")[0] for word in words]
     return [
@@ -156,6 +156,6 @@ def _did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
-def _refuse(message: str) -> NoReturn:
+def _exit_with_error(message: str) -> NoReturn:
     sys.stderr.write(f"recon: {visible(message)}\n")
     raise SystemExit(BAD_USAGE)

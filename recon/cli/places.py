@@ -1,4 +1,4 @@
-"""Outputs of a verb, declared with it and checked before anything is computed.
+"""Declares the outputs of verbs, which are checked before anything is computed.
 
 Every path among a verb's arguments that is not declared as written is something that it reads,
 and must be there.
@@ -31,22 +31,22 @@ R = TypeVar("R")
 
 
 def a_file(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """A file with its report beside it."""
+    """The output is a file with a report next to it."""
     return (Output(path),)
 
 
 def its_own_report(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """A JSON file that is its own report."""
+    """The output is a JSON file that is its own report."""
     return (Output(path, Kind.REPORT),)
 
 
 def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """A folder that is written as a whole."""
+    """The output is a folder, written as a whole."""
     return (Output(path, Kind.FOLDER),)
 
 
 def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
-    """One motion file where its name ends in .npz, else a folder of them.
+    """The output is one motion file if the name ends in .npz, else a folder of several.
 
     Raises:
         ValueError: when several motions are asked for in one file.
@@ -59,7 +59,7 @@ def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
 
 @dataclass(frozen=True)
 class Place:
-    """An argument that names something a verb writes."""
+    """An argument that names an output of a verb."""
 
     parameter: str
     outputs: Callable[[Path, Arguments], tuple[Output, ...]] = a_file
@@ -69,7 +69,7 @@ class Place:
 def writes(
     *places: Place, reads: Callable[[Arguments], Iterable[Path]] = lambda _: ()
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Declare the outputs of a verb, so that inputs and outputs are checked before it runs.
+    """Declare the outputs of a verb; inputs and outputs are then checked before it runs.
 
     Args:
         places: every argument that names an output. The verb has an argument `overwrite` besides.
@@ -106,5 +106,5 @@ def writes(
 
 
 def declared(verb: Callable[..., Any]) -> tuple[Place, ...]:
-    """The declared outputs of a verb; none for one that only reads."""
+    """The declared outputs of a verb; empty for one that only reads."""
     return vars(verb).get("writes", ())

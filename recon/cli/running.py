@@ -1,4 +1,4 @@
-"""How a verb runs: call its function, write the result with a report, print a summary."""
+"""Runs a verb: calls its function, writes the result with a report, prints a summary."""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -12,7 +12,7 @@ from recon.cli.looks import look_at
 
 
 def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
-    """Call the function of a verb with a command line's values, write and print its result.
+    """Call a verb's function with a command line's values; write and print its result.
 
     Args:
         place: of the function, "module:name".
@@ -31,7 +31,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     how = {key: value for key, value in given.items() if key in known}
     how |= {key: read(how[key]) for key, read in _VALUES.items() if key in how}
     if not written or written[0] in known:
-        _tell_own(function(**how), given)
+        _print_facts(function(**how), given)
         return
     from recon.reading.inputs import input_checksums
 
@@ -41,7 +41,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     if settings is not None:
         options |= vars(settings)
         more = settings.arguments()
-    # checksums before reading: files that change during the run are then noticed
+    # before reading, so that files that change during the run are noticed
     inputs = input_checksums(how | options)
     with console.fitting({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))
@@ -65,7 +65,7 @@ def write_and_tell(
     report = result.report(*([out] if hasattr(result, "noun") else []), inputs, options)
     if out is not None:
         written = result.save(out, overwrite=given["overwrite"], report=report)
-    tell(report, result.tables, ", ".join(map(str, written or [out])) if out else "")
+    print_summary(report, result.tables, ", ".join(map(str, written or [out])) if out else "")
     if given["json"] is True:
         console.answer({**report.get("conversion", {}), **report})
     elif out is None:
@@ -75,7 +75,7 @@ def write_and_tell(
         raise Failed(f"{out}: {reasons or 'a fit met nan or inf'}")
 
 
-def tell(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:
+def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:
     """Print a summary of a result that was written.
 
     Args:
@@ -112,8 +112,8 @@ def tell(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> No
         console.last(place)
 
 
-def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
-    """Print what a function wrote itself, or the facts that it returned."""
+def _print_facts(found: Any, given: Mapping[str, Any]) -> None:
+    """Print the facts that a function returned, or what it wrote itself."""
     if given.get("json"):
         console.answer(found)
     elif "json" in given:
@@ -127,22 +127,22 @@ def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
 
 
 def _is_read(parameter: Parameter, value: Any) -> bool:
-    """Whether an argument is an input of the verb rather than a setting."""
+    """Whether an argument is an input file of the verb, and not a setting."""
     return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
 
 
-def _frames(text: str | None) -> tuple[int, int] | None:
+def _frame_range(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     first, colon, last = text.partition(":")
     if not (colon and first.isdigit() and last.isdigit() and int(first) < int(last)):
-        raise ValueError(f"--frames is A:B with A < B, for example 0:90; got {text!r}")
+        raise ValueError(f"--frames must be A:B with A < B, for example 0:90; got {text!r}")
     return int(first), int(last)
 
 
-def _box(corners: tuple[float, ...] | None) -> tuple[tuple[float, ...], ...] | None:
+def _two_corners(corners: tuple[float, ...] | None) -> tuple[tuple[float, ...], ...] | None:
     return None if corners is None else (corners[:3], corners[3:])
 
 
-_VALUES = {"frames": _frames, "hide_box": _box}
+_VALUES = {"frames": _frame_range, "hide_box": _two_corners}
 """Arguments that a command line writes in another way than a caller does."""

@@ -20,11 +20,11 @@ def constant(
     device: torch.device,
     dtype: torch.dtype = torch.long,
 ) -> Tensor:
-    """Numbers as a tensor that is made once for a device, and must not be changed.
+    """A tensor of constant numbers, cached per device; it must not be changed.
 
     Made anew from the host in every evaluation of an objective, it would make a GPU wait.
     """
-    with torch.inference_mode(False):  # a tensor of that mode could not be used outside of it
+    with torch.inference_mode(False):  # autograd refuses inference tensors
         return torch.tensor(numbers, device=device, dtype=dtype)
 
 
@@ -68,7 +68,7 @@ def is_geometry(one: Any) -> bool:
     """Whether this is a cloud, a mesh or a pair of depth image and lens of Open3D."""
     if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
         return hasattr(one[0], "depth")
-    if hasattr(one, "motion") or hasattr(one, "fps"):  # our results have a clock
+    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's own results
         return False
     return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 
@@ -108,7 +108,7 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
     return tuple(int(number) for number in array)
 
 
-def device_at_hand(name: str) -> torch.device:
+def usable_device(name: str) -> torch.device:
     """A device by its name.
 
     Raises:
@@ -118,7 +118,7 @@ def device_at_hand(name: str) -> torch.device:
         return torch.empty(0, device=name).device
     except (RuntimeError, AssertionError, TypeError) as error:
         reason = str(error).strip().partition("\n")[0]
-        raise ReconError(f"device: {name!r} cannot be used here ({reason}); take 'cpu'") from error
+        raise ReconError(f"device: {name!r} cannot be used here ({reason}); use 'cpu'") from error
 
 
 def positive(value: Any, name: str) -> float:
@@ -149,7 +149,7 @@ def finite(value: Any, name: str) -> float:
 
 
 def require_shape(tensor: Tensor, name: str, shape: Sequence[str | int]) -> None:
-    """Refuse a tensor whose last axes are not these; words stand for any length.
+    """Refuse a tensor whose last axes differ from `shape`, where words stand for any length.
 
     Raises:
         ValueError: with the shape that was expected and the one that came.

@@ -72,13 +72,13 @@ class Camera(TensorStruct):
                 f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {lens.shape[-1]}"
             )
         check_pose(self.T_camera_world.detach().cpu(), "Camera", "T_camera_world")
-        lenses = [None] if self.distortion is None else self._different(self.distortion)
-        for matrix in self._different(self.camera_matrix.flatten(-2)):
+        lenses = [None] if self.distortion is None else self._unique_rows(self.distortion)
+        for matrix in self._unique_rows(self.camera_matrix.flatten(-2)):
             for lens in lenses:
                 check_camera(matrix.reshape(3, 3), self.image_size, lens, "Camera")
 
     @staticmethod
-    def _different(rows: Tensor) -> list[Tensor]:
+    def _unique_rows(rows: Tensor) -> list[Tensor]:
         """Unique rows of intrinsics; usually one, as lenses rarely change during a clip."""
         return list(rows.detach().cpu().double().reshape(-1, rows.shape[-1]).unique(dim=0))
 
@@ -147,7 +147,7 @@ class Camera(TensorStruct):
         plane = torch.where(in_front, seen[..., :2], 0.0)
         rays = plane / torch.where(in_front, depth[..., None], 1.0)
         if self.distortion is not None:
-            radial, shift = _lens(rays, self.distortion[..., None, :])
+            radial, shift = _distortion_terms(rays, self.distortion[..., None, :])
             rays = rays * radial + shift
         pixels = rays @ self.camera_matrix[..., :2, :2].mT + self.camera_matrix[..., None, :2, 2]
         return Projection(pixels, depth)
@@ -267,12 +267,12 @@ def _undistort(
     """Undistorted coordinates, by fixed-point iteration (converges for monotone distortion)."""
     straight = rays
     for _ in range(_UNDISTORT_STEPS):
-        radial, shift = _lens(straight, coefficients)
+        radial, shift = _distortion_terms(straight, coefficients)
         straight = (rays - shift) / radial
     return straight
 
 
-def _lens(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
+def _distortion_terms(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     """Radial factor and tangential shift at ideal coordinates x/z, y/z (Brown; OpenCV's)."""
     missing = COEFFICIENT_COUNTS[-1] - coefficients.shape[-1]
     padded = torch.nn.functional.pad(coefficients, (0, missing))[..., None]
@@ -285,19 +285,19 @@ def _lens(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     return radial, torch.cat((shift_x, shift_y), -1)
 
 
-def _intrinsics(focal: float, width: int, height: int) -> Camera:
+def _centred_camera(focal: float, width: int, height: int) -> Camera:
     rows = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
     return Camera.create(torch.tensor(rows), (width, height))
 
 
 def full_hd_camera() -> Camera:
     """A phone's main camera filming 1920 x 1080 across 65 degrees, at the origin."""
-    return _intrinsics(1500.0, 1920, 1080)
+    return _centred_camera(1500.0, 1920, 1080)
 
 
 def depth_camera() -> Camera:
     """A time-of-flight sensor of 512 x 424 pixels across 70 degrees, at the origin."""
-    return _intrinsics(365.0, 512, 424)
+    return _centred_camera(365.0, 512, 424)
 
 
 _UPRIGHT = 1e-6
@@ -374,7 +374,7 @@ def canonical_rotation(
     up = ground.normal
     side, front = -root[..., :, 0], root[..., :, 2]
     along = side - (side * up).sum(-1, keepdim=True) * up
-    # `front` is horizontal, hence not parallel to up, where r is vertical.
+    # where `side` is vertical (a body lying on its side), `front` is horizontal
     spare = torch.linalg.cross(front, up, dim=-1)
     defined = along.square().sum(-1, keepdim=True) > _UPRIGHT
     right = torch.nn.functional.normalize(torch.where(defined, along, spare), dim=-1)
@@ -384,7 +384,7 @@ def canonical_rotation(
 def world_from_camera(
     ground: Ground, root: Float[Tensor, "*batch 3 3"], origin: Float[Tensor, "*batch 3"]
 ) -> Float[Tensor, "*batch 4 4"]:
-    """T_world_camera of a camera whose pose is unknown but that sees ground and body.
+    """T_world_camera of a camera of unknown pose, from the ground and the body that it sees.
 
     The world's z = 0 is the ground, its y the body's forward direction in the first frame, and
     `origin` (a point such as the first pelvis, camera frame, metres) lies above its origin. All

@@ -34,7 +34,7 @@ _STEADIER, _SWAYS = 2.0, 0.1
 points of somebody who crouches stay on the floor."""
 
 
-def held_numbers(values: Any) -> np.ndarray:
+def array_of_open3d(values: Any) -> np.ndarray:
     """An array from Open3D: from vectors of its older or tensors of its newer interface."""
     values = values.cpu().numpy() if hasattr(values, "cpu") else values
     return np.asarray(values, dtype=np.float64)
@@ -49,8 +49,8 @@ def cloud_points(one: Any, name: str) -> np.ndarray:
     held = next((getattr(one, key) for key in ("points", "vertices") if hasattr(one, key)), one)
     if held is one and is_geometry(one):  # open3d.t.geometry
         inside = one.point if hasattr(one, "point") else one.vertex
-        held = held_numbers(inside["positions"]) if "positions" in inside else ()
-    found = held_numbers(held)
+        held = array_of_open3d(inside["positions"]) if "positions" in inside else ()
+    found = array_of_open3d(held)
     found = found.reshape(0, 3) if found.size == 0 else found
     if found.ndim != 2 or found.shape[1] != 3:
         raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
@@ -82,7 +82,7 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
 
 
 def up_of_clouds(
-    clouds: list[Float[np.ndarray, "_ 3"]], name: str, *, told: bool
+    clouds: list[Float[np.ndarray, "_ 3"]], name: str, *, unit_given: bool
 ) -> tuple[Up, tuple[str, ...]]:
     """The up direction of scans of one person, and a note where it is not z.
 
@@ -93,7 +93,7 @@ def up_of_clouds(
     Args:
         clouds: of every frame, metres.
         name: of the folder, for messages.
-        told: whether the user gave the unit, and with it the size of a child.
+        unit_given: whether the user gave the unit, and with it the size of a child.
 
     Raises:
         UnitsError: when nothing tells, or who stands is no adult.
@@ -119,7 +119,7 @@ def up_of_clouds(
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR
-    if whole and high - low < _SHORTEST and not told:
+    if whole and high - low < _SHORTEST and not unit_given:
         raise UnitsError(
             f"{name}: who stands in the clouds is {high - low:.2f} m tall, which no adult is: "
             "scans are often scaled to unit height. Multiply their points by the person's height "
@@ -145,7 +145,7 @@ def up_of_clouds(
 
 
 def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
-    """Evidence, above 0, that heads point in this direction; its opposite for the other one."""
+    """Score above 0 if heads point in the direction `up`, below 0 if they point against it."""
     turned = [cloud @ to_z_up(up).T for cloud in clouds]
     low, foot, middle, head, high = np.array(
         [np.percentile(cloud[:, 2], (1, 6, 50, 94, 99)) for cloud in turned]
@@ -160,6 +160,6 @@ def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
 
 
 def _width(points: Float[np.ndarray, "points 3"]) -> float:
-    """Mean distance from the middle, along the ground."""
+    """Mean horizontal distance of points from their centroid."""
     level = points[:, :2]
     return float(np.linalg.norm(level - level.mean(0), axis=-1).mean()) + _SWAY

@@ -204,27 +204,30 @@ def along_body(
     """
     words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
 
-    def seen(pattern: re.Pattern[str]) -> np.ndarray:
+    def points_named(pattern: re.Pattern[str]) -> np.ndarray:
         return visible & np.array([bool(pattern.search(word)) for word in words])
 
-    feet, head, neck = seen(_LOW), seen(_HEAD), seen(_NECK)
-    high, pelvis = seen(_HIGH) & ~feet, seen(_PELVIS) & ~feet
+    feet, head, neck = points_named(_LOW), points_named(_HEAD), points_named(_NECK)
+    high, pelvis = points_named(_HIGH) & ~feet, points_named(_PELVIS) & ~feet
     of_feet = sum(bool(_LOW.search(word)) for word in words)
     both_feet = feet & (feet.sum(1, keepdims=True) > of_feet / 2)
     pairs = (
         (both_feet, high), (both_feet, pelvis), (pelvis, high | neck),
-        (seen(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high), (feet, pelvis),
+        (points_named(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high),
+        (feet, pelvis),
     )  # fmt: skip
     found = np.zeros((len(positions), 3))
     shown = np.zeros(len(positions), dtype=bool)
     for low, top in pairs:
         new = low.any(1) & top.any(1) & ~shown
-        found[new] = _centres(positions[new], top[new]) - _centres(positions[new], low[new])
+        found[new] = _means_of_chosen(positions[new], top[new]) - _means_of_chosen(
+            positions[new], low[new]
+        )
         shown |= new
     return found[shown]
 
 
-def _centres(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _means_of_chosen(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Mean of the chosen points of every frame."""
     return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
@@ -304,7 +307,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
 
 
 def along(axis: int, sign: float) -> Up:
-    """The direction along an axis of this number, or against it where the sign is negative."""
+    """The direction along the axis of this number, or against it for a negative sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
 

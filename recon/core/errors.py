@@ -9,7 +9,7 @@ class ReconError(ValueError):
 
 
 class FormatError(ReconError):
-    """A file cannot be read as what it should be."""
+    """A file cannot be read in the expected format."""
 
 
 class UnitsError(ReconError):
@@ -17,7 +17,7 @@ class UnitsError(ReconError):
 
 
 class ObservationError(ReconError):
-    """An observation is damaged, or does not fit the others."""
+    """An observation is damaged, or inconsistent with the others."""
 
 
 class WeightsError(ReconError):
@@ -25,7 +25,7 @@ class WeightsError(ReconError):
 
 
 def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
-    """A module that few installations have; by name, as type checkers need not find it.
+    """Import an optional module; the error names the extra of recon that installs it.
 
     Args:
         name: of the module.

@@ -50,29 +50,31 @@ def facing(
         if visible[:, k].any()
     }
 
-    def at(side: str, *options: str) -> np.ndarray:
+    def position_of(side: str, *options: str) -> np.ndarray:
         return next(
             (places[key] for one in options if (key := one.replace("*", side)) in places),
             np.full((len(positions), 3), np.nan),
         )
 
-    def towards(way: np.ndarray) -> np.ndarray:
-        return way / np.linalg.norm(way, axis=-1, keepdims=True).clip(1e-9)
+    def unit_vector(vector: np.ndarray) -> np.ndarray:
+        return vector / np.linalg.norm(vector, axis=-1, keepdims=True).clip(1e-9)
 
     right = np.zeros((len(positions), 3))
     for parts in (("*_hip", "*_asis", "*_psis", "*_trochanter"), ("*_shoulder", "*_acromion")):
-        right += np.nan_to_num(towards(at("right", *parts) - at("left", *parts)))
+        right += np.nan_to_num(
+            unit_vector(position_of("right", *parts) - position_of("left", *parts))
+        )
     kinds: list[np.ndarray] = []
     for part in (*_FORWARDS, None):
         cosines = []
         for side in ("left", "right"):
             if part is None:
-                top, bottom = at(side, "*_hip"), at(side, "*_ankle")
-                ahead, reach = at(side, "*_knee") - (top + bottom) / 2, _BEND
+                top, bottom = position_of(side, "*_hip"), position_of(side, "*_ankle")
+                ahead, reach = position_of(side, "*_knee") - (top + bottom) / 2, _BEND
             else:
-                front, back, top, bottom = (at(side, *options) for options in part)
+                front, back, top, bottom = (position_of(side, *options) for options in part)
                 ahead, reach = front - back, _REACH
-            forwards = np.cross(towards(top - bottom), towards(right))
+            forwards = np.cross(unit_vector(top - bottom), unit_vector(right))
             cosines.append(((ahead * forwards).sum(-1) / reach).clip(-1, 1))
         known = np.isfinite(cosines)
         kinds.append(np.nan_to_num(cosines).sum(0) / np.where(known.any(0), known.sum(0), np.nan))

@@ -7,18 +7,18 @@ from typing import Any
 
 
 def lazy(
-    package: str, homes: Mapping[str, str]
+    package: str, module_of: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package.
+    """`__getattr__` and `__dir__` of a package whose names are imported on first use.
 
     Args:
         package: its name.
-        homes: the module of every name.
+        module_of: the module of every name.
     """
 
     def named(name: str) -> Any:
-        if name not in homes:
+        if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(homes[name]), name)
+        return getattr(import_module(module_of[name]), name)
 
-    return named, lambda: sorted([*vars(sys.modules[package]), *homes])
+    return named, lambda: sorted([*vars(sys.modules[package]), *module_of])

@@ -50,7 +50,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Whether a frame and those `step` frames before and after it exist; ends are left out."""
+        """Whether a frame and the frames `step` before and after it exist; without the ends."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after
@@ -67,7 +67,7 @@ class Motion(TensorStruct):
         return self.start_time + (self.frames - 1) / self.fps
 
     def window(self, start: int, stop: int) -> "Motion":
-        """Frames start, ..., stop - 1; the clock goes on."""
+        """Frames start, ..., stop - 1, with the times that they have in this motion."""
         return self.replace(
             translation=self.translation[..., start:stop, :],
             rotations=self.rotations[..., start:stop, :, :, :],
@@ -133,7 +133,7 @@ def carried_translation(
     T: Float[Tensor, "*batch 4 4"],
     pelvis: Float[Tensor, "*batch 3"],
 ) -> Float[Tensor, "*batch time 3"]:
-    """R (t + p) + s - p: a body's translation does not turn its rest pelvis p."""
+    """A body's translation t after a rigid transform (R, s): R (t + p) + s - p, rest pelvis p."""
     rest = pelvis[..., None, :]
     return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 
@@ -171,7 +171,7 @@ def pad(motions: list[Motion]) -> Motion:
 
 @dataclass(frozen=True)
 class MotionFile:
-    """One motion and its additional data; None where a file does not have them."""
+    """The contents of a motion file; optional ones are None where the file lacks them."""
 
     motion: Motion
     """One clip, no batch axis; padded frames are not written."""

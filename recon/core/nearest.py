@@ -71,7 +71,7 @@ def nearest_alike(
     allowed: Bool[Tensor, "moments surface"],
     of_surface: Float[Tensor, "surface kinds"],
 ) -> Int[Tensor, "moments points"]:
-    """Index of the allowed point j of the surface that costs least; no gradient.
+    """Index of the allowed surface point nearest in position and in kind; no gradient.
 
     Point i costs |p_i - s_j|² + k_i · k_j, with k_i its row of `kinds`: what it costs to be of a
     kind, metres². Where a moment allows nothing, everything is allowed; zero where a point is not

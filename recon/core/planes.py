@@ -69,13 +69,13 @@ def find_ground(
         raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
     generator = np.random.default_rng(seed)
     sample, rejected = _Sample.of(clouds, generator), "no plane"
-    for normal, offset, rows in _planes(sample.points, tolerance, least, generator):
+    for normal, offset, rows in _planes_by_size(sample.points, tolerance, least, generator):
         if normal @ up < 0:
             normal, offset = -normal, -offset
         if normal @ up < math.cos(tilt):
             rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
             continue
-        if np.median([_width(one, normal) for one in sample.by_frame(rows)]) < _WIDTH:
+        if np.median([_plane_width(one, normal) for one in sample.by_frame(rows)]) < _WIDTH:
             rejected = "a level plane no wider than a body"
             continue
         below = float((sample.points @ normal < offset - 2 * tolerance).mean())
@@ -112,10 +112,10 @@ def find_walls(
     generator = np.random.default_rng(seed)
     sample = _Sample.of(clouds, generator)
     walls: list[tuple[np.ndarray, float]] = []
-    for normal, offset, rows in _planes(sample.points, tolerance, least, generator):
+    for normal, offset, rows in _planes_by_size(sample.points, tolerance, least, generator):
         if abs(normal[2]) >= _STEEP:
             continue
-        axes = _axes(sample.points[rows])[:, 1:]
+        axes = _principal_axes(sample.points[rows])[:, 1:]
         low, high = _common_rectangle([one @ axes for one in sample.by_frame(rows)])
         if (high - low).min() / (_END - _START) <= _WALL:
             continue
@@ -159,7 +159,7 @@ class _Sample:
         return np.split(self.points[rows], ends)
 
 
-def _planes(
+def _planes_by_size(
     points: Float[np.ndarray, "points 3"],
     tolerance: float,
     least: float,
@@ -193,7 +193,7 @@ def _common_rectangle(
     )
 
 
-def before(
+def in_front_of_plane(
     points: Float[np.ndarray, "points 3"],
     normal: Float[np.ndarray, "3"],
     offset: float,
@@ -205,15 +205,15 @@ def before(
     return side * (points @ normal - offset) > least
 
 
-def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
+def _plane_width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
     """Extent along the second axis of points of a plane, without a tenth at either end, metres."""
     if len(points) == 0:
         return 0.0
-    across = np.cross(normal, _axes(points)[:, 2]) @ (points - points.mean(0)).T
+    across = np.cross(normal, _principal_axes(points)[:, 2]) @ (points - points.mean(0)).T
     return float(np.subtract(*np.quantile(across, (_END, _START))) / (_END - _START))
 
 
-def _axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3 3"]:
+def _principal_axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3 3"]:
     """Principal axes as columns, by increasing extent."""
     centred = points - points.mean(0)
     return np.linalg.eigh(centred.T @ centred)[1]
@@ -252,14 +252,14 @@ def largest_plane(
     return normal, offset, np.abs(points @ normal - offset) < tolerance
 
 
-def above(
+def above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
 ) -> Bool[np.ndarray, " points"]:
     """Points higher than `least` above the ground, metres."""
     return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
 
 
-def spacing(clouds: Sequence[np.ndarray]) -> float:
+def point_spacing(clouds: Sequence[np.ndarray]) -> float:
     """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
 
     Clouds have axes (points, 3), each its own number of points.
@@ -328,20 +328,20 @@ def depth_noise(
     found: list[float] = []
     for moment in looked:
         away = (points[moment, present[moment]] - eye[moment]).astype(np.float64)
-        deviations = _deviations(away)
+        deviations = _plane_deviations(away)
         kept = deviations <= _WILD * np.median(deviations)
-        found.append(float(np.median(_deviations(away[kept]))) / NORMAL_MAD)
+        found.append(float(np.median(_plane_deviations(away[kept]))) / NORMAL_MAD)
     padded = np.pad(found, _AROUND, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
     return np.interp(np.arange(len(points)), looked, np.median(around, 1))
 
 
-def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
+def _plane_deviations(from_sensor: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
     """Sizes of the deviations of points from the planes through their neighbours, along rays."""
     from scipy.spatial import KDTree
 
-    far = np.linalg.norm(away, axis=1)
-    rays = away / np.maximum(far, 1e-9)[:, None]
+    far = np.linalg.norm(from_sensor, axis=1)
+    rays = from_sensor / np.maximum(far, 1e-9)[:, None]
     near = np.asarray(KDTree(rays).query(rays, k=_NEIGHBOURS + 1)[1])[:, 1:]
     # project neighbours onto the plane perpendicular to the mean ray
     _, _, axes = np.linalg.svd(rays.mean(0)[None])

@@ -56,7 +56,7 @@ def rasterise(
         return nothing
     near, far = (float(end(depth[faces])) for end in (np.min, np.max))
     if not near > 0:
-        raise ValueError(f"faces are drawn before the viewer alone, got depths from {near:.3g} on")
+        raise ValueError(f"faces must lie in front of the viewer, got depths from {near:.3g} on")
     beyond = (1 + _SLACK / 2) * far  # empty pixels are at `far` up to rounding
     near, far = (1 - _SLACK) * near, (1 + _SLACK) * far
 

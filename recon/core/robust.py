@@ -32,7 +32,7 @@ def geman_mcclure(
 def lower_median(
     values: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
 ) -> Float[Tensor, "*batch"]:
-    """The middle value of those present, the lower one of two; zero where there is none."""
+    """The median of the present values, the lower of two middle ones; zero without values."""
     count = present.sum(-1, keepdim=True)
     ordered = torch.where(present, values, torch.inf).sort(-1).values
     middle = ordered.gather(-1, (count - 1).clamp(min=0) // 2)

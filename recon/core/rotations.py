@@ -73,10 +73,10 @@ def log(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
     quaternion = quaternion * ((quaternion[..., 3:] > 0).to(quaternion) * 2 - 1)
     vector = quaternion[..., :3]
     half = torch.atan2(vector.norm(dim=-1), quaternion[..., 3])
-    return 2 * _over_sine(half)[..., None] * vector
+    return 2 * _x_over_sin_x(half)[..., None] * vector
 
 
-def _over_sine(x: Tensor) -> Tensor:
+def _x_over_sin_x(x: Tensor) -> Tensor:
     """The quotient x / sin(x), by its series near zero.
 
     The series begins where its derivative is as exact as the one of the quotient: its error is

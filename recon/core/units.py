@@ -66,7 +66,7 @@ def check_override(unit: str | None) -> None:
 
 
 def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
-    """Proper rotation that takes coordinates with this up axis to z up.
+    """Rotation from coordinates with this up axis to coordinates with z up.
 
     From y up it is a quarter turn about x, (x, y, z) -> (x, -z, y), as in AMASS and Blender; from
     x up the cyclic (x, y, z) -> (y, z, x). From y down it is (x, y, z) -> (x, z, -y), which keeps

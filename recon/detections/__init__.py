@@ -1,1 +1,1 @@
-"""2D keypoints as detectors write them; `reader` chooses the format by a file's content."""
+"""Reads 2D keypoints of many detectors; `reader` recognises the format."""

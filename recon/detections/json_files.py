@@ -1,4 +1,4 @@
-"""2D keypoints in JSON: OpenPose, EasyMocap, MMPose, rtmlib, MediaPipe, and AlphaPose's COCO form.
+"""Reads 2D keypoints in JSON: OpenPose, EasyMocap, MMPose, rtmlib, MediaPipe, AlphaPose.
 
 A reader of one producer takes what a file says of a frame and gives everybody in it, or None where
 another producer wrote it.
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import FormatError
-from recon.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.json_files import (
     Frames,
     as_floats,
@@ -43,7 +43,7 @@ People = list[tuple[Float[np.ndarray, "keypoints 3"], int]]
 def read_json_detections(
     value: Any, name: str, layout: str | None, image_size: tuple[int, int] | None
 ) -> Detections:
-    """Everybody in the JSON file of all frames.
+    """Read the detections of all people in a JSON file of all frames.
 
     Args:
         value: what the file holds.
@@ -55,7 +55,7 @@ def read_json_detections(
         ValueError: when no known producer wrote it so, or nobody is in it.
     """
     if is_alphapose(value):
-        return _alphapose(value, name, layout)
+        return _read_alphapose(value, name, layout)
     if isinstance(value, dict):
         value = next((value[key] for key in _LISTS if key in value), [value])
     if not isinstance(value, list):
@@ -72,7 +72,7 @@ def read_json_detections(
 def read_frames(
     frames: Frames, name: str, layout: str | None, image_size: tuple[int, int] | None
 ) -> Detections:
-    """Everybody in frames of one producer; arguments and refusals as of `read_json_detections`."""
+    """Read the detections of all people in JSON values, one per frame, of one program."""
     producer = next(
         (
             one
@@ -91,16 +91,16 @@ def read_frames(
             continue
         place = f"{name}, frame {number}"
         people = producer(entry, place)
-        if people is None and producer is not _mediapipe:
+        if people is None and producer is not _people_of_mediapipe:
             raise FormatError(f"{place}: expected {_PRODUCERS[producer]}")
         rows += [(number, points, identity) for points, identity in people or []]
-    if producer is _mediapipe:
+    if producer is _people_of_mediapipe:
         rows, layout = _in_pixels(rows, image_size, name), layout or "mediapipe33"
-    return gather(name, [number for number, _ in frames], rows, layout=layout)
+    return detections_of_rows(name, [number for number, _ in frames], rows, layout=layout)
 
 
 def is_alphapose(value: Any) -> bool:
-    """Whether a file is a flat list of people with an image each, as COCO's results are."""
+    """Whether JSON is a flat list of people, each with an image, as in COCO's results."""
     return (
         isinstance(value, list)
         and len(value) > 0
@@ -108,8 +108,8 @@ def is_alphapose(value: Any) -> bool:
     )
 
 
-def _alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
-    """AlphaPose's people; scores are divided by 6 if any exceeds 1."""
+def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
+    """Read AlphaPose's people; scores are divided by 6 if any exceeds 1."""
     images = sorted({str(person["image_id"]) for person in people})
     numbers = frame_numbers([PurePath(image).stem for image in images], name)
     by_image = dict(zip(images, numbers, strict=True))
@@ -122,36 +122,36 @@ def _alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> D
         scale = (1.0, 1.0, _COCO_RANGE)
         rows = [(number, points / scale, identity) for number, points, identity in rows]
     rows.sort(key=lambda row: row[0])
-    return gather(name, sorted(numbers), rows, layout=layout)
+    return detections_of_rows(name, sorted(numbers), rows, layout=layout)
 
 
-def _openpose(entry: Any, place: str) -> People | None:
+def _people_of_openpose(entry: Any, place: str) -> People | None:
     return _listed_people(entry, place, "people", "pose_keypoints_2d", ("person_id",))
 
 
-def _easymocap(entry: Any, place: str) -> People | None:
-    """EasyMocap's people, as in OpenPose; negative confidence means missing."""
+def _people_of_easymocap(entry: Any, place: str) -> People | None:
+    """Read EasyMocap's people of a frame; negative confidence means missing."""
     return _listed_people(entry, place, "annots", "keypoints", ("personID", "id"))
 
 
 def _listed_people(
-    entry: Any, place: str, key: str, keypoints: str, identities: tuple[str, ...]
+    entry: Any, place: str, key: str, keypoints_key: str, identity_keys: tuple[str, ...]
 ) -> People | None:
-    """Records of people under a key, their keypoints as flat lists of x, y, confidence."""
+    """Read the people listed under `key`, with keypoints as flat lists of x, y, confidence."""
     people = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(people, list):
         return None
     if not all(isinstance(one, dict) for one in people):
         raise FormatError(f"{place}: expected a list of people, each a record, in {key}")
-    numbers = [next((one[k] for k in identities if k in one), None) for one in people]
+    numbers = [next((one[k] for k in identity_keys if k in one), None) for one in people]
     return [
-        (flat_points(one.get(keypoints) or [], place), as_identity(number, place))
+        (flat_points(one.get(keypoints_key) or [], place), as_identity(number, place))
         for one, number in zip(people, numbers, strict=True)
     ]
 
 
-def _mmpose(entry: Any, place: str) -> People | None:
-    """`{"instances": [...]}`, a list of instances, or rtmlib's one record of two arrays.
+def _people_of_mmpose(entry: Any, place: str) -> People | None:
+    """Read `{"instances": [...]}`, a list of instances, or rtmlib's record of two arrays.
 
     Heatmap scores lie in [0, 1]; those of SimCC heads (RTMPose) are not normalised and clipped.
     """
@@ -181,8 +181,8 @@ def _mmpose(entry: Any, place: str) -> People | None:
     return people
 
 
-def _mediapipe(entry: Any, place: str) -> People | None:
-    """MediaPipe's landmarks, in pixels or fractions; confidence is the visibility."""
+def _people_of_mediapipe(entry: Any, place: str) -> People | None:
+    """Read MediaPipe's landmarks, in pixels or fractions; confidence is their visibility."""
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None
@@ -190,7 +190,7 @@ def _mediapipe(entry: Any, place: str) -> People | None:
 
 
 def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
-    """MediaPipe's landmarks by person, of one or of several; None where there are none."""
+    """MediaPipe's landmarks of each person; None where the entry has none."""
     if isinstance(entry, dict):
         key = next((key for key in keys if key in entry), None)
         entry = None if key is None else entry[key] or []
@@ -202,7 +202,7 @@ def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | 
 
 
 def landmarks(person: list[Any], axes: str, place: str) -> Float[np.ndarray, "33 numbers"]:
-    """The axes and the visibility of the landmarks of one person, as MediaPipe writes them.
+    """Coordinates and visibility of the landmarks of one person, from MediaPipe's records.
 
     Raises:
         ValueError: when there are not 33 of them, or axes are missing.
@@ -220,7 +220,7 @@ def _has_axes(person: list[Any], axes: str) -> bool:
 
 
 def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -> list[Row]:
-    """Landmarks in pixels: coordinates that all lie near [0, 1] are fractions of the image."""
+    """Landmarks in pixels, from pixels or from fractions of the image (all in [0, 1])."""
     places = np.abs([points[:, :2] for _, points, _ in rows])
     if not rows or np.median(np.nan_to_num(places)) > _FRACTION:
         return rows
@@ -233,9 +233,9 @@ def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -
 
 
 _PRODUCERS: dict[Callable[[Any, str], People | None], str] = {
-    _openpose: "a list of people, as in OpenPose",
-    _easymocap: "annots, as in EasyMocap",
-    _mediapipe: "landmarks, as in MediaPipe",
-    _mmpose: "keypoints and keypoint_scores of every instance",
+    _people_of_openpose: "a list of people, as in OpenPose",
+    _people_of_easymocap: "annots, as in EasyMocap",
+    _people_of_mediapipe: "landmarks, as in MediaPipe",
+    _people_of_mmpose: "keypoints and keypoint_scores of every instance",
 }
 """Readers of a frame, and what they expect in every one, in messages."""

@@ -18,7 +18,7 @@ from recon.formats.opening import existing
 def read_keypoints(
     path: Path, *, layout: str | None = None, image_size: tuple[int, int] | None = None
 ) -> Detections:
-    """Read a folder with a JSON file per frame, a JSON file of all, a CSV table or arrays.
+    """Read a folder with a JSON file per frame, one JSON file, a CSV table or arrays.
 
     Args:
         path: OpenPose, Pose2Sim, EasyMocap, MMPose, rtmlib, AlphaPose, MediaPipe, DeepLabCut,

@@ -1,4 +1,4 @@
-"""Detections of a 2D detector in the images of one camera: any number of people per frame."""
+"""Records of 2D keypoints in the images of one camera, with any number of people per frame."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ _AGREEMENT = 0.8
 def settle_layout(
     points: Float[np.ndarray, "rows points 3"], layout: str | None, name: str
 ) -> tuple[str, Float[np.ndarray, "rows known 3"], str]:
-    """The layout of the keypoints, the keypoints in its order, and how it was recognised.
+    """Recognise a layout; returns its name, the keypoints in its order, and a note.
 
     25 keypoints may be OpenPose's BODY_25 or BODY_25B: read the wrong way, arms and legs join
     points far apart, so the reading in which the bones are shorter is right. 18 are OpenPose's
@@ -70,7 +70,7 @@ def settle_layout(
         return chosen, points, f"layout {chosen}: 25 keypoints, arms and legs are whole only so"
     if count not in _BY_COUNT:
         raise FormatError(
-            f"{name}: {count} keypoints are no layout known here; give one of "
+            f"{name}: no known layout has {count} keypoints; give one of "
             f"{', '.join(LAYOUTS)} with --layout"
         )
     chosen = _BY_COUNT[count]
@@ -101,7 +101,7 @@ def _openpose_model(points: np.ndarray, name: str) -> str:
 
 
 def _bone_length(points: np.ndarray, layout: str) -> np.ndarray:
-    """Mean length of the bones seen, pixels, by person; NaN where there are too few."""
+    """Mean length of every person's seen bones, pixels; NaN where there are too few."""
     index = {name: k for k, name in enumerate(keypoint_names(layout))}
     pairs = np.array([(index[a], index[b]) for a, b in _BONES])
     seen = (points[:, pairs, 2] >= _CONFIDENT).all(-1)
@@ -118,7 +118,7 @@ Row = tuple[int, np.ndarray, int]
 
 @dataclass(frozen=True)
 class Detections:
-    """People found by one producer in one view; one row per person and frame."""
+    """People whom a detector found in one view; one row per person and frame."""
 
     name: str
     """Name of the folder or file."""
@@ -138,7 +138,7 @@ class Detections:
     """What was decided about the file and why."""
 
 
-def gather(
+def detections_of_rows(
     name: str,
     frame_numbers: Sequence[int],
     rows: Sequence[Row],
@@ -146,7 +146,7 @@ def gather(
     layout: str | None = None,
     decisions: tuple[str, ...] = (),
 ) -> Detections:
-    """Detections from rows as they were read.
+    """Make detections of the rows that a reader found.
 
     Confidences are clipped to [0, 1]. A keypoint is missing where its confidence is zero, or its
     place is NaN, infinite, (0, 0), or -1 in both coordinates.
@@ -187,7 +187,7 @@ def gather(
 
 
 def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:
-    """Refuse impossible frame or person numbers before arrays are allocated for them.
+    """Refuse impossible frame and person numbers before memory is allocated for them.
 
     Raises:
         ValueError: naming file, quantity and what came.
@@ -200,7 +200,7 @@ def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -
 
 
 def cleaned(points: Float[np.ndarray, "rows points 3"]) -> Float[np.ndarray, "rows points 3"]:
-    """Confidences clipped to [0, 1]; all three numbers zero where a keypoint is missing."""
+    """Keypoints with confidences clipped to [0, 1], and zeros where one is missing."""
     finite = np.isfinite(points).all(-1)
     place = points[..., :2]
     nowhere = (place == 0).all(-1) | (place == -1).all(-1)

@@ -1,4 +1,4 @@
-"""2D keypoints in tables and arrays: DeepLabCut's and SLEAP's CSV, and .npz files."""
+"""Reads 2D keypoints from CSV tables of DeepLabCut and SLEAP, and from .npz files."""
 
 import re
 from pathlib import Path
@@ -9,9 +9,9 @@ from jaxtyping import Float, Shaped
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
-from recon.detections.records import Detections, Row, gather
+from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import each_once, first_rows, numbers, read_rows
+from recon.formats.text_tables import first_rows, numbers, read_rows, refuse_repeated_columns
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -26,7 +26,7 @@ _WORDS = {
 
 
 def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
-    """Read three or four header rows, then x, y, likelihood of every body part.
+    """Read DeepLabCut's CSV: header rows, then x, y, likelihood of every body part.
 
     Parts that the layout does not have are left out and named. Without `layout`, it is the one
     that has most of the parts by name, of equals the shortest. The confidence is the likelihood,
@@ -57,10 +57,10 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     if sorted(set(frames)) != frames:
         raise FormatError(f"{name}: expected increasing frame numbers in the first column")
     chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
-    places = {normalised(part): part for part in parts}
+    places = {plain_part_name(part): part for part in parts}
     kinds = [coordinate.lower() for coordinate in header["coords"]]
     triples = list(zip(individuals, parts, kinds, strict=False))
-    each_once([" ".join(triple) for triple in triples], name)
+    refuse_repeated_columns([" ".join(triple) for triple in triples], name)
     columns = {triple: column for column, triple in enumerate(triples)}
     index = [
         [
@@ -75,11 +75,11 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     seen = np.argwhere(np.isfinite(points).all(-1).any(-1)).tolist()
     found_rows: list[Row] = [(frames[t], points[t, person], person) for t, person in seen]
     named = (f"body parts not in {chosen}: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, frames, found_rows, layout=chosen, decisions=named)
+    return detections_of_rows(name, frames, found_rows, layout=chosen, decisions=named)
 
 
-def normalised(part: str) -> str:
-    """A body part's name as in `recon.core.skeleton`: LHip, hip_left, "left hip" -> left_hip."""
+def plain_part_name(part: str) -> str:
+    """A body part's name in recon's spelling: LHip, hip_left, "left hip" become left_hip."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=^[LR])(?=[A-Z])(?!EFT|IGHT)", "_", part.strip())
     joined = re.sub(r"[^a-z0-9]+", "_", spaced.lower()).strip("_")
     joined = re.sub(r"^(left|right)(?=[a-z])", r"\1_", joined)
@@ -89,8 +89,8 @@ def normalised(part: str) -> str:
 
 
 def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
-    """The layout that has most of the parts, and the parts that it does not have."""
-    words = {normalised(part): part for part in parts}
+    """The layout that has most of the body parts, and the parts that it lacks."""
+    words = {plain_part_name(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}
     found = {key: len(words.keys() & set(LAYOUTS[key])) for key in candidates}
     best = max(candidates, key=lambda key: (found[key], -len(LAYOUTS[key])))
@@ -104,13 +104,13 @@ def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, 
 
 
 def is_sleap(path: Path) -> bool:
-    """Whether a table begins as SLEAP's do."""
+    """Whether a table has SLEAP's header."""
     head = next(iter(first_rows(path, 1)), [])
     return "frame_idx" in head and any(name.endswith(".x") for name in head)
 
 
 def read_sleap(path: Path, layout: str | None = None) -> Detections:
-    """Read a row per person and frame; nodes that the layout does not have are left out and named.
+    """Read SLEAP's table of a row per person and frame; unknown nodes are left out and noted.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -118,7 +118,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     """
     name = path.name
     head, *rows = read_rows(path, JSON)
-    each_once(head, name)
+    refuse_repeated_columns(head, name)
     columns = {column: k for k, column in enumerate(head)}
     nodes = [column[:-2] for column in head if column.endswith(".x")]
     SAMPLES.check((len(rows) + 1) * max(len(nodes), 1), name)
@@ -126,7 +126,7 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
     places = {keypoint: k for k, keypoint in enumerate(keypoint_names(chosen))}
     points = np.zeros((len(rows), len(places), 3))
     for node in nodes:
-        k = places.get(normalised(node))
+        k = places.get(plain_part_name(node))
         for axis, coordinate in enumerate(("x", "y", "score") if k is not None else ()):
             column = columns.get(f"{node}.{coordinate}")
             points[:, k, axis] = 1.0
@@ -143,7 +143,9 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
         for frame, person, who in zip(frames, points, identity, strict=True)
     ]
     said = (f"nodes left out: {', '.join(unknown)}",) if unknown else ()
-    return gather(name, sorted({row[0] for row in found}), found, layout=chosen, decisions=said)
+    return detections_of_rows(
+        name, sorted({row[0] for row in found}), found, layout=chosen, decisions=said
+    )
 
 
 _KEYPOINTS = ("keypoints", "kpts", "keypoints_2d", "keypoints2d", "pred_keypoints")
@@ -153,21 +155,21 @@ _PIXELS = 10.0
 
 
 def holds_detections(path: Path) -> bool:
-    """Whether a .npz holds 2D keypoints: two columns, or a third one that is a confidence."""
+    """Whether an .npz file holds 2D keypoints, with or without a third column of confidences."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
-    return _found(load_arrays(path)) is not None
+    return _pixels_and_confidence(load_arrays(path)) is not None
 
 
 def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
-    """Read (frames, points, 2 or 3) or (frames, people, points, 2 or 3) with scores beside.
+    """Read arrays (frames, points, 2 or 3) or (frames, people, points, 2 or 3), and scores.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds no 2D keypoints or nobody.
     """
     arrays = load_arrays(path)
-    values = _found(arrays)
+    values = _pixels_and_confidence(arrays)
     if values is None:
         raise FormatError(
             f"{path}: expected 2D keypoints as `keypoints` (frames, people, points, 2) with "
@@ -181,13 +183,13 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         for person in people
         if np.isfinite(person).all(-1).any() and (person[:, 2] > 0).any()
     ]
-    return gather(path.name, list(range(len(values))), rows, layout=layout)
+    return detections_of_rows(path.name, list(range(len(values))), rows, layout=layout)
 
 
-def _found(
+def _pixels_and_confidence(
     arrays: dict[str, Shaped[np.ndarray, "..."]],
 ) -> Float[np.ndarray, "frames people points 3"] | None:
-    """Pixels and confidence; None where the arrays are something else."""
+    """Pixels and confidence from a file's arrays; None if these are something else."""
     if "kind" in arrays:
         return None
     values = next((arrays[key] for key in _KEYPOINTS if key in arrays), None)

@@ -1,4 +1,4 @@
-"""Signs that a fit to a cloud is in a wrong minimum: labels, outline, uncovered surface."""
+"""Detects fits to clouds in a wrong minimum: by labels, outline and uncovered surface."""
 
 import math
 
@@ -88,7 +88,7 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # labels are missing where the first guess came from elsewhere
+    cloud = cloud.labelled()  # labels are computed here unless the first guess needed them
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = 1.0
@@ -148,19 +148,21 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
         if not bool(shown.any()):
             continue
         points = cloud.points[0, moment][cloud.present[0, moment]]
-        shares.append(_outside((middles[0, row][shown] - eye).cpu(), (points - eye).cpu()))
+        shares.append(
+            _share_far_from_rays((middles[0, row][shown] - eye).cpu(), (points - eye).cpu())
+        )
     return float(np.median(shares)) if shares else None
 
 
 def _in_image(
     camera: Camera, places: Float[torch.Tensor, "surfels 3"]
 ) -> Bool[torch.Tensor, " surfels"]:
-    """Whether places lie before the sensor and within its image."""
+    """Whether points lie in front of the sensor and within its image."""
     seen = camera.project(places[None, None])
     return (seen.in_front & camera.in_image(seen.pixels))[0, 0]
 
 
-def _outside(
+def _share_far_from_rays(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
     """Share of the surface for which no point is near the line of sight from the origin."""

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import one_clock, tell_distance
+from observations.camera_paths import can_triangulate, on_first_clock
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD
@@ -90,8 +90,8 @@ def size_is_unknown(found: ClipFit) -> bool:
     given = any(term.name in _TELLING for stage in stages for term in stage.terms)
     if given or not any("shape" in stage.free for stage in stages):
         return False
-    alike = one_clock(views)
-    return len(alike) == 1 or not tell_distance(alike)
+    alike = on_first_clock(views)
+    return len(alike) == 1 or not can_triangulate(alike)
 
 
 def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
@@ -162,8 +162,8 @@ _FAST = 0.3
 
 
 @dataclass(frozen=True)
-class Rest:
-    """How fast the part of the feet that rests most moves in the image."""
+class FootRest:
+    """How fast the slowest part of the feet moves in the image."""
 
     speed: float
     """Metres per second at the person, without what the noise of the keypoints makes of it."""
@@ -177,30 +177,30 @@ class Rest:
 
     @property
     def moves(self) -> bool:
-        """Whether the camera surely moves."""
+        """Whether even resting feet move in the image, so that the camera surely moves."""
         never = self.brief > max(_NEVER_RESTS, _EVEN * self.flying)
         return self.speed > _MOVES and (self.flying < _FLIES or never)
 
     @property
     def may_move(self) -> bool:
-        """Whether the camera may be carried smoothly around a person whose feet nearly rest."""
+        """Whether the camera may move: the slowest feet move faster than resting ones."""
         return self.speed > _HINT
 
 
-def rest_of(images: Images) -> Rest | None:
-    """How fast the feet move in the one view of some images; None where they are hardly seen."""
+def foot_rest(images: Images) -> FootRest | None:
+    """The slowest speeds of the feet in a single view; None where feet are hardly seen."""
     usual, brief = _speed_of_resting_foot(images, _LAG), _speed_of_resting_foot(images, _BRIEF)
     if usual is None or brief is None:
         return None
-    return Rest(
-        speed=_quantile(*usual, _MIN_RESTING_SHARE),
+    return FootRest(
+        speed=_speed_quantile(*usual, _MIN_RESTING_SHARE),
         noise=usual[1],
         flying=float(np.quantile(usual[0], 1 - _SELDOM)),
-        brief=_quantile(*brief, _SOMETIMES),
+        brief=_speed_quantile(*brief, _SOMETIMES),
     )
 
 
-def _quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float) -> float:
+def _speed_quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float) -> float:
     """A quantile of speed over time, corrected for the noise."""
     return float(np.sqrt(max(np.quantile(speeds, share) ** 2 - noise**2, 0.0)))
 
@@ -208,7 +208,7 @@ def _quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float)
 def _speed_of_resting_foot(
     images: Images, lag: float
 ) -> tuple[Float[np.ndarray, " moments"], float] | None:
-    """Speed of the part of the feet that rests most, at every moment where one was seen.
+    """Speed of the slowest part of the feet, at every moment where one was seen.
 
     Metres per second at the person over a time lag, seconds, and the speed that the noise makes;
     None where feet are hardly seen.
@@ -237,7 +237,7 @@ def _speed_of_resting_foot(
     return slowest[known], float(noise)
 
 
-def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
+def moving_finding(name: str, images: Images, rest: FootRest) -> Finding:
     """A finding if the only camera of a clip moves although it is declared fixed.
 
     Args:

@@ -1,4 +1,4 @@
-"""Detects a camera that turns although declared fixed: all standing feet turn about one axis.
+"""Detects a turning camera declared fixed: all standing feet seem to turn about one axis.
 
 In the frame of a camera that is carried around a person, or panned, the whole room turns the other
 way. Feet that stand in the room then move as points of one rigid plate, all of them at one rate
@@ -48,7 +48,7 @@ _SURE_SHARE = 0.15
 def standing_soles(
     movement: Movement, observed: Bool[np.ndarray, "time 2"] | None = None
 ) -> tuple[Float[np.ndarray, "samples 2"], Float[np.ndarray, "samples 2"]]:
-    """Places and velocities of heels and tips of feet while they stand; horizontal, metres.
+    """Horizontal positions and velocities of heels and toes while they stand; metres, seconds.
 
     Feet stand by their height alone, and count where they are `observed`, which may be all.
     """

@@ -74,19 +74,21 @@ def certainty(found: ClipFit) -> Deviations | None:
     with torch.no_grad():
         try:
             body = estimate.body.model.to(device="cpu", dtype=torch.float64)
-            known = deviations(estimate, seen, noises, density, _ground(found), angle_slopes(body))
+            known = deviations(
+                estimate, seen, noises, density, _ground_uncertainty(found), angle_slopes(body)
+            )
         except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
     if not views_of(found.observations):
         return known
-    # images alone leave the size of a person open
+    # images alone do not show how large a person is
     from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 
     with torch.no_grad():
         return with_unknown_size(known, found) if size_is_unknown(found) else known
 
 
-def _ground(found: ClipFit) -> GroundBelief | None:
+def _ground_uncertainty(found: ClipFit) -> GroundBelief | None:
     """The assumed uncertainty of the ground; None where there is no ground."""
     if not found.grounded:
         return None

@@ -42,8 +42,8 @@ from recon.method.sensor import Sensor, views_of
 
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
-    """Zeros, copies, outliers, exchanged names, and cameras that contradict each other."""
-    from recon.diagnosis.keypoints import screen_views  # for clips with images alone
+    """Check images for zeros, repeated frames, outliers, exchanged names and wrong cameras."""
+    from recon.diagnosis.keypoints import screen_views  # imported only for clips with images
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
     names = [clip.names[k] for k in views]
@@ -54,7 +54,7 @@ def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 @before_fit("named")
 def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
-    """Zeros, repeated values, exchanged and misplaced points, outliers, jumps, scale, ground."""
+    """Check points for zeros, repeated values, wrong names, outliers, jumps, scale and ground."""
     kept, found, belt, start = list(clip.observations), NOTHING, None, None
     for row, one in enumerate(clip.observations):
         if one.named is None:
@@ -102,12 +102,12 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
         return clip, NOTHING
     if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
-    from recon.diagnosis.cameras import moving_finding, rest_of
+    from recon.diagnosis.cameras import foot_rest, moving_finding
     from recon.diagnosis.carried import carried_finding
     from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.model)
-    rest = rest_of(seen)
+    rest = foot_rest(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _rate_is_untestable(clip):
@@ -256,13 +256,13 @@ def body_findings(found: ClipFit) -> Findings:
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
     """Warn of images that agree better when mirrored, unless the checks before the fit did."""
-    from recon.diagnosis.keypoints import together
+    from recon.diagnosis.keypoints import grouped_views
     from recon.diagnosis.odds import mirror_warnings
 
     if any(one.code == "mirrored" for one in clip.warnings):
         return clip, NOTHING
     names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
-    groups = together([one.view for one in clip.observations if one.view], names, clip.model)
+    groups = grouped_views([one.view for one in clip.observations if one.view], names, clip.model)
     found = [said for _, images in groups for said in mirror_warnings(images)]
     return clip, Findings(warnings=found)
 
@@ -270,7 +270,7 @@ def mirrored(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
-    # the unit of a calibration is wrong when its ground and the person's size contradict
+    # feet off a calibrated ground mean that the calibration's unit is wrong
     in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_findings(clip.fit).warnings
     )

@@ -43,7 +43,7 @@ class Alternative:
 
     @property
     def excess(self) -> float:
-        """Share of the chosen energy by which this one is larger."""
+        """By how much this motion's energy is larger, as a share of the chosen motion's."""
         if self.chosen_energy <= 0:  # happens with data without noise
             return math.inf
         return self.energy / self.chosen_energy - 1
@@ -139,7 +139,7 @@ def observed_joints(
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = observation.shown_joints(estimate)
-        # the nearest tick of the observation's clock, for every frame of the motion
+        # the observation's nearest frame in time, for every frame of the motion
         number = np.rint((times - observation.start_time) * observation.fps).astype(int)
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]

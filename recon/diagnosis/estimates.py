@@ -1,4 +1,4 @@
-"""An estimate of a motion as a measurement: which of its parts are trusted, with what noise."""
+"""A network's motion as a measurement: which parts are trusted, and with what noise."""
 
 from dataclasses import replace
 
@@ -39,8 +39,10 @@ def exchanged_frames(
         mirrored: the same with the limbs exchanged.
     """
     both = torch.stack((rotations, mirrored), 1).double()
-    step = both[1:, :, None] - both[:-1, None, :]  # axes (time, to, from, joints, 3, 3)
-    squared = step.square().sum((-1, -2)).mean(-1) / 2  # angle², nearly
+    step = (
+        both[1:, :, None] - both[:-1, None, :]
+    )  # axes (time, this frame's version, the last one's, joints, 3, 3)
+    squared = step.square().sum((-1, -2)).mean(-1) / 2  # about the squared angle
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
     return cheapest_path(here[None], (squared + switch).mT)[0].bool()
@@ -84,10 +86,10 @@ _LIMBS = {
 }
 
 
-def believed(
+def as_measurement(
     motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
 ) -> tuple[EstimatedPoints, Motion, Findings]:
-    """An estimate as observed points: their noise, how long errors last, where they jump.
+    """A network's motion as observed points: their noise, how long errors last, where they jump.
 
     Args:
         motion: the estimate in a world with z up, of a shape of this body; no leading axis.
@@ -111,7 +113,7 @@ def believed(
     points = body.pose(motion).points(torch.tensor(vertices)).detach()
     visible = known[:, None].expand(points.shape[:-1])
     path = points.mean(-2, keepdim=True)
-    share = _share_of_usual(motion, known, body, points - path)
+    share = _relative_error(motion, known, body, points - path)
     limits = (share * _LIMITS[0], _LIMITS[1])
     jitter = _ALIKE * estimate_noise(points - path, visible, limits)
     along = _ALIKE * estimate_noise(path, visible[:, :1], limits)
@@ -129,13 +131,13 @@ def believed(
     return seen, motion, Findings(repairs, [Finding("no path", alone)] if alone else ())
 
 
-def _share_of_usual(
+def _relative_error(
     motion: Motion,
     known: Bool[Tensor, " time"],
     body: BodyModel,
     points: Float[Tensor, "time points 3"],
 ) -> float:
-    """Errors of the estimate relative to a usual network's on video, clamped to [_LEAST, 1].
+    """Errors of a motion relative to those that networks usually make on video, at most 1.
 
     Two things tell that an estimate is noisy: points jitter about the path, and no foot ever
     stands. Where too few frames are known to see it, the share is 1.
@@ -180,7 +182,7 @@ def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time points"]:
-    """For every point and frame, the index of the segment between jumps that it belongs to."""
+    """For every point and frame, the index of the segment between two jumps that contains it."""
     none = points.new_zeros(points.shape[:-1])
     if len(points) < 4:
         return none

@@ -13,7 +13,7 @@ from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import NOTHING, Finding, Findings, chosen, listed, spans, stretches
-from recon.diagnosis.named_points import NamedPoints, size
+from recon.diagnosis.named_points import NamedPoints, relative_body_size
 from recon.diagnosis.tracks import temporal_noise
 
 _REPEATS = 3
@@ -93,7 +93,7 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
     computed = temporal_noise(points) < _NOISELESS
     for point, bone in enumerate(points.bones):
-        # root-relative points keep their root at zero: other zeros were removed above
+        # the root of root-relative points is always zero, which is no fault
         if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
         for first, last in stretches(same[:, point], _REPEATS - 1):
@@ -172,7 +172,7 @@ def floor_finding(height: float) -> Finding:
 
 def scale_findings(points: NamedPoints) -> tuple[Finding, ...]:
     """A warning when everything is larger or smaller than people by one factor."""
-    ratio = size(points)
+    ratio = relative_body_size(points)
     if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
         return ()
     return (

@@ -15,7 +15,7 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
 from recon.diagnosis.doubts import Alternative, alternatives, observed_joints
-from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn
+from recon.diagnosis.findings import NOTHING, Finding, Findings, run_checks
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
@@ -48,7 +48,7 @@ class ResidualSummary:
 
 
 def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> ResidualSummary:
-    """Numbers about the residuals of the first clip for its report."""
+    """Summary of the residuals of the first clip, for its report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
     seen_here = residuals.seen[0].cpu().numpy()
@@ -97,7 +97,7 @@ class CheckedClip:
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What should be read before the result is used."""
+        """Findings that should be read before the result is used."""
         return tuple(self.found.warnings)
 
     @property
@@ -197,7 +197,7 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
     there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
     there.add("any")
     asked = [one for one in checks if there.intersection(getattr(one, "sees", ()) or ("any",))]
-    clip, found = in_turn(clip, asked)
+    clip, found = run_checks(clip, asked)
     return replace(clip, found=clip.found + found)
 
 
@@ -208,14 +208,14 @@ def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
         sees: kinds of sensors that it needs, `named`, `view` or `cloud`; clips without
             them skip the check. Without any, it runs for every clip.
     """
-    return partial(_marked, sees=sees, comes_before_fit=True)
+    return partial(_with_attributes, sees=sees, comes_before_fit=True)
 
 
 def after_fit(*sees: str) -> Callable[[AfterFit], AfterFit]:
     """Decorator of a check of the fit; `sees` as of `before_fit`."""
-    return partial(_marked, sees=sees, comes_before_fit=False)
+    return partial(_with_attributes, sees=sees, comes_before_fit=False)
 
 
-def _marked(check: Any, **marks: Any) -> Any:
-    vars(check).update(marks)
+def _with_attributes(check: Any, **attributes: Any) -> Any:
+    vars(check).update(attributes)
     return check

@@ -1,4 +1,4 @@
-"""Hypotheses for an error of one camera among several, and the error after correction."""
+"""Hypotheses about the error of one camera among several, each with what error remains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ _INLIER = 0.02
 
 @dataclass(frozen=True)
 class Explained:
-    """One view after the correction of a hypothesis, and the remaining error."""
+    """One view after the correction that a hypothesis asks for, and the remaining error."""
 
     cause: Cause
     images: Images
@@ -41,7 +41,7 @@ class Explained:
 
 
 @dataclass(frozen=True)
-class Odd:
+class DoubtedView:
     """A view compared with what the others see."""
 
     images: Images
@@ -51,10 +51,10 @@ class Odd:
     exists: Bool[np.ndarray, "moments points"]
 
     @classmethod
-    def of(cls, images: Images, view: int) -> "Odd":
-        """The points that the other views see."""
+    def of(cls, images: Images, view: int) -> "DoubtedView":
+        """A view, with the points that the other views see."""
         rest = [v for v in range(len(images.names)) if v != view]
-        return cls(images, view, *Rays.of(images.view(rest)).meet())
+        return cls(images, view, *Rays.of(images.view(rest)).triangulated())
 
     def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
         """Distances of the view's rays from the points of the others, metres; NaN: unknown."""
@@ -71,10 +71,10 @@ class Odd:
         """The view corrected under each hypothesis, simplest first, with the remaining errors."""
         undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
             "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
-            "turned": self._turned,
-            "sized": self._sized,
-            "placed": self._placed,
-            "moving": self._moving,
+            "turned": self._with_constant_turn,
+            "sized": self._with_scaled_image,
+            "placed": self._with_new_pose,
+            "moving": self._with_smooth_turn,
         }
         out: list[Explained] = []
         for cause in causes:
@@ -83,7 +83,7 @@ class Odd:
         return out
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays in the camera's frame, directions to the points, and where both exist."""
+        """Rays of keypoints, directions to triangulated points (camera's frame), and a mask."""
         one = Rays.of(self.images.view([self.view]))
         turn = self.images.pose[self.view, :, :3, :3]
         ways = self.points - one.origin[0]
@@ -91,15 +91,15 @@ class Odd:
         local = np.swapaxes(turn, -1, -2)
         return one.direction[0] @ local, ways @ local, self.exists & (one.weight[0] > 0)
 
-    def _turned(self) -> tuple[Images, float]:
-        """The camera turned about itself, so that most rays meet the points (Wahba, robust)."""
+    def _with_constant_turn(self) -> tuple[Images, float]:
+        """The camera turned about its centre so that most rays meet the points (robust Wahba)."""
         rays, ways, there = self._directions()
         turn = robust_turns(ways[there][None], rays[there][None], there[there][None])
         degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
         return self._with_turn(turn), float(degrees)
 
-    def _moving(self) -> tuple[Images, float]:
-        """The camera turned about itself by an angle that changes, averaged over a while."""
+    def _with_smooth_turn(self) -> tuple[Images, float]:
+        """The camera turned about its centre by a rotation that changes smoothly over time."""
         rays, ways, there = self._directions()
         moments = len(rays)
         known = there.sum(-1) >= _MIN_POINTS
@@ -119,8 +119,8 @@ class Odd:
         kept = tuple(bool(fixed) if v == self.view else f for v, f in enumerate(self.images.fixed))
         return replace(self.images, pose=pose, fixed=kept)
 
-    def _sized(self) -> tuple[Images, float]:
-        """The image enlarged about its corner: detections of another resolution."""
+    def _with_scaled_image(self) -> tuple[Images, float]:
+        """The image scaled about its corner, as for detections made at another resolution."""
         images, v = self.images, self.view
         local, front = in_camera(images.pose[v], self.points)
         pixels = projected(images.view([v]), local[None], front[None])[0]
@@ -135,8 +135,8 @@ class Odd:
         scaled[v] *= factor
         return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
 
-    def _placed(self) -> tuple[Images, float]:
-        """The camera at another place and turned (PnP, most points agree)."""
+    def _with_new_pose(self) -> tuple[Images, float]:
+        """The camera with another position and rotation, with which most points agree (PnP)."""
         images, pose = self.images, self.images.pose.copy()
         local, front = in_camera(pose[self.view], self.points)
         rays, _, there = self._directions()
@@ -182,30 +182,30 @@ def shifted(images: Images, view: int, frames: float) -> Images:
 
 
 def robust_turns(
-    ways: Float[np.ndarray, "moments samples 3"],
+    targets: Float[np.ndarray, "moments samples 3"],
     rays: Float[np.ndarray, "moments samples 3"],
-    there: Bool[np.ndarray, "moments samples"],
+    known: Bool[np.ndarray, "moments samples"],
 ) -> Float[np.ndarray, "moments 3 3"]:
-    """The rotations that bring unit vectors onto others; those far off count less."""
-    weight = there.astype(np.float64)
-    turns = np.broadcast_to(np.eye(3), (len(ways), 3, 3))
+    """The rotations that best turn unit vectors onto others; outliers count less."""
+    weight = known.astype(np.float64)
+    turns = np.broadcast_to(np.eye(3), (len(targets), 3, 3))
     for _ in range(_ROUNDS):
-        u, _, vh = np.linalg.svd(np.einsum("tn,tni,tnj->tij", weight, rays, ways))
-        proper = np.ones((len(ways), 1, 3))
+        u, _, vh = np.linalg.svd(np.einsum("tn,tni,tnj->tij", weight, rays, targets))
+        proper = np.ones((len(targets), 1, 3))
         proper[..., 0, 2] = np.linalg.det(u @ vh)
         turns = (u * proper) @ vh
-        away = np.linalg.norm(rays - ways @ np.swapaxes(turns, -1, -2), axis=-1)
-        usual = [np.median(a[s]) if s.any() else 1.0 for a, s in zip(away, there, strict=True)]
-        weight = there / (1 + np.square(away / np.maximum(usual, 1e-6)[:, None]))
+        away = np.linalg.norm(rays - targets @ np.swapaxes(turns, -1, -2), axis=-1)
+        usual = [np.median(a[s]) if s.any() else 1.0 for a, s in zip(away, known, strict=True)]
+        weight = known / (1 + np.square(away / np.maximum(usual, 1e-6)[:, None]))
     return turns
 
 
 def averaged(
-    values: Float[np.ndarray, "moments dims"], reach: int
+    values: Float[np.ndarray, "moments dims"], half_width: int
 ) -> Float[np.ndarray, "moments dims"]:
-    """Means over as many moments to either side, fewer at the ends: straight lines stay."""
+    """Moving average over as many moments to either side, fewer at the ends: lines stay lines."""
     last = len(values) - 1
-    reaches = [min(reach, t, last - t) for t in range(len(values))]
+    reaches = [min(half_width, t, last - t) for t in range(len(values))]
     return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
 
 

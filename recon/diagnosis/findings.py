@@ -13,7 +13,7 @@ Code = Literal[
     "sides exchanged",  # left and right are exchanged, in all frames or in a stretch
     "points exchanged",  # two points carry each other's name
     "identity change",  # another person is seen from some frame on
-    "constant point",  # a point stays in one place or repeats its last value while the body moves
+    "constant point",  # a point stays in place while the body moves
     "zeros",  # points at exactly zero that are marked as seen
     "offset point",  # one point is away from its place on the body throughout
     "rate",  # the number of frames per second is wrong by a factor
@@ -30,16 +30,16 @@ Code = Literal[
     "unseen",  # frames or limbs without data; the prior infers them
     "guessed",  # a large part of the body was not seen, and its standard deviation is large
     "undecided",  # another motion explains the data nearly as well
-    "treadmill",  # all standing feet are carried along at one velocity
+    "treadmill",  # all standing feet move at one velocity
     "no path",  # an estimate has poses, and the same translation in every frame
     "uneven ground",  # feet stand at several heights, or the person sits
     "residual",  # residuals are larger than the noise explains, for an unknown reason
     "body size",  # the fitted height or shape is outside the human range
-    "body surface",  # the skins of two bodies do not agree, between which a motion is carried
+    "body surface",  # the surfaces of two bodies, between which a motion is transferred, differ
     "distance",  # a camera would be nearer or farther than people are filmed
     "gap",  # a stretch of frames without data
-    "jump",  # the body moves faster between two frames than the data does
-    "joint centres",  # points that are called markers lie inside the body
+    "jump",  # the fitted body moves faster between two frames than the data
+    "joint centres",  # points given as markers lie inside the body, as joints do
     "focal",  # the camera is not calibrated; its focal length was fitted with the motion
     "stopped",  # the caller ended the fit before it was done
 ]
@@ -63,7 +63,7 @@ class Finding:
     """Names of the sensors that it speaks of; empty means all."""
 
     def of(self, sensor: str) -> "Finding":
-        """The finding attributed to one sensor: its message begins with the sensor's name."""
+        """The finding with a sensor's name in its record and at the start of its message."""
         return replace(self, message=f"{sensor}: {self.message}", sensors=(sensor,))
 
     def report(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class Findings:
     """What is worth knowing but is no fault."""
 
     def __add__(self, other: "Findings") -> "Findings":
-        """All findings of both."""
+        """The findings of both records, in their order."""
         return Findings(
             (*self.repairs, *other.repairs),
             (*self.warnings, *other.warnings),
@@ -91,7 +91,7 @@ class Findings:
         )
 
     def of(self, sensor: str) -> "Findings":
-        """The findings attributed to one sensor: their messages begin with the sensor's name."""
+        """The findings with a sensor's name in the records and at the start of messages."""
         every = (self.repairs, self.warnings, self.diagnosis)
         return Findings(*(tuple(one.of(sensor) for one in some) for some in every))
 
@@ -99,7 +99,7 @@ class Findings:
 NOTHING = Findings()
 
 
-def in_turn(
+def run_checks(
     data: Data, checks: Sequence[Callable[[Data], tuple[Data, Findings]]]
 ) -> tuple[Data, Findings]:
     """The data after a sequence of checks that may repair them, and all findings."""
@@ -113,14 +113,14 @@ def in_turn(
 def stretches(
     flags: Bool[np.ndarray, " frames"], least: float | int = 1
 ) -> tuple[tuple[int, int], ...]:
-    """The runs of at least so many true values, first and last index of each."""
+    """First and last index of every run of at least `least` true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return tuple((first, stop - 1) for first, stop in runs if stop - first >= least)
 
 
 def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:
-    """The runs of at least so many true values."""
+    """The flags, true only in runs of at least `least` true values."""
     out = np.zeros_like(flags)
     for first, last in stretches(flags, least):
         out[first : last + 1] = True
@@ -133,14 +133,14 @@ def chosen(names: Sequence[str], flags: Bool[np.ndarray, " names"]) -> tuple[str
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Names in a sentence: all of a few, or the first ones and how many more there are."""
+    """Names as words of a sentence: all of a few, else the first and how many more there are."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most} more"
 
 
 def spans(frames: Sequence[tuple[int, int]], most: int = 3) -> str:
-    """Stretches of frames in a sentence."""
+    """Ranges of frames as words of a sentence."""
     words = [f"{a}" if a == b else f"{a}-{b}" for a, b in frames]
     noun = "frame" if len(frames) == 1 and frames[0][0] == frames[0][1] else "frames"
     return f"{noun} {listed(words, most)}"

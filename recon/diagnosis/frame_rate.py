@@ -1,4 +1,4 @@
-"""Gravity as a check of the frame rate: falls, flights and balance of a motion.
+"""Checks the frame rate by gravity: falls, flights, balance and steps of a motion.
 
 Accelerations grow with the square of the frame rate, so that a rate wrong by a factor shows as a
 fall at another acceleration than g, or as a body that the ground under its feet could not hold.
@@ -16,7 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, stretches
-from recon.diagnosis.movement import Movement, outside
+from recon.diagnosis.movement import Movement, distance_outside_hull
 from recon.physics.mass import GRAVITY
 
 _FALL_SECONDS = 0.2
@@ -57,7 +57,7 @@ def rates_by_falls(movement: Movement) -> Bounds:
     if len(height) < count:
         return 0.0, math.inf
     pieces = np.lib.stride_tricks.sliding_window_view(height, count)
-    falls = _parabolas(pieces, movement.fps)
+    falls = _accelerations_of_parabolas(pieces, movement.fps)
     for _ in range(max(1, math.ceil(movement.frames / movement.fps / _FALL_EVERY)) - 1):
         worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
@@ -66,7 +66,9 @@ def rates_by_falls(movement: Movement) -> Bounds:
     return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
 
 
-def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.ndarray:
+def _accelerations_of_parabolas(
+    pieces: Float[np.ndarray, "pieces frames"], fps: float
+) -> np.ndarray:
     """Downward acceleration in g of every piece; zero if the piece is not a parabola."""
     time = (np.arange(pieces.shape[1]) - (pieces.shape[1] - 1) / 2) / fps
     basis = np.stack((np.ones_like(time), time, time**2), -1)
@@ -90,7 +92,7 @@ def _flights(movement: Movement) -> list[float]:
         inner, lower = centre[first : last + 1], soles[first : last + 1].min(1)
         rise, lift = (h.max() - max(h[0], h[-1]) for h in (inner, lower))
         whole = first > 0 and last < len(air) - 1 and rise > 0 and len(inner) >= _FLIGHT_FRAMES
-        fall = float(_parabolas(inner[None], movement.fps)[0]) if whole else 0.0
+        fall = float(_accelerations_of_parabolas(inner[None], movement.fps)[0]) if whole else 0.0
         if fall > 0 and lift > _WITH * rise:
             found.append(fall)
     return found
@@ -121,7 +123,7 @@ def rates_by_balance(movement: Movement) -> Bounds:
     return 0.0, math.inf
 
 
-def _imbalance(movement: Movement, factor: float) -> float:
+def _imbalance(movement: Movement, rate_factor: float) -> float:
     """Mean distance of the zero moment point from the hull of the feet on the ground, metres.
 
     p = c_xy - h a_xy / (g + a_z) for a point mass at height h; NaN where too few frames show a
@@ -129,9 +131,9 @@ def _imbalance(movement: Movement, factor: float) -> float:
 
     Args:
         movement: what moves.
-        factor: by which the declared rate is multiplied.
+        rate_factor: by which the declared rate is multiplied.
     """
-    fps = movement.fps * factor
+    fps = movement.fps * rate_factor
     step = max(1, round(_SPAN * fps))
     centre, ground = movement.centre, movement.ground
     if len(centre) < 2 * step + _LEAST_FRAMES:
@@ -147,9 +149,9 @@ def _imbalance(movement: Movement, factor: float) -> float:
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
-    # corners of a raised foot are replaced by the standing foot's: the hull stays the same
+    # a raised foot gets the corners of the standing one, which leaves the hull unchanged
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
-    return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
+    return float(distance_outside_hull(point, soles.reshape(len(soles), 4, 2)).mean())
 
 
 _TURN = 0.35
@@ -178,7 +180,7 @@ def rates_by_strides(movement: Movement) -> Bounds:
     """
     between = (movement.ankles[:, 0] - movement.ankles[:, 1])[:, :2]
     apart = (between * movement.forward).sum(-1) / movement.leg
-    turns = itertools.pairwise(_extremes(apart))
+    turns = itertools.pairwise(_turning_points(apart))
     steps = np.array([(a, b) for a, b in turns if apart[a] * apart[b] < 0])
     if len(steps) < _LEAST_STEPS:
         return 0.0, math.inf
@@ -201,7 +203,7 @@ def rates_by_strides(movement: Movement) -> Bounds:
     return 0.0, math.inf
 
 
-def _extremes(values: Float[np.ndarray, " time"]) -> list[int]:
+def _turning_points(values: Float[np.ndarray, " time"]) -> list[int]:
     """Frames of alternating maxima and minima that differ by at least `_TURN`."""
     found: list[int] = []
     high = low = direction = 0
@@ -233,7 +235,7 @@ class RateRange:
 
     @property
     def holds(self) -> bool:
-        """Whether the declared rate is among those that are possible."""
+        """Whether the declared rate is possible."""
         return self.low <= 1 <= self.high
 
     @property

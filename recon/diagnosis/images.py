@@ -72,7 +72,7 @@ class Images:
                 [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
             ),
             pose=np.stack([np.broadcast_to(one, (moments, 4, 4)) for one in poses]),
-            scale=np.stack([_scale(*own, points, rest, views[0].fps) for own in each]),
+            scale=np.stack([_pixels_per_metre(*own, points, rest, views[0].fps) for own in each]),
             size=tuple(view.camera.image_size for view in views),
             names=tuple(names),
             points=points,
@@ -85,13 +85,13 @@ class Images:
 
     @property
     def sensors(self) -> list[Keypoints2D]:
-        """The views with these keypoints and camera poses instead of the given ones.
+        """The views as sensors again, with the keypoints and camera poses of these arrays.
 
         Views of which nothing changed are the very same objects.
         """
-        return [self._sensor(v, view) for v, view in enumerate(self.views)]
+        return [self._sensor_of_view(v, view) for v, view in enumerate(self.views)]
 
-    def _sensor(self, v: int, view: Keypoints2D) -> Keypoints2D:
+    def _sensor_of_view(self, v: int, view: Keypoints2D) -> Keypoints2D:
         pixels = torch.from_numpy(self.pixels[v]).to(view.pixels)[None]
         confidence = torch.from_numpy(self.confidence[v]).to(view.confidence)[None]
         if not (torch.equal(pixels, view.pixels) and torch.equal(confidence, view.confidence)):
@@ -104,7 +104,7 @@ class Images:
 
     @property
     def seen(self) -> Bool[np.ndarray, "views moments points"]:
-        """Keypoints that were found."""
+        """Mask of the keypoints that a detector found."""
         return self.confidence > 0
 
     @property
@@ -129,7 +129,7 @@ class Images:
 
     @cached_property
     def sided(self) -> Bool[np.ndarray, " points"]:
-        """Keypoints that have a counterpart on the other side."""
+        """Mask of the keypoints that have a counterpart on the other side of the body."""
         return self.counterparts != np.arange(len(self.points))
 
     @property
@@ -138,7 +138,7 @@ class Images:
         return self.matrix[:, [0, 1], [0, 1]].mean(-1)
 
     def view(self, rows: Sequence[int]) -> "Images":
-        """Some of the views."""
+        """The images of some of the views."""
         index = list(rows)
         return replace(
             self,
@@ -154,7 +154,7 @@ class Images:
         )
 
     def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":
-        """Left and right exchanged in some views at some moments."""
+        """The images with left and right exchanged in some views at some moments."""
         here = flags[..., None]
         order = self.counterparts
         return replace(
@@ -164,16 +164,18 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """Some keypoints made unseen; the scale is estimated again from the others."""
+        """The images without some keypoints; the scale is estimated again from the others."""
         pixels = np.where(hidden[..., None], 0.0, self.pixels)
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()
         for v in np.flatnonzero(hidden.any((1, 2)) & (confidence > 0).any((1, 2))):
-            scale[v] = _scale(pixels[v], confidence[v], self.points, self.rest, self.fps)
+            scale[v] = _pixels_per_metre(
+                pixels[v], confidence[v], self.points, self.rest, self.fps
+            )
         return replace(self, pixels=pixels, confidence=confidence, scale=scale)
 
 
-def _scale(
+def _pixels_per_metre(
     pixels: Float[np.ndarray, "moments points 2"],
     confidence: Float[np.ndarray, "moments points"],
     points: Sequence[str],
@@ -200,7 +202,7 @@ _KEEPS_FACING = 0.95
 def confirmed_sides(
     images: Images, flags: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """The stretches of one view's exchanged names that a fit of the body confirms.
+    """Those stretches of one view with left and right exchanged that fits of the body confirm.
 
     A quick fit of the second around each change must become better when the names do not change.
     A stretch from the first or to the last moment has one change only, and either side of it may
@@ -225,7 +227,7 @@ def confirmed_sides(
 
 
 def _keeps_facing(images: Images) -> bool:
-    """Whether the right of hips and shoulders is on the same side of the image in all frames."""
+    """Whether the right hip and shoulder are on the same side of the image in all frames."""
     seen = images.seen[0] & images.seen[0][:, images.counterparts]
     names = ("shoulder", "hip")
     pairs = [k for k, name in enumerate(images.points) if name in {f"left_{n}" for n in names}]
@@ -237,7 +239,7 @@ def _keeps_facing(images: Images) -> bool:
 def _costs_of_views(
     versions: Sequence[Keypoints2D], body: BodyModel
 ) -> Float[np.ndarray, " versions"]:
-    """Objectives of quick fits of what one camera saw, in equally long versions; metres²."""
+    """Objectives of quick fits to versions of one camera's keypoints, equally long; metres²."""
     seen = concatenate(list(versions))
     start = seen.start(body)
     noise = seen.noise(start, body)

@@ -18,13 +18,13 @@ from recon.diagnosis.findings import (
     Finding,
     Findings,
     chosen,
-    in_turn,
     listed,
+    run_checks,
     spans,
     stretches,
 )
 from recon.diagnosis.images import Images
-from recon.diagnosis.odds import all_mirrored, another_image, checked_together
+from recon.diagnosis.odds import all_mirrored, checked_together, single_view_explained
 from recon.diagnosis.rays import scale_findings
 from recon.diagnosis.sides import repaired_pairs, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
@@ -45,7 +45,7 @@ Seen = Bool[np.ndarray, "moments points"]
 def repaired_zeros(images: Images) -> tuple[Images, Findings]:
     """Mark keypoints at (0, 0) as unseen: missing ones are often written so."""
 
-    def said(v: int, here: Seen) -> Finding:
+    def finding(v: int, here: Seen) -> Finding:
         share, points = (
             here.sum() / images.seen[v].sum(),
             chosen(images.points, np.any(here, axis=0)),
@@ -60,7 +60,7 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
             float(share),
         )
 
-    return hidden(images, images.seen & (images.pixels == 0).all(-1), said)
+    return hidden_keypoints(images, images.seen & (images.pixels == 0).all(-1), finding)
 
 
 def repaired_copies(images: Images) -> tuple[Images, Findings]:
@@ -71,7 +71,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
     photographs = copied.sum(-1) > _MIN_PHOTOGRAPH_SHARE * copied.shape[1]
     copied = np.pad(copied & ~photographs[:, None], ((0, 0), (1, 0)))
 
-    def said(_: int, here: Seen) -> Finding:
+    def finding(_: int, here: Seen) -> Finding:
         frames = np.any(here, axis=-1)
         return Finding(
             "repeated frames",
@@ -83,7 +83,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
             float(frames.mean()),
         )
 
-    return hidden(images, np.repeat(copied[..., None], len(images.points), -1), said)
+    return hidden_keypoints(images, np.repeat(copied[..., None], len(images.points), -1), finding)
 
 
 def repaired_held(images: Images) -> tuple[Images, Findings]:
@@ -96,7 +96,7 @@ def repaired_held(images: Images) -> tuple[Images, Findings]:
     usual = np.median(length.max(1), -1)
     held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _LONGER * (usual[:, None, None] + 1))
 
-    def said(_: int, here: Seen) -> Finding:
+    def finding(_: int, here: Seen) -> Finding:
         frames, points = (
             stretches(np.any(here, axis=-1)),
             chosen(images.points, np.any(here, axis=0)),
@@ -111,18 +111,18 @@ def repaired_held(images: Images) -> tuple[Images, Findings]:
             float(here.sum(0).max() / images.fps),
         )
 
-    return hidden(images, held, said)
+    return hidden_keypoints(images, held, finding)
 
 
-def hidden(
+def hidden_keypoints(
     images: Images,
-    keypoints: Bool[np.ndarray, "views moments points"],
-    said: Callable[[int, Seen], Finding],
+    wrong: Bool[np.ndarray, "views moments points"],
+    finding_of_view: Callable[[int, Seen], Finding],
 ) -> tuple[Images, Findings]:
-    """The images with some keypoints marked as unseen, and a finding for each such view."""
-    rows = [v for v, here in enumerate(keypoints) if here.any()]
-    repairs = tuple(said(v, keypoints[v]).of(images.names[v]) for v in rows)
-    return images.without(keypoints), Findings(repairs)
+    """The images with wrong keypoints marked as unseen, and a finding for each such view."""
+    rows = [v for v, here in enumerate(wrong) if here.any()]
+    repairs = tuple(finding_of_view(v, wrong[v]).of(images.names[v]) for v in rows)
+    return images.without(wrong), Findings(repairs)
 
 
 _OUTLIER = 0.25
@@ -164,7 +164,7 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     )
     share = wild.sum((1, 2)) / count
 
-    def said(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
+    def finding(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
         return Finding(
             "outliers",
             f"{100 * share[v]:.2g} % of the keypoints are far from where they were just before "
@@ -175,13 +175,13 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
             float(share[v]),
         )
 
-    return hidden(images, wild & many[:, None, None], said)
+    return hidden_keypoints(images, wild & many[:, None, None], finding)
 
 
 def _outliers_and_hidden(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
-    """The known outliers, and those that are found after leaving these out."""
+    """The known outliers, and more that are found after these are left out."""
     for _ in range(_MAX_ROUNDS):
         found = _far_from_median(images.without(wild), reach, least)
         if not found.any():
@@ -247,26 +247,26 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
 
 
 def order_findings(images: Images) -> tuple[Finding, ...]:
-    """A warning when frames of a view are out of order: none is similar to the one before."""
+    """A warning when frames of a view are out of order: neighbouring frames are not similar."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
-        one, six = (_typical_way(images, v, lag) for lag in (1, 6))
+        one, six = (_typical_distance_moved(images, v, lag) for lag in (1, 6))
         if one > _DISORDER and six < _GROWTH * one:
-            said = Finding(
+            finding = Finding(
                 "frame order",
                 f"the body typically moves by {one:.2f} m from one frame to the next, and no "
                 "further in six frames: the frames seem to be out of order. Check how files are "
                 "numbered (frame_2 must not follow frame_10)",
                 value=one,
             )
-            found.append(said.of(name))
+            found.append(finding.of(name))
     return tuple(found)
 
 
-def _typical_way(images: Images, view: int, lag: int) -> float:
-    """Median distance that the keypoints move in so many frames, metres at the body."""
+def _typical_distance_moved(images: Images, view: int, frames: int) -> float:
+    """Median distance that the keypoints move in a number of frames, metres at the body."""
     place = images.shown[view]
-    way = (place[lag:] - place[:-lag]) / images.scale[view, lag:, None, None]
+    way = (place[frames:] - place[:-frames]) / images.scale[view, frames:, None, None]
     way = np.linalg.norm(_median(way.swapaxes(-1, -2)), axis=-1)
     return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
 
@@ -289,7 +289,7 @@ def screen_views(
         The views to fit, and what was found. Views that are good are the very same objects.
     """
     out, found = list(views), NOTHING
-    for rows, given in together(views, names, body):
+    for rows, given in grouped_views(views, names, body):
         images, more = screened(given)
         for k, view in zip(rows, images.sensors, strict=True):
             out[k] = view
@@ -299,26 +299,26 @@ def screen_views(
 
 def screened(images: Images) -> tuple[Images, Findings]:
     """The views (same clock and layout) after all repairs, with the findings."""
-    images, found = in_turn(images, (repaired_zeros, repaired_copies, repaired_held))
+    images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_held))
     # frames in a wrong order would look like outliers
     if not (disorder := order_findings(images)):
         images, more = repaired_outliers(images)
         found += more
-    names = (all_mirrored, another_image, repaired_sides, repaired_pairs)
-    images, more = in_turn(images, names)
-    images, together = checked_together(images)
-    found += more + together
-    if together.repairs:  # wrong poses may have hidden wrong names
+    names = (all_mirrored, single_view_explained, repaired_sides, repaired_pairs)
+    images, more = run_checks(images, names)
+    images, grouped_views = checked_together(images)
+    found += more + grouped_views
+    if grouped_views.repairs:  # exchanged names are found only with right camera poses
         images, more = repaired_sides(images)
         found += more
     jumps = () if disorder else identity_findings(images)
     return images, found + Findings(warnings=(*jumps, *disorder, *scale_findings(images)))
 
 
-def together(
+def grouped_views(
     views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
 ) -> list[tuple[list[int], Images]]:
-    """The views that share clock, length and layout, in groups: their numbers and images."""
+    """Groups of views that share clock, length and layout: their numbers and their images."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, view in enumerate(views):
         clock = (view.fps, view.start_time, *view.pixels.shape, view.points.names)

@@ -1,4 +1,4 @@
-"""Points away from their place on the body: with another point's name, displaced, or outliers."""
+"""Finds points that are not where they should be: exchanged, displaced, or outliers."""
 
 from itertools import combinations
 
@@ -13,8 +13,8 @@ from recon.diagnosis.named_points import (
     distances,
     joint_pairs,
     out_of_reach,
+    relative_body_size,
     rest_length,
-    size,
 )
 from recon.diagnosis.quick_fit import plausible
 
@@ -36,13 +36,13 @@ Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
 
 
 def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
-    """The two joints whose exchange clearly makes bone lengths plausible, if there are any.
+    """The two joints whose exchange clearly makes bone lengths plausible, or None.
 
     A body may cross its legs to reach exchanged ankles, but it cannot change its bones.
     """
     if not points.are_joints:
         return None
-    bones, ratio = joint_pairs(points), size(points) or 1.0
+    bones, ratio = joint_pairs(points), relative_body_size(points) or 1.0
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     misfit: dict[tuple[int, int], Float[np.ndarray, " points"]] = {}
     """By a bone's end that stays and the one that is replaced: the median difference, metres, of
@@ -103,15 +103,15 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
 
 
 def _median(rows: Float[np.ndarray, "moments points"]) -> Float[np.ndarray, " points"]:
-    """Median over the moments of which something is known; 0 where nothing is."""
-    ordered, count = np.sort(rows, axis=0), np.isfinite(rows).sum(0)  # NaN is sorted last
+    """Median of the finite values of every column; 0 where there are none."""
+    ordered, count = np.sort(rows, axis=0), np.isfinite(rows).sum(0)  # np.sort puts NaN last
     middle = np.stack(((count - 1) // 2, count // 2)).clip(min=0)
     found = np.take_along_axis(ordered, middle, 0).mean(0)
     return np.where(count > 0, found, 0.0)
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
-    """Pairs of points that are at each other's place on the body, and in which frames."""
+    """Pairs of points that lie where the body has the other one, and in which frames."""
     points = predicted.points
     away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
     nearer = max(_NEARER, _NOISES * noise)
@@ -133,7 +133,7 @@ def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
 def _whole_stretches(
     surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """Stretches of likely frames that contain a certain one, with short gaps closed.
+    """Runs of likely frames that contain a sure one, with short gaps closed.
 
     Limbs that pass each other are too close to be distinguished for a few frames.
     """
@@ -156,17 +156,17 @@ _MIN_SAVED_M = 0.1
 """Metres per point that must be saved by it; below, both sides were in the same place."""
 
 
-def find_exchanges(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
-    """The moments at which left and right are exchanged against the first moment."""
+def exchanged_sides(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
+    """The moments at which left and right are exchanged relative to the first moment."""
     return _odd_exchanges(_moments_of_exchange(points, _counterpart_pairs(points)))
 
 
 def exchanged_pairs(points: NamedPoints) -> Exchanges:
-    """Single pairs of counterparts that jump to each other's place and back again, and when."""
+    """Left-right pairs of points that jump to each other's position and back, with the frames."""
     found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _moments_of_exchange(points, [pair])
-        # an odd number of exchanges leaves open whether the first frame was right
+        # after an odd number of exchanges either the first or the last frame is wrong
         if flips.any() and flips.sum() % 2 == 0:
             found.append((pair, _odd_exchanges(flips) & points.visible[:, list(pair)].all(1)))
     return [(pair, moments) for pair, moments in found if moments.any()]
@@ -179,32 +179,32 @@ def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 def _moments_of_exchange(
     points: NamedPoints, pairs: list[tuple[int, int]]
 ) -> Bool[np.ndarray, " moments"]:
-    """Moments at which these pairs, taken together, jump to each other's place.
+    """Mask of moments at which the points of these pairs jump to each other's position.
 
     They then move less if their sides are exchanged.
     """
-    flips = np.zeros(len(points.visible), dtype=bool)
+    exchanges = np.zeros(len(points.visible), dtype=bool)
     if not pairs:
-        return flips
+        return exchanges
     rows = np.array(pairs)
     seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
     last = np.full(len(pairs), -1)
-    for t in range(len(flips)):
+    for t in range(len(exchanges)):
         known = seen[t] & (last >= 0) & ((t - last) / points.fps <= _FASTEST)
         if known.any():
             before, after = x[last[known], np.flatnonzero(known)], x[t, known]
             same = np.linalg.norm(after - before, axis=-1).sum(-1)
             other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
             saved = np.clip(same - other, -1.0, 1.0).mean() / 2
-            flips[t] = saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean()
+            exchanges[t] = saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean()
         last = np.where(seen[t], t, last)
-    return flips
+    return exchanges
 
 
-def _odd_exchanges(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Frames after an odd number of exchanges; none if there are implausibly many exchanges."""
-    odd = np.cumsum(flips) % 2 == 1
-    return odd if flips.sum() <= max(2, len(flips) // 8) else np.zeros_like(odd)
+def _odd_exchanges(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
+    """Mask of frames after an odd number of exchanges; empty if the exchanges are too many."""
+    odd = np.cumsum(exchanges) % 2 == 1
+    return odd if exchanges.sum() <= max(2, len(exchanges) // 8) else np.zeros_like(odd)
 
 
 _OUTLIER_M = 0.25
@@ -240,7 +240,7 @@ _MOVED = 0.2
 
 
 def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, list[Finding]]:
-    """The points without those that are misplaced throughout, and the findings about them."""
+    """The points without those that are displaced in all frames, and findings about these."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
     known, away = typical[typical > 0], predicted.away
@@ -281,7 +281,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
 def _one_sided(
     points: NamedPoints, offset: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " points"]:
-    """Markers of trunk and legs that are displaced although those of the other side are not."""
+    """Markers of trunk and legs that are displaced while those of the other side are not."""
     mirrored = offset[list(points.counterparts)] * (-1.0, 1.0, 1.0)
     apart = np.linalg.norm(offset - mirrored, axis=-1)
     away, other = np.linalg.norm(offset, axis=-1), np.linalg.norm(mirrored, axis=-1)
@@ -290,11 +290,11 @@ def _one_sided(
 
 
 def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding | None]:
-    """The points without single positions that are far from the body, and their share."""
+    """The points without positions far from the body, and a finding that says how many."""
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
-    # a fast limb, which the quick fit cannot follow, departs from the body smoothly, whereas
+    # the quick fit may lag behind a fast limb, which then leaves the body smoothly, whereas
     # outliers jump away from the path and back
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
     if len(x) > 2:

@@ -1,4 +1,4 @@
-"""Centre of mass and feet over time, and what supports the body: feet, a seat, a treadmill."""
+"""Centre of mass and feet over time; finds seats, steps and treadmills under the body."""
 
 from dataclasses import dataclass
 
@@ -95,10 +95,10 @@ class Movement:
         )
 
 
-def outside(
+def distance_outside_hull(
     points: Float[np.ndarray, "frames 2"], corners: Float[np.ndarray, "frames corners 2"]
 ) -> Float[np.ndarray, " frames"]:
-    """Distance of a point from the convex hull of its corners, zero inside."""
+    """Distance of a point in every frame from the convex hull of corners; zero inside."""
     count = corners.shape[1]
     distance = np.full(len(points), np.inf)
     for a in range(count):
@@ -137,7 +137,7 @@ _LEAST_FRAMES = 10
 def support_findings(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> list[Finding]:
-    """Findings about feet at several heights, and about postures that feet alone cannot support.
+    """Findings about feet at several heights, and about postures that feet cannot support.
 
     Args:
         motion: one clip, z up, without a batch axis.
@@ -149,7 +149,7 @@ def support_findings(
         return []
     speed = np.linalg.norm(np.gradient(movement.centre, axis=0), axis=-1) * movement.fps
     corners = movement.soles[..., :2].reshape(movement.frames, 4, 2)
-    beside = outside(movement.centre[:, :2], corners) > _MAX_BESIDE_M
+    beside = distance_outside_hull(movement.centre[:, :2], corners) > _MAX_BESIDE_M
     above = (movement.joints[:, 0, 2] - movement.sole_heights.min(1)) / movement.leg
     rests = (
         (beside & (speed < _MAX_STANDING_SPEED_M_S), "rests beside its feet",
@@ -157,7 +157,7 @@ def support_findings(
         ((above > _INVERTED) & (above < _SEATED), "has its pelvis low over its feet",
          "sitting, kneeling, squatting or lying"),
     )  # fmt: skip
-    found = _uneven(movement)
+    found = _uneven_ground(movement)
     for resting, what, how in rests:
         if frames := stretches(resting, np.nextafter(_LEAST_REST * movement.fps, np.inf)):
             seconds = sum(last - first + 1 for first, last in frames) / movement.fps
@@ -169,8 +169,8 @@ def support_findings(
     return found
 
 
-def _uneven(movement: Movement) -> list[Finding]:
-    """Feet that stand below the body at several heights."""
+def _uneven_ground(movement: Movement) -> list[Finding]:
+    """A finding if feet stand at several heights."""
     lower, rows = movement.sole_heights.argmin(1), np.arange(movement.frames)
     height = movement.sole_heights[rows, lower]
     speeds = [
@@ -239,7 +239,7 @@ def belt_velocity(
     if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
-    # the lowest part of each foot: first the heel, then the whole sole, then the toes
+    # number of each foot's lowest part: its heel or its toes
     lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
     steps = np.diff(feet[..., :2], axis=0) * movement.fps
     velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
@@ -247,7 +247,7 @@ def belt_velocity(
     standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
     if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
         return None
-    # the mode: the velocity with most others near it, then the median of these
+    # the most frequent velocity: the median of the largest group of similar ones
     every = velocity[standing]
     some = every[:: max(1, len(every) // 400)]
     best = some[
@@ -289,24 +289,24 @@ def _close_velocities(
 
 
 def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
-    """Points given in the room's frame, moved to the frame of the belt (m/s, horizontal)."""
-    path = _path(points.positions.shape[-3], points.fps, points.start_time, belt)
+    """Points from the room's frame in the frame of a treadmill's belt (velocity in m/s)."""
+    path = _path_of_belt(points.positions.shape[-3], points.fps, points.start_time, belt)
     moved = points.positions - path.to(points.positions)[:, None]
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
 
 def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
-    """A motion given in the belt's frame, moved to the room's; with -belt the inverse."""
+    """A motion from the frame of a treadmill's belt in the room's; the inverse with -belt."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
 
 
 def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
     """Distance that the belt has moved at every frame of a motion, metres."""
-    path = _path(motion.frames, motion.fps, motion.start_time, belt)
+    path = _path_of_belt(motion.frames, motion.fps, motion.start_time, belt)
     return path.to(motion.translation)
 
 
-def _path(
+def _path_of_belt(
     count: int, fps: float, start: float, belt: Float[Tensor, " 2"]
 ) -> Float[Tensor, "time 3"]:
     times = start + torch.arange(count, dtype=torch.float64) / fps

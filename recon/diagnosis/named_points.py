@@ -1,4 +1,4 @@
-"""Tracked points in space with names and places on the body, and their distances along bones."""
+"""Tracked points in space, each with a name and a bone, and distances between them."""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -25,7 +25,7 @@ _MAX_SPREAD_RATIO = 0.5
 
 @dataclass(frozen=True)
 class NamedPoints:
-    """Positions of named points of one clip, in arrays that checks can work on."""
+    """Positions of the named points of one clip, as arrays for the checks."""
 
     positions: Float[np.ndarray, "moments points 3"]
     """Frame of the recording, metres; zero where not visible."""
@@ -47,7 +47,7 @@ class NamedPoints:
 
     @classmethod
     def of(cls, observation: TrackedPoints, body: BodyModel) -> "NamedPoints":
-        """The points of an observation of one clip, whose batch axis has length one."""
+        """The points of a sensor with one clip, without the batch axis."""
         return cls(
             positions=observation.positions[0].double().cpu().numpy(),
             visible=observation.visible[0].cpu().numpy(),
@@ -63,7 +63,7 @@ class NamedPoints:
 
     @property
     def observation(self) -> TrackedPoints:
-        """A copy of the observation with these positions; zero where not visible."""
+        """The sensor with these positions; zero where not visible."""
         positions = self.positions * self.visible[..., None]
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
         return self.given.replace(
@@ -73,13 +73,13 @@ class NamedPoints:
         )
 
     def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
-        """The points with some of them no longer visible."""
+        """The points, with some of them marked as not visible."""
         return replace(self, visible=self.visible & ~hidden)
 
     def swapped(
         self, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
-        """The points with the names of two exchanged at some moments."""
+        """The points, with the positions of two points exchanged at some moments."""
         order = list(range(len(self.names)))
         order[pair[0]], order[pair[1]] = pair[1], pair[0]
         return self.permuted(tuple(order), moments)
@@ -87,7 +87,7 @@ class NamedPoints:
     def permuted(
         self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
-        """The points with names exchanged at some moments: point k gets data of point order[k]."""
+        """The points, where at some moments point k gets the position of point order[k]."""
         index, when = list(order), moments[:, None]
         return replace(
             self,
@@ -125,7 +125,7 @@ class NamedPoints:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Predicted and observed positions of points."""
+    """Observed positions of points, and those that an estimate predicts."""
 
     points: NamedPoints
     positions: Float[np.ndarray, "moments points 3"]
@@ -142,7 +142,7 @@ class Predicted:
 
     @classmethod
     def of(cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate) -> "Predicted":
-        """The prediction of an estimate at the moments of the observation."""
+        """Predict the points from an estimate at the moments of the observation."""
         moments = observed.positions.shape[-3]
         with torch.no_grad():
             there, seen = at_observation_times(
@@ -167,8 +167,8 @@ class Predicted:
         )
 
 
-def size(points: NamedPoints) -> float | None:
-    """Size of the body against the average one: median ratio of distances along bones.
+def relative_body_size(points: NamedPoints) -> float | None:
+    """Size of the body relative to the average: median ratio of distances along bones.
 
     None where too few such distances are seen.
     """
@@ -183,7 +183,7 @@ def size(points: NamedPoints) -> float | None:
 
 
 def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
-    """Joints whose bones to all of their neighbours are longer or shorter than a person's.
+    """Mask of joints whose bones to all neighbours are longer or shorter than a person's.
 
     Args:
         points: joints; for markers the answer is always no.
@@ -191,7 +191,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             of the same size.
     """
     wrong: list[list[bool]] = [[] for _ in points.names]
-    ratio = size(points) or 0.0
+    ratio = relative_body_size(points) or 0.0
     for a, b in joint_pairs(points) if ratio and points.are_joints else ():
         seen = distances(points, a, b)
         if len(seen) >= _MIN_MOMENTS:
@@ -200,12 +200,12 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             spread = float(np.median(np.abs(seen - middle)))
             for one in (a, b):
                 wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
-    # a point is wrong if all of its bones are: a bone of right length vouches for both ends
+    # a bone with a plausible length shows that both of its joints are right
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
 
 
 def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Numbers of joints at the two ends of a bone, the parent first, or of rigid pairs."""
+    """Pairs of joints at the ends of each bone, parent first; or the given rigid pairs."""
     if points.rigid is not None:
         return list(points.rigid)
     bones = list(enumerate(points.bones))
@@ -213,7 +213,7 @@ def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 
 
 def same_bone_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Numbers of points on one bone."""
+    """Pairs of points that lie on the same bone."""
     return [(a, b) for a, b in combinations(range(len(points.bones)), 2)
             if points.bones[a] == points.bones[b]]  # fmt: skip
 

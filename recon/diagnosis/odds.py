@@ -1,4 +1,4 @@
-"""Finds the view that contradicts the others, the likeliest cause, and its correction.
+"""Finds the view that contradicts the others, with the likeliest cause and a correction.
 
 Points that the other views see are compared with the rays of the view. An explanation that
 brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
@@ -10,19 +10,19 @@ from functools import partial
 
 import numpy as np
 
-from recon.diagnosis.explanations import Cause, Explained, Odd, mirrored
+from recon.diagnosis.explanations import Cause, DoubtedView, Explained, mirrored
 from recon.diagnosis.findings import (
     NOTHING,
     Code,
     Finding,
     Findings,
-    in_turn,
     lasting,
+    run_checks,
     spans,
     stretches,
 )
 from recon.diagnosis.images import Images
-from recon.diagnosis.rigs import Agreement, agreement, common_miss, corrected_rig
+from recon.diagnosis.rigs import Agreement, best_agreement, corrected_rig, median_miss
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -58,18 +58,20 @@ def noise_of_views(images: Images) -> float:
 
 
 def checked_together(images: Images) -> tuple[Images, Findings]:
-    """Compare the views: one may contradict the others, be shifted in time, or mirrored."""
+    """Find views that contradict the others, are shifted in time, or are mirrored."""
     if len(images.names) < 2:
         return images, NOTHING
     noise = noise_of_views(images)
     if len(images.names) == 2:
-        return _two_views(images, noise)
+        return _compared_pair(images, noise)
     explained = partial(_one_explained, noise=noise, causes=tuple(_CAUSES))
-    return in_turn(images, (corrected_rig, explained, partial(_one_left_out, noise=noise)))
+    return run_checks(
+        images, (corrected_rig, explained, partial(_without_contradicting_view, noise=noise))
+    )
 
 
 def all_mirrored(images: Images) -> tuple[Images, Findings]:
-    """Images that fit together only when mirrored, as front cameras of phones write them."""
+    """Mirror images that agree only when mirrored, as front cameras of phones write them."""
     turned, said, sure = mirrored_together(images)
     if said is None:
         return images, NOTHING
@@ -87,13 +89,13 @@ def mirror_warnings(images: Images) -> tuple[Finding, ...]:
 
 
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
-    """The mirrored images, the findings if they agree better, and whether they agree fully.
+    """The mirrored images, a finding if these agree better, and whether they agree fully.
 
     One view is not enough: it shows what the mirrored person would have done.
     """
     floor = noise_of_views(images) * (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR)
     turned = mirrored(images, list(range(len(images.names))))
-    given, other = common_miss(images), common_miss(turned)
+    given, other = median_miss(images), median_miss(turned)
     if given < max(floor, 0.002) or other > _MAX_MIRRORED_RATIO * given:
         return turned, None, False
     said = (
@@ -103,8 +105,8 @@ def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
     return turned, Finding("mirrored", said, value=given), other <= floor
 
 
-def another_image(images: Images) -> tuple[Images, Findings]:
-    """A finding about one view that agrees with the others only when mirrored or scaled.
+def single_view_explained(images: Images) -> tuple[Images, Findings]:
+    """Correct a view that agrees with the others only when mirrored or scaled.
 
     Looked for before names are, as wrong pixels make names look wrong.
     """
@@ -116,15 +118,15 @@ def another_image(images: Images) -> tuple[Images, Findings]:
 def _one_explained(
     images: Images, noise: float, causes: tuple[Cause, ...]
 ) -> tuple[Images, Findings]:
-    """The view whose correction brings all views back to the level of the noise."""
+    """Correct the one view after whose correction all views agree within the noise."""
     floor, best = _FLOOR * noise, np.inf
     out, said = images, NOTHING
     for v, name in enumerate(images.names):
-        odd = Odd.of(images, v)
+        odd = DoubtedView.of(images, v)
         before = odd.miss()
         if before < _WORSE * floor or floor == 0:
             continue
-        rest = common_miss(images.view([k for k in range(len(images.names)) if k != v]))
+        rest = median_miss(images.view([k for k in range(len(images.names)) if k != v]))
         chosen = _simplest_explanation(odd.explained(causes))
         if max(rest, chosen.remains) <= floor and rest + chosen.remains < best:
             code, what, _ = _CAUSES[chosen.cause]
@@ -180,12 +182,12 @@ _CAUSES: dict[Cause, tuple[Code, str, str]] = {
 """What may be wrong with a view, the simplest first: code, what was undone, what to do."""
 
 
-def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
+def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, Findings]:
     """Leave out a contradicting view (or stretches of it) if the others agree, else warn."""
     views = range(len(images.names))
-    rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
+    rest = [median_miss(images.view([k for k in views if k != v])) for v in views]
     v = int(np.argmin(rest))
-    odd, name = Odd.of(images, v), images.names[v]
+    odd, name = DoubtedView.of(images, v), images.names[v]
     before, agree = odd.miss(), 0 < rest[v] <= _FLOOR * noise
     hidden = np.zeros_like(images.seen)
     if before > _AT_ODDS:
@@ -217,15 +219,15 @@ def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
     return images, Findings(warnings=(found,))
 
 
-def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
+def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
     """Two views that contradict each other: clocks can be corrected, poses only reported."""
-    given, floor = common_miss(images), _PAIR_FLOOR * noise
+    given, floor = median_miss(images), _PAIR_FLOOR * noise
     if given <= max(_WORSE * floor, 0.002):
         return images, NOTHING
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
-    timed = agreement(images, ("clock",))
-    by, clear = _out_of_step(images, timed), timed.remains < _MAX_MIRRORED_RATIO * given
+    timed = best_agreement(images, ("clock",))
+    by, clear = _clock_shift_in_words(images, timed), timed.remains < _MAX_MIRRORED_RATIO * given
     if clear and timed.remains <= floor:
         text = (
             f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
@@ -233,12 +235,12 @@ def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
         )
         done = Finding("views out of step", text, value=timed.late / images.fps)
         return timed.images, Findings((done,))
-    turned, both = agreement(images, ("pose",)), agreement(images, ("clock", "pose"))
+    turned, both = best_agreement(images, ("pose",)), best_agreement(images, ("clock", "pose"))
     if both.remains < turned.remains / _SIMPLER:
         turned = both
     code: Code = "view at odds"
     if turned.remains <= floor and turned.remains < _MAX_MIRRORED_RATIO * given:
-        late = f"{_out_of_step(images, turned)} and " if turned.late else ""
+        late = f"{_clock_shift_in_words(images, turned)} and " if turned.late else ""
         text = (
             f"{said}, and by {100 * turned.remains:.1f} cm if {late}one of the cameras is turned "
             f"by {turned.degrees:.1f} degrees against the calibration. Two views do not tell "
@@ -257,6 +259,6 @@ def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
     return images, Findings(warnings=(Finding(code, text, value=given),))
 
 
-def _out_of_step(images: Images, found: Agreement) -> str:
+def _clock_shift_in_words(images: Images, found: Agreement) -> str:
     late = found.late / images.fps
     return f"{images.names[1]} is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"

@@ -22,19 +22,27 @@ from recon.diagnosis.exact import (
     repaired_zeros,
     scale_findings,
 )
-from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn, listed, spans, stretches
+from recon.diagnosis.findings import (
+    NOTHING,
+    Finding,
+    Findings,
+    listed,
+    run_checks,
+    spans,
+    stretches,
+)
 from recon.diagnosis.misplaced import (
     crossed_limbs,
     exchanged_moments,
     exchanged_pairs,
+    exchanged_sides,
     exchanged_throughout,
-    find_exchanges,
     misplaced_points,
     outliers,
 )
 from recon.diagnosis.movement import belt_velocity
 from recon.diagnosis.named_points import NamedPoints, Predicted
-from recon.diagnosis.quick_fit import QuickFit, plausible, pursued, quick_fits
+from recon.diagnosis.quick_fit import QuickFit, plausible, quick_fits, with_second_start
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 
 _MIN_POSITIONS = 12
@@ -63,28 +71,28 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     and the ground, unless there is none (`grounded`).
     """
     exact = (repaired_zeros, repaired_copies, repaired_held)
-    named, found = in_turn(NamedPoints.of(points, body), exact)
+    named, found = run_checks(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None, None
-    if disorder := frame_order(named):  # no other check works on frames out of order
+    if disorder := frame_order(named):  # other checks need frames in order
         return named.observation, found + Findings(warnings=disorder), None, None
     steady = plausible(named)
-    flips = find_exchanges(steady)
+    flips = exchanged_sides(steady)
     steady = steady.permuted(steady.counterparts, flips)
     found += Findings(warnings=scale_findings(steady))
     for pair, moments in exchanged_pairs(steady):
         steady = steady.swapped(pair, moments)
         named, more = _exchanged_back(named, (pair,), moments)
         found += more
-    if jumps := identity_changes(steady):  # two different people cannot be fitted by one body
+    if jumps := identity_changes(steady):  # one body cannot fit two people
         return named.observation, found + Findings(warnings=jumps), None, None
     named, more = _limbs_uncrossed(named, steady, body)
     found += more
     named, fitted, more = _sides_repaired(named, flips, body)
     found += more
-    named, fitted, more = _exchanged_pairs_found(named, fitted, body)
+    named, fitted, more = _pairs_repaired(named, fitted, body)
     found += more
-    kept, more, belt, start = _against_a_body(named, fitted, body, grounded=grounded)
+    kept, more, belt, start = _compared_with_body(named, fitted, body, grounded=grounded)
     return kept, found + more, belt, start
 
 
@@ -109,7 +117,7 @@ def _limbs_uncrossed(
 def _sides_repaired(
     named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Exchanges of left and right, found by continuity in time and by fits of the whole clip."""
+    """Exchange left and right back where they jump, as confirmed by fits of the whole clip."""
     order = named.counterparts
     steady = named.permuted(order, exchanged)
     given = plausible(steady).observation
@@ -142,10 +150,10 @@ def _sides_repaired(
     return right, best, found
 
 
-def _exchanged_pairs_found(
+def _pairs_repaired(
     named: NamedPoints, fitted: QuickFit, body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Pairs of points whose names are exchanged, throughout or for a while."""
+    """Exchange pairs of points back whose names are exchanged, throughout or for a while."""
     found = NOTHING
     if (pair := exchanged_throughout(named)) is not None:
         other, said = _exchanged_back(named, (pair,), np.ones(len(named.visible), dtype=bool))
@@ -156,8 +164,8 @@ def _exchanged_pairs_found(
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
-        # first fit again towards the suspicious points: if the body reaches them they are right
-        fitted = pursued(fitted, body)
+        # a better quick fit may reach the suspicious points, which are right then
+        fitted = with_second_start(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
         named, said = _exchanged_back(named, (pair,), moments)
@@ -186,7 +194,7 @@ def _exchanged_back(
     return named, Findings((said,))
 
 
-def _against_a_body(
+def _compared_with_body(
     named: NamedPoints, fitted: QuickFit, body: BodyModel, *, grounded: bool
 ) -> Screened:
     """Use a quick robust fit to find misplaced points, the height of the ground and the noise."""
@@ -196,11 +204,10 @@ def _against_a_body(
     bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
     limb = any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
     if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
-        # the quick fit itself is wrong, so it judges no points: an acrobat's planted hand was said
-        # to be left behind by a body that was fitted wrong
+        # a bad quick fit must not judge points: it rejected an acrobat's planted hand
         return named.observation, NOTHING, None, None
     kept, wild = outliers(replace(predicted, points=kept), noise)
-    # points left out in all frames are inferred, which deserves a warning
+    # a point left out in all frames is a repair and a warning, since the fit must infer it
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given
     if wild is not None:
@@ -210,9 +217,9 @@ def _against_a_body(
             given = given.replace(kernel=partial(geman_mcclure, sigma=scale))
     motion = fitted.estimate.motion
     belt = None
-    if grounded and given.placed:  # root-relative points have neither heights nor paths
+    if grounded and given.placed:  # root-relative points show no ground
         height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
-        if height != 0:  # zero: nothing contradicts the ground
+        if height != 0:  # the ground is not at z = 0
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)

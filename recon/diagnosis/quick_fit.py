@@ -1,4 +1,4 @@
-"""Quick fits under the pose prior: which points contradict a body, which names make it jump."""
+"""Quick fits under the pose prior, for checks that compare points with a body."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,36 +35,36 @@ _MOST_FRAMES = 7
 
 
 def plausible(points: NamedPoints) -> NamedPoints:
-    """The points without those far from all others and those that jump off their path."""
+    """The points without those far from all others and those that jump away from their path."""
     away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
-    return points.without(_far(points) | (np.nan_to_num(away) > _SPIKE))
+    return points.without(_far_from_others(points) | (np.nan_to_num(away) > _SPIKE))
 
 
-def _far(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
+def _far_from_others(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
     away = np.linalg.norm(points.positions - points.centre[:, None], axis=-1)
     return np.nan_to_num(away) > _BODY_RADIUS_M
 
 
 def smoothed(points: NamedPoints) -> NamedPoints:
-    """The points' medians over a quarter of a second: a first guess that outliers do not move.
+    """Running medians of the points over a quarter of a second, which outliers do not move.
 
     They have no standard deviations: medians exist where points were not seen as well.
     """
-    median = _running_median(points.without(_far(points)))
+    median = _running_median(points.without(_far_from_others(points)))
     known = np.isfinite(median[..., 0])
     places = np.where(known[..., None], median, 0.0)
     return replace(points, positions=places, visible=known, std=None)
 
 
 def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
-    """Median of every coordinate about every moment; NaN where nothing is visible about it."""
+    """Median of every coordinate in a window about each moment; NaN where nothing is visible."""
     every = max(int(_HALF_WINDOW * points.fps) // _MOST_FRAMES, 1)
     half = max(int(_HALF_WINDOW * points.fps) // every, 1) * every
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
     windows = np.sort(windows[..., ::every], -1)
-    count = np.isfinite(windows).sum(-1)  # NaN is sorted last
+    count = np.isfinite(windows).sum(-1)  # np.sort puts NaN last
     middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
     return np.take_along_axis(windows, middle, -1).mean(-1)
 
@@ -86,7 +86,7 @@ right version is found within 5, and a wrong one goes on for long."""
 
 @dataclass(frozen=True)
 class QuickFit:
-    """A quick fit of one version of a clip's points: residuals and energy."""
+    """A quick fit to one version of a clip's points, with its objective."""
 
     points: TrackedPoints
     estimate: Estimate
@@ -106,10 +106,10 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [_middle_seconds(one) for one in versions]
-    fits = _fitted(excerpts[:1], method, body)
+    fits = _fits_of_versions(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
-        fits += _fitted(
-            excerpts[1:], partial(quick_stages, noise, most=_ITERATIONS_OF_OTHERS), body
+        fits += _fits_of_versions(
+            excerpts[1:], partial(quick_stages, noise, max_iterations=_ITERATIONS_OF_OTHERS), body
         )
     if excerpts[0] is first:
         return [replace(one, points=own) for one, own in zip(fits, given, strict=False)]
@@ -118,20 +118,20 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     # imported here: only long recordings need it
     from recon.fitting.long import fit_long
 
-    motion = fit_long([_robust(versions[best])], method, body, start=start).motion
+    motion = fit_long([_with_robust_kernel(versions[best])], method, body, start=start).motion
     estimate = Estimate.of_clip(motion[0].detach(), body)
     return [QuickFit(given[best], estimate, fits[best].cost)]
 
 
-def _robust(points: TrackedPoints) -> TrackedPoints:
+def _with_robust_kernel(points: TrackedPoints) -> TrackedPoints:
     return points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
 
 
-def _fitted(
+def _fits_of_versions(
     versions: Sequence[TrackedPoints], method: Stages, body: BodyModel, start: Motion | None = None
 ) -> list[QuickFit]:
     """Fits of all versions at once, from the medians of their points or from a given motion."""
-    robust = _robust(concatenate(list(versions)))
+    robust = _with_robust_kernel(concatenate(list(versions)))
     if start is None:
         smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
         start = concatenate([one.start(body) for one in smooth])
@@ -144,8 +144,8 @@ def _fitted(
     ]
 
 
-def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
-    """The better of a quick fit and one that starts from non-robust residuals.
+def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
+    """The better of a quick fit and one that starts from a fit without a robust kernel.
 
     A robust fit gives up on a limb that it begins too far from, and then blames its points: a
     handspring's hands and planted feet were called misplaced. With squared residuals the limb
@@ -159,23 +159,23 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     noise = estimate_noise(points.positions, points.visible)
     method, start = partial(quick_stages, noise), fit.estimate.motion
     reached = solve([points.replace(kernel=squared)], method, body, start=start).motion
-    (again,) = _fitted([points], method, body, reached.detach())
+    (again,) = _fits_of_versions([points], method, body, reached.detach())
     return replace(again, points=fit.points) if again.cost < fit.cost else fit
 
 
 def quick_stages(
-    noise: float, data: tuple[Term, ...], *, most: tuple[int, int] = _ITERATIONS
+    noise: float, data: tuple[Term, ...], *, max_iterations: tuple[int, int] = _ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """The pose prior's stages with few iterations, since an error of a centimetre is accepted."""
+    """Stages of the pose prior with few iterations, for errors of about a centimetre."""
     prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
     return tuple(
         replace(stage, minimiser=LBFGS(max_iterations=count, tolerance_decrease=1e-3))
-        for stage, count in zip(prior.stages(data), most, strict=True)
+        for stage, count in zip(prior.stages(data), max_iterations, strict=True)
     )
 
 
 def _middle_seconds(points: TrackedPoints) -> TrackedPoints:
-    """The seconds around the median time of the data."""
+    """The points in a few seconds around the median time of the data."""
     length = round(_EXCERPT * points.fps) + 1
     moments = points.positions.shape[-3]
     if moments <= length:

@@ -1,4 +1,4 @@
-"""Rays of several cameras through keypoints: where they meet, and the paths of these points."""
+"""Rays of several cameras through keypoints, and the paths of the points where they meet."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -25,15 +25,15 @@ class Rays:
 
     @classmethod
     def of(cls, images: Images) -> "Rays":
-        """The rays of all keypoints."""
+        """Rays from the cameras through all keypoints."""
         turn = images.pose[..., :3, :3]
         origin = -(images.pose[..., None, :3, 3] @ turn)
         return cls(origin, in_front(images) @ turn, images.confidence**2)
 
-    def meet(
+    def triangulated(
         self,
     ) -> tuple[Float[np.ndarray, "moments points 3"], Bool[np.ndarray, "moments points"]]:
-        """The points nearest to their rays, and which exist: two views must see them at an angle.
+        """Triangulated points, and a mask of those that two views see under a sufficient angle.
 
         The least Σ w |(I - d dᵀ)(x - o)|² over the views: a symmetric 3 x 3 system per point.
         """
@@ -78,8 +78,8 @@ _MIN_MOMENTS = 10
 
 
 def body_size(images: Images) -> float | None:
-    """Size of the triangulated body against the average one; None where too little is seen."""
-    points, exists = Rays.of(images).meet()
+    """Size of the triangulated body relative to the average; None if too little is seen."""
+    points, exists = Rays.of(images).triangulated()
     ratios: list[float] = []
     for side, bone in product(("left", "right"), _BONES):
         if {*(names := [f"{side}_{part}" for part in bone])} <= {*images.points}:
@@ -93,7 +93,7 @@ def body_size(images: Images) -> float | None:
 
 
 def scale_findings(images: Images) -> tuple[Finding, ...]:
-    """Whether everything is larger or smaller than people are."""
+    """A warning if the triangulated body is larger or smaller than people are."""
     size = body_size(images) if len(images.names) > 1 else None
     if size is None or _MIN_SIZE_RATIO < size < _MAX_SIZE_RATIO:
         return ()
@@ -115,7 +115,7 @@ _PARABOLA_S = 0.07
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Points triangulated from views of one clock; a parabola in time about every moment.
+    """Triangulated points over time, each fitted by a parabola about every moment.
 
     Position and velocity of a least-squares parabola in its middle have uncorrelated errors, and
     elsewhere such as are known. So an offset in time can be found without bias where the
@@ -141,16 +141,16 @@ class Trajectories:
 
     @classmethod
     def of(cls, images: Images, noise: Float[np.ndarray, " views"]) -> "Trajectories":
-        """The points that at least two of the views see.
+        """Fit parabolas to the points that at least two of the views see.
 
         Args:
             images: the views.
             noise: standard deviation of a pixel coordinate in every view.
         """
-        points, exists = Rays.of(images).meet()
+        points, exists = Rays.of(images).triangulated()
         local, front = in_camera(images.pose, points[None])
         seen = images.seen & front & exists
-        slope = derivatives(local, front) * images.focal[:, None, None, None, None]
+        slope = derivatives_of_projection(local, front) * images.focal[:, None, None, None, None]
         slope = slope @ images.pose[:, :, None, :3, :3] / noise[:, None, None, None, None]
         slope = np.where(seen[..., None, None], slope, 0.0)
         information = np.einsum("vtpki,vtpkj->tpij", slope, slope) + 1e-6 * np.eye(3)
@@ -163,8 +163,8 @@ class Trajectories:
         reach = max(1, min(round(_PARABOLA_S * images.fps), (len(points) - 1) // 2))
         design = np.arange(-reach, reach + 1)[:, None] ** np.arange(3)
         solve = np.linalg.pinv(design)
-        whole = np.asarray(_windows(exists, reach).all(-1))
-        parts = np.einsum("kw,tpiw->ktpi", solve, _windows(points, reach))
+        whole = np.asarray(_sliding_windows(exists, reach).all(-1))
+        parts = np.einsum("kw,tpiw->ktpi", solve, _sliding_windows(points, reach))
         parts = np.where(whole[..., None], parts, 0.0)
         spread, speed = np.square(solve[:2]).sum(-1).tolist()
         return cls(
@@ -181,7 +181,7 @@ class Trajectories:
     def at(
         self, frames: Float[np.ndarray, " moments"]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions at numbers of frames, velocities and covariances nearby, and which exist.
+        """Positions at fractional frame numbers, with velocities, covariances and a mask.
 
         The error of a position so many frames from the middle of its parabola is correlated with
         that of the velocity by as many times its variance.
@@ -204,12 +204,12 @@ def in_camera(
     pose: Float[np.ndarray, "*poses 4 4"],
     points: Float[np.ndarray, "*_ points 3"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points in the frame of a camera, metres, and which lie before it."""
+    """Points in the frame of a camera, metres, and a mask of those in front of it."""
     local = points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
     return local, local[..., 2] > 0.05
 
 
-def derivatives(
+def derivatives_of_projection(
     local: Float[np.ndarray, "*samples 3"], front: Bool[np.ndarray, "*samples"]
 ) -> Float[np.ndarray, "*samples 2 3"]:
     """Derivatives of (x / z, y / z) by a point in the frame of the camera; zero behind it."""
@@ -222,8 +222,10 @@ def derivatives(
     return np.where(front[..., None, None], np.stack(rows, -2), 0.0)
 
 
-def by_turn(local: Float[np.ndarray, "*samples 3"]) -> Float[np.ndarray, "*samples 3 3"]:
-    """Derivatives of a point in the frame of a camera by a turn of it about the camera's axes."""
+def derivatives_by_rotation(
+    local: Float[np.ndarray, "*samples 3"],
+) -> Float[np.ndarray, "*samples 3 3"]:
+    """Derivatives of points in a camera's frame by a rotation vector about its axes."""
     x, y, z = np.moveaxis(local, -1, 0)
     zero = np.zeros_like(x)
     rows = (zero, z, -y), (-z, zero, x), (y, -x, zero)
@@ -235,14 +237,14 @@ def projected(
     local: Float[np.ndarray, "views moments points 3"],
     front: Bool[np.ndarray, "views moments points"],
 ) -> Float[np.ndarray, "views moments points 2"]:
-    """Pixels of points in the frames of the cameras; meaningless behind them."""
+    """Pixels of points given in the frames of the cameras; meaningless behind them."""
     plane = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
     turned = plane @ np.swapaxes(images.matrix[:, None, :2, :2], -1, -2)
     return turned + images.matrix[:, None, None, :2, 2]
 
 
-def _windows(values: np.ndarray, reach: int) -> np.ndarray:
-    """The values about every moment, in a new last axis; zero where there are none."""
-    edges = ((reach, reach), *((0, 0),) * (values.ndim - 1))
+def _sliding_windows(values: np.ndarray, half_width: int) -> np.ndarray:
+    """Sliding windows over time, in a new last axis; zero before the start and after the end."""
+    edges = ((half_width, half_width), *((0, 0),) * (values.ndim - 1))
     padded = np.pad(values, edges)
-    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1, axis=0)

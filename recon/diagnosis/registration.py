@@ -1,4 +1,4 @@
-"""Clock and pose of one camera together, from what the other views see (Gauss-Newton, robust).
+"""Corrects clock and pose of one camera by what the other views see (robust Gauss-Newton).
 
 A view that is late by L shows at time t what happened at t - L; a camera whose calibration has
 gone is turned about its centre and shifted a little. Both move keypoints in the image, so that
@@ -24,8 +24,8 @@ from recon.diagnosis.explanations import (
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import (
     Trajectories,
-    by_turn,
-    derivatives,
+    derivatives_by_rotation,
+    derivatives_of_projection,
     in_camera,
     in_front,
     projected,
@@ -75,7 +75,7 @@ _UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
 
 @dataclass(frozen=True)
 class Registration:
-    """What one view must be corrected by to agree with the others, and how sure that is."""
+    """The correction with which one view agrees with the others, and its uncertainty."""
 
     view: int
     late: float
@@ -99,14 +99,14 @@ class Registration:
     their noise."""
 
     def squared_deviations(self, part: Part) -> float:
-        """How far a part of the correction is from none, in squared standard deviations."""
+        """Squared size of one part of the correction, in standard deviations."""
         rows = _UNKNOWN[part]
         own, values = self.covariance[rows, rows], self.values[rows]
         return float(values @ np.linalg.solve(own, values)) if own.any() else 0.0
 
     @property
     def degrees(self) -> float:
-        """Angle of the turn."""
+        """Angle of the correcting rotation."""
         return float(np.degrees(np.linalg.norm(self.values[1:4])))
 
     @property
@@ -127,7 +127,7 @@ def registered(
     noise: Float[np.ndarray, " views"],
     parts: tuple[Part, ...] = PARTS,
 ) -> Registration | None:
-    """What a fixed camera must be corrected by to agree with the other views.
+    """The correction with which a fixed camera agrees with the other views.
 
     None where they do not agree with each other, and where too little is seen.
 
@@ -146,7 +146,7 @@ _View = tuple[float, Float[np.ndarray, "4 4"]]
 
 @dataclass(frozen=True)
 class Alignment(Problem[_View]):
-    """Residuals of a view against the paths that the others see, by its clock and pose."""
+    """Residuals of a view against points that the others see, as a function of clock and pose."""
 
     images: Images
     """The view alone."""
@@ -166,7 +166,7 @@ class Alignment(Problem[_View]):
         noise: Float[np.ndarray, " views"],
         parts: tuple[Part, ...],
     ) -> "Alignment":
-        """The problem of one view of several."""
+        """The problem of aligning one view with all others."""
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
@@ -176,7 +176,7 @@ class Alignment(Problem[_View]):
 
     @property
     def rows(self) -> np.ndarray:
-        """`frames` as indices."""
+        """The frame numbers as array indices."""
         return self.frames.astype(int)
 
     @property
@@ -193,7 +193,10 @@ class Alignment(Problem[_View]):
     def doubted(self) -> bool:
         """Whether the given pose of a view might be improved: a cheap test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
-        if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
+        if (
+            given.there.sum() < _MIN_KEYPOINTS
+            or cauchy_mean(given.squared[given.there]) > _CLEAN_COST
+        ):
             return self.trusted
         normal, slope, _ = given.equations()
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
@@ -204,12 +207,15 @@ class Alignment(Problem[_View]):
         if not self.trusted:
             return None
         start = self.images.pose[0, 0]
-        (late, pose), _ = minimise(self, self._coarse(start), _OPTIONS)
+        (late, pose), _ = minimise(self, self._best_offset(start), _OPTIONS)
         found = self._residuals(late, pose)
         if found.there.sum() < _MIN_KEYPOINTS:
             return None
         normal, _, inflation = self._equations((late, pose), found)
-        covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
+        covariance, unknown = (
+            np.zeros((7, 7)),
+            np.ix_(self._unknown_indices, self._unknown_indices),
+        )
         covariance[unknown] = np.linalg.inv(normal[unknown])
         turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
         values = np.concatenate(([late], turn, self._shift(pose)))
@@ -220,14 +226,14 @@ class Alignment(Problem[_View]):
         away = found.predicted[both] - given.predicted[both]
         moves = float(np.sqrt(np.square(away).sum(-1).mean() / 2)) / self.sigma
         others = self.paths.disagreement[self.rows][self.seen]
-        per_point = robust(found.squared[found.there]) + robust(others)
+        per_point = cauchy_mean(found.squared[found.there]) + cauchy_mean(others)
         return Registration(
             self.view, float(late), pose, values, covariance, found.spread,
             per_point * float(self.seen.sum()), inflation, moves,
         )  # fmt: skip
 
     @property
-    def _unknown(self) -> list[int]:
+    def _unknown_indices(self) -> list[int]:
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
     def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
@@ -237,15 +243,15 @@ class Alignment(Problem[_View]):
     def _equations(
         self, x: _View, found: "_Residuals"
     ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
-        """Hessian, descent direction and inflation of the residuals, with the prior on a shift."""
+        """Hessian, descent direction and excess variance, with the prior on a shifted camera."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
         slope[4:] -= self._shift(x[1]) / SHIFT**2
         return normal, slope, inflation
 
     def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Reweighted least squares about a correction; no slope where too little is seen."""
-        found, own = self._residuals(*x), self._unknown
+        """Quadratic model about a correction (reweighted); flat if too little is seen."""
+        found, own = self._residuals(*x), self._unknown_indices
         normal, slope = np.eye(7), np.zeros(7)
         if found.there.sum() >= _MIN_KEYPOINTS:
             normal, slope, _ = self._equations(x, found)
@@ -253,14 +259,16 @@ class Alignment(Problem[_View]):
         return Quadratic(self.value(x, rows), -torch.from_numpy(slope[own])[None], [hessian])
 
     def moved(self, x: _View, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> _View:
-        """The correction after a step, of its clock by two frames at most."""
+        """The correction after a step that changes the clock by at most two frames."""
         del rows
         step = np.zeros(7)
-        step[self._unknown] = steps[0].numpy()
+        step[self._unknown_indices] = steps[0].numpy()
         return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved(x[1], step[1:4], step[4:])
 
-    def _coarse(self, pose: Float[np.ndarray, "4 4"]) -> tuple[float, Float[np.ndarray, "4 4"]]:
-        """The offset with which the view fits best after a turn, and the turned pose."""
+    def _best_offset(
+        self, pose: Float[np.ndarray, "4 4"]
+    ) -> tuple[float, Float[np.ndarray, "4 4"]]:
+        """The time offset with which a rotated view agrees best, and its rotated pose."""
         if "clock" not in self.parts:
             return 0.0, pose
         fps, moments = self.images.fps, self.images.pixels.shape[1]
@@ -271,7 +279,7 @@ class Alignment(Problem[_View]):
         some = replace(self, frames=self.frames[::step])
         lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
         for late in sorted(lates.tolist(), key=abs):
-            turned = some._turned(late, pose) if "pose" in self.parts else pose
+            turned = some._pose_turned_onto_points(late, pose) if "pose" in self.parts else pose
             found = some._residuals(late, turned)
             if found.there.sum() < _MIN_KEYPOINTS / step:
                 continue
@@ -280,7 +288,9 @@ class Alignment(Problem[_View]):
                 best = (away, late, turned)
         return best[1], best[2]
 
-    def _turned(self, late: float, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    def _pose_turned_onto_points(
+        self, late: float, pose: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "4 4"]:
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
         rays = in_front(self.images)[0, self.rows]
@@ -297,13 +307,18 @@ class Alignment(Problem[_View]):
         predicted = projected(self.images, local[None], front[None])[0]
         there = self.images.seen[0, self.rows] & exists & front
         away = self.images.pixels[0, self.rows] - predicted
-        by_place = self.images.matrix[0, :2, :2] @ derivatives(local, front)
+        by_place = self.images.matrix[0, :2, :2] @ derivatives_of_projection(local, front)
         by_point = by_place @ pose[:3, :3]
         noise = by_point @ covariance @ np.swapaxes(by_point, -1, -2)
         noise = noise + self.sigma**2 * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
         jacobian = np.concatenate(
-            (-(by_point @ velocity[..., None]), by_place @ by_turn(local), -by_place), -1
+            (
+                -(by_point @ velocity[..., None]),
+                by_place @ derivatives_by_rotation(local),
+                -by_place,
+            ),
+            -1,
         )
         by_velocity = whiten @ by_point
         blur = self.paths.velocity_noise * (by_velocity @ covariance * by_velocity).sum((-2, -1))
@@ -314,7 +329,7 @@ class Alignment(Problem[_View]):
 
 @dataclass(frozen=True)
 class _Residuals:
-    """Residuals of a view in standard deviations, and their derivatives by the seven unknowns."""
+    """Whitened residuals of a view, and their derivatives by the seven unknowns."""
 
     white: Float[np.ndarray, "moments points 2"]
     jacobian: Float[np.ndarray, "moments points 2 7"]
@@ -332,11 +347,11 @@ class _Residuals:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the residuals, by their median."""
+        """Standard deviation of the residuals, estimated from their median."""
         return float(np.sqrt(np.median(self.squared[self.there]) / _MEDIAN))
 
     def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Normal equations of a step, and how much variance the residuals have beyond white noise.
+        """Normal equations of a step, and the variance of the residuals relative to white noise.
 
         A clock on which the residuals do not depend, as nobody moves, is left as it is.
 
@@ -354,7 +369,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # noise in velocities looks like motion; positions apart from the middle share that noise
+        # errors of the fitted velocities, which many residuals share, would look like real motion
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())
@@ -365,15 +380,15 @@ class _Residuals:
         return normal / inflation, slope / inflation, inflation
 
 
-def robust(squared: Float[np.ndarray, " samples"]) -> float:
-    """Mean of squared residuals of which large ones count less (Cauchy)."""
+def cauchy_mean(squared: Float[np.ndarray, " samples"]) -> float:
+    """Cauchy's robust mean of squared residuals, in which large ones count less."""
     return _OUTLIER * float(np.log1p(squared / _OUTLIER).mean())
 
 
 def _moved(
     pose: Float[np.ndarray, "4 4"], turn: Float[np.ndarray, "3"], shift: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """A camera turned about its centre, and its centre shifted along its axes."""
+    """The camera pose after a rotation about its centre and a shift along its axes."""
     if not turn.any() and not shift.any():
         return pose
     out = pose.copy()

@@ -38,7 +38,7 @@ _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
 @dataclass(frozen=True)
 class Agreement:
-    """A correction of clock or turn with which two views agree."""
+    """The correction of the clock or rotation with which two views agree best."""
 
     images: Images
     """The two views, the second one corrected."""
@@ -50,45 +50,45 @@ class Agreement:
     """Median distance by which rays then miss each other's points, metres."""
 
 
-def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
-    """The clock or turn of the second view, or both, with which rays of two views miss least."""
+def best_agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
+    """Find the clock and rotation of the second view with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
     turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
-    for late in _starts(images) if "clock" in parts else (0.0,):
+    for late in _first_offsets(images) if "clock" in parts else (0.0,):
         values = np.array([late, 0.0, 0.0, 0.0])
         if turns.unknown:
             values, _ = minimise(turns, values, replace(_OPTIONS, max_iterations=2))
-        away = _median_size(_misses(images, late, values[1:])[0])
+        away = _median_size(_distances_of_rays(images, late, values[1:])[0])
         if away < best[0]:
             best = (away, values)
-    most = max(abs(late) for late in _starts(images))
+    most = max(abs(late) for late in _first_offsets(images))
     values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
-    return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
+    return Agreement(corrected, float(values[0]), angle, median_miss(corrected))
 
 
-def common_miss(images: Images) -> float:
-    """Median distance of all rays from the points that they see in common, metres."""
+def median_miss(images: Images) -> float:
+    """Median distance of rays from the points triangulated from them, metres."""
     rays = Rays.of(images)
-    points, exists = rays.meet()
+    points, exists = rays.triangulated()
     there = exists & (rays.weight > 0)
     return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
 
 
-def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
+def _first_offsets(images: Images) -> Float[np.ndarray, " offsets"]:
     step = max(COARSE_STEP_S * images.fps, 1.0)
     count = int(min(MAX_LATE_S * images.fps, images.pixels.shape[1] / 2) / step)
     return np.arange(-count, count + 1) * step
 
 
-def _misses(
+def _distances_of_rays(
     images: Images, late: float, *turns: Float[np.ndarray, "3"]
 ) -> list[Float[np.ndarray, "moments points"]]:
-    """Signed distances of the two rays of every keypoint; 0 where there are no two.
+    """Signed distance between the two views' rays of every keypoint; 0 where one is missing.
 
     Args:
         images: two views.
@@ -108,14 +108,14 @@ def _misses(
 
 
 def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
-    """Median size of the distances that exist."""
+    """Median absolute value of the non-zero distances."""
     there = away != 0
     return float(np.median(np.abs(away[there]))) if there.any() else np.inf
 
 
 @dataclass(frozen=True)
 class _Rays(Problem[Float[np.ndarray, "4"]]):
-    """How far rays of two views miss each other, by the second one's clock and turn."""
+    """Distances between rays of two views, as a function of the second one's clock and turn."""
 
     images: Images
     unknown: list[int]
@@ -124,14 +124,14 @@ class _Rays(Problem[Float[np.ndarray, "4"]]):
     """Frames by which the clock is off at most, where it is moved."""
 
     def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Reweighted least squares; no slope where too little is seen."""
+        """Quadratic model of the distances (reweighted); flat if too little is seen."""
         unknown, late, turn = self.unknown, float(x[0]), x[1:]
         ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
-        away, *ends = _misses(self.images, late, turn, *(ends if 1 in unknown else ()))
+        away, *ends = _distances_of_rays(self.images, late, turn, *(ends if 1 in unknown else ()))
         columns = [(a - b) / (2 * _TURN_STEP) for a, b in zip(ends[::2], ends[1::2], strict=True)]
         if 0 in unknown:
-            later = _misses(self.images, late + _LATE_STEP, turn)[0]
-            earlier = _misses(self.images, late - _LATE_STEP, turn)[0]
+            later = _distances_of_rays(self.images, late + _LATE_STEP, turn)[0]
+            earlier = _distances_of_rays(self.images, late - _LATE_STEP, turn)[0]
             columns.insert(0, (later - earlier) / (2 * _LATE_STEP))
         jacobian = np.stack(columns, -1)
         there = (away != 0) & (jacobian != 0).any(-1)
@@ -147,7 +147,7 @@ class _Rays(Problem[Float[np.ndarray, "4"]]):
     def moved(
         self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Float[np.ndarray, "4"]:
-        """The values after a step."""
+        """The clock and rotation after a step."""
         del rows
         out = x.copy()
         out[self.unknown] += steps[0].numpy()
@@ -178,7 +178,7 @@ _SMALLEST_SHIFT = 0.01
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of single views, and whether they are certain."""
+    """The views after all certain corrections, and a doubtful one where there is any."""
 
     images: Images
     """All views after the corrections."""
@@ -188,14 +188,14 @@ class Corrections:
 
 
 def corrections(images: Images) -> Corrections:
-    """Clocks and poses put right where that is sure.
+    """Correct clocks and poses of cameras where the correction is certain.
 
     One view after the other, as long as two views remain that need no correction.
     """
     applied: tuple[Registration, ...] = ()
     for _ in range(len(images.names) - 2):
         found = candidates(images)
-        if not found or not certain(found[0], images.fps):
+        if not found or not is_certain(found[0], images.fps):
             break
         best = found[0]
         alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
@@ -206,12 +206,14 @@ def corrections(images: Images) -> Corrections:
 
 
 def corrected_rig(images: Images) -> tuple[Images, Findings]:
-    """The views after `corrections`, in the words of findings."""
+    """The views after `corrections`, and these corrections as findings."""
     found = corrections(images)
-    repairs = tuple(_finding(images, one) for one in found.applied)
+    repairs = tuple(_finding_of_correction(images, one) for one in found.applied)
     if not found.undecided:
         return found.images, Findings(repairs)
-    every = [f"{images.names[one.view]}: {_fault(one, images.fps)}" for one in found.undecided]
+    every = [
+        f"{images.names[one.view]}: {_error_in_words(one, images.fps)}" for one in found.undecided
+    ]
     said = Finding(
         "view at odds",
         "the views contradict each other, and they do not tell which of them is wrong: "
@@ -234,19 +236,19 @@ def candidates(images: Images) -> list[Registration]:
     )
     if not any(one.doubted for one in given):
         return []
-    every = [_simplest(images, one) for one in given]
+    every = [_simplest_correction(images, one) for one in given]
     return sorted((one for one in every if one is not None), key=lambda one: one.cost)
 
 
-def certain(found: Registration, fps: float) -> bool:
-    """Whether a correction is significant and leaves only noise."""
+def is_certain(found: Registration, fps: float) -> bool:
+    """Whether a correction is significant and leaves only noise as residuals."""
     if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
     return any(_is_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
-def _simplest(images: Images, given: Alignment) -> Registration | None:
-    """The simplest correction of a view that suffices."""
+def _simplest_correction(images: Images, given: Alignment) -> Registration | None:
+    """The correction with the fewest parts (clock, rotation, shift) that suffices for a view."""
     both = given.solved()
     if both is None:
         return None
@@ -261,7 +263,7 @@ def _is_needed(found: Registration, part: Part, fps: float, least: float) -> boo
     return large and found.squared_deviations(part) >= least
 
 
-def _finding(images: Images, found: Registration) -> Finding:
+def _finding_of_correction(images: Images, found: Registration) -> Finding:
     code: Code = "views out of step" if found.late else "view at odds"
     advice = ["Number the frames of all cameras from the same moment"] if found.late else []
     if found.values[1:].any() or not found.late:
@@ -269,13 +271,13 @@ def _finding(images: Images, found: Registration) -> Finding:
     text = ", and ".join(advice)
     return Finding(
         code,
-        f"{images.names[found.view]} contradicts the other views: {_fault(found, images.fps)}. "
-        f"That was corrected. {text[0].upper()}{text[1:]}",
+        f"{images.names[found.view]} contradicts the other views: "
+        f"{_error_in_words(found, images.fps)}. That was corrected. {text[0].upper()}{text[1:]}",
         value=found.late / images.fps if found.late else found.degrees,
     )
 
 
-def _fault(found: Registration, fps: float) -> str:
+def _error_in_words(found: Registration, fps: float) -> str:
     """The sentence that describes a view's error, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []

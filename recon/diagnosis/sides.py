@@ -1,4 +1,4 @@
-"""Keypoints with exchanged names: left and right, or two neighbours along a limb.
+"""Repairs exchanged names of keypoints: left and right, or two neighbours along a limb.
 
 Left and right follow from two facts. A point does not leave its path and go on along its
 counterpart's within a frame; and where several cameras see a body, rays through one point meet,
@@ -54,7 +54,7 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
     flags = exchanged_sides(images)
     doubted = np.zeros_like(flags)
     if len(flags) == 1 and flags.any():
-        # imported here: only fits can confirm that names are exchanged
+        # imported here, since it loads the code of fits
         from recon.diagnosis.images import confirmed_sides
 
         sure = confirmed_sides(images, flags[0])[None]
@@ -102,7 +102,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
         flags[v] = _cheapest_exchanges(group, [len(first)])[-1]
     if views > 1:
         rays = Rays.of(images.exchanged(flags))
-        points, exists = rays.meet()
+        points, exists = rays.triangulated()
         miss, there = rays.miss(points), exists & (rays.weight > 0)
         for own, near, seen in zip(flags, miss, there, strict=True):
             if seen[own].any() and np.median(near[own][seen[own]]) > _MEET:
@@ -111,7 +111,7 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
 
 
 def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """The cheapest choice of exchanges for some views; no exchange where it is uncertain."""
+    """In which frames of some views to exchange sides at least cost; false where uncertain."""
     views = len(images.confidence)
     states = np.stack([
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
@@ -131,16 +131,16 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
 
 
 def _misfit_per_frame(
-    images: Images, state: Bool[np.ndarray, " views"]
+    images: Images, exchanged: Bool[np.ndarray, " views"]
 ) -> Float[np.ndarray, " moments"]:
-    """Misfit between the views in every frame, for each choice of views with exchanged names."""
+    """Misfit between the views in every frame when some of them have exchanged names."""
     moments = images.confidence.shape[1]
-    cost = np.full(moments, _EXCHANGED * state.sum())
-    if len(state) < 2:
+    cost = np.full(moments, _EXCHANGED * exchanged.sum())
+    if len(exchanged) < 2:
         return cost
-    named = images.exchanged(np.repeat(state[:, None], moments, 1))
+    named = images.exchanged(np.repeat(exchanged[:, None], moments, 1))
     rays = Rays.of(named)
-    points, exists = rays.meet()
+    points, exists = rays.triangulated()
     miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     cost += counted[:, named.sided].sum(-1)
@@ -148,7 +148,7 @@ def _misfit_per_frame(
 
 
 def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of continuing from the previous frame with the same and with exchanged names.
+    """Costs, per frame, of continuing with the same names and with exchanged names.
 
     Both (views, moments); the first moment has no cost. Points go on as they went before.
     """
@@ -173,7 +173,7 @@ def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
 def _extrapolated(
     images: Images,
 ) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
-    """Extrapolated positions of keypoints, and which keypoints the previous frame has.
+    """Positions that earlier frames predict for the keypoints, and where there are any.
 
     Where a keypoint was not seen two moments before, it would stay.
     """
@@ -202,7 +202,7 @@ throughout; in good windows of validation people exchanging never saves that."""
 
 @dataclass(frozen=True)
 class ExchangedPair:
-    """Two keypoints of a view with each other's name, from the first to the last moment."""
+    """Two keypoints of a view that have each other's name in a range of frames."""
 
     view: int
     points: tuple[int, int]
@@ -213,7 +213,7 @@ class ExchangedPair:
 
 
 def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """The images with exchanged keypoints exchanged back, and the findings."""
+    """The images with the names of keypoint pairs exchanged back, and the findings."""
     found: list[Finding] = []
     for find in (exchanged_for_a_while, exchanged_throughout):
         for one in find(images):
@@ -263,7 +263,7 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
 
 
 def exchanged_throughout(images: Images) -> list[ExchangedPair]:
-    """Neighbours along a limb whose exchange throughout makes bones plausibly short."""
+    """Neighbours along a limb that, exchanged in all frames, make bones plausibly short."""
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):
@@ -276,7 +276,7 @@ def exchanged_throughout(images: Images) -> list[ExchangedPair]:
 
 
 def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], dict[int, float]]:
-    """Pairs of keypoints, and the moments at which they jump onto each other's path, by metres.
+    """Frames at which pairs of keypoints jump onto each other's path, and how far in metres.
 
     Outliers, which do not stay where they jump to, are left out.
     """
@@ -304,7 +304,7 @@ def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], d
 
 
 def _neighbours(images: Images) -> dict[tuple[int, int], int]:
-    """Keypoints that follow each other along a limb, and the one at its root."""
+    """Pairs of neighbouring keypoints along a limb, and the keypoint at the limb's root."""
     chains = [
         [f"{side}_{part}" for part in limb]
         for side in ("left", "right")
@@ -317,7 +317,7 @@ def _neighbours(images: Images) -> dict[tuple[int, int], int]:
 def _saved_length(
     images: Images, view: int, pair: tuple[int, int]
 ) -> Float[np.ndarray, " moments"]:
-    """Metres by which bones are too long as named, less those after an exchange.
+    """By how many metres bones are too long with the given names, less with exchanged ones.
 
     NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
     """

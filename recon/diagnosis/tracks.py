@@ -1,4 +1,4 @@
-"""The order of frames: noise in time against noise along bones, jumps of the body."""
+"""Detects frames out of order and changes of person, by noise in time and jumps of the body."""
 
 import itertools
 
@@ -80,7 +80,7 @@ def bone_noise(points: NamedPoints) -> float | None:
 def velocity_changes(
     places: Float[np.ndarray, "*views moments points dims"],
 ) -> Float[np.ndarray, "*views moments points"]:
-    """By how much the step that leads to a moment differs from the mean of its neighbours' steps.
+    """How much the step that leads to a frame differs from the mean of the steps around it.
 
     NaN where a point is not seen at all four moments, and at the ends.
 
@@ -117,7 +117,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def _jumps_repeatedly(points: NamedPoints) -> tuple[Finding, ...]:
-    """Whether the whole body jumps to another place repeatedly.
+    """A warning if the whole body jumps to another place repeatedly.
 
     That is so between blocks of frames which were put together in a wrong order. Changes of
     velocity are medians over the points, divided by what the median is for normal noise of one
@@ -125,7 +125,7 @@ def _jumps_repeatedly(points: NamedPoints) -> tuple[Finding, ...]:
     """
     kept = plausible(points)
     if len(kept.visible) < 4 or kept.visible.sum() < (1 - _WILD) * points.visible.sum():
-        return ()  # with many outliers, half of the points may change together by chance
+        return ()  # many outliers may look like a jump of half of the points
     change = velocity_changes(np.where(kept.visible[..., None], kept.positions, np.nan))
     change[np.isfinite(change).sum(1) < _SEAM_POINTS] = 0.0
     change = np.nanmedian(change, axis=1) / _MEDIAN_LENGTH
@@ -150,7 +150,7 @@ def _jumps_repeatedly(points: NamedPoints) -> tuple[Finding, ...]:
 
 
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
-    """Frames at which the whole body jumps, as when a tracker switches to another person.
+    """Warn where the whole body jumps, as when a tracker switches to another person.
 
     The middle of the points steps there unlike it does before and after: the median displacement
     of the points that are seen now and were seen at the last frame with any.
@@ -189,8 +189,8 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     return (Finding(code, said, (), frames, most),)
 
 
-def _distance_moved(points: NamedPoints, lag: int) -> float:
-    """Median distance of points from where they were so many frames ago, metres; NaN: unknown."""
-    both = points.visible[lag:] & points.visible[:-lag]
-    away = np.linalg.norm(points.positions[lag:] - points.positions[:-lag], axis=-1)[both]
+def _distance_moved(points: NamedPoints, frames: int) -> float:
+    """Median distance that points move in a number of frames, metres; NaN if unknown."""
+    both = points.visible[frames:] & points.visible[:-frames]
+    away = np.linalg.norm(points.positions[frames:] - points.positions[:-frames], axis=-1)[both]
     return float(np.median(away)) if away.size else np.nan

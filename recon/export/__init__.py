@@ -1,1 +1,1 @@
-"""Motion files in the formats of other programs."""
+"""Writes motions in the formats of other programs."""

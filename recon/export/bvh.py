@@ -1,4 +1,4 @@
-"""Writing BVH: a recording, or a motion of the body model."""
+"""Writes recordings and motions as BVH."""
 
 import warnings
 from pathlib import Path
@@ -18,7 +18,7 @@ Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
 def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """The 22 joints of our body in one clip, and the tips of its five last bones.
+    """The joints of a motion as a recorded skeleton, with the tips of its five end bones.
 
     The tip of a bone, `<joint>_end`, is the vertex of its skin that is farthest from the joint:
     the crown, the toes, the fingertips.
@@ -43,7 +43,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 
 def _end_of_bone(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
-    """Vector from a joint of the unposed body to the farthest vertex of its bone, metres.
+    """Vector from a joint to the farthest vertex of its bone on the unposed body, metres.
 
     It is zero where the bone carries no skin.
     """
@@ -61,17 +61,17 @@ def write_bvh(
     unit: Literal["m", "cm", "mm", "inch", "cmu"] = "cm",
     order: Order = "ZYX",
 ) -> None:
-    """Write a recording with y up, all joints in one Euler order; reading it gives it back.
+    """Write a recording with y up and one Euler order; reading the file gives it back.
 
     Joints that move within their parent get position channels; joints called `<parent>_end`
     become end sites. The root's OFFSET is zero: some programs add it to its position channels,
     others take these instead of it.
     """
-    # imported here: it costs half of `import recon`
+    # imported only here, since it loads slowly
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
-    # enough decimals for a hundredth of a micrometre in any unit
+    # decimals for a hundredth of a micrometre
     decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
@@ -102,7 +102,7 @@ def write_bvh(
         else:
             lines.append(f"{indent}\tCHANNELS 3 {rotations}")
         with warnings.catch_warnings():
-            # at gimbal lock scipy warns, but the angles it returns still give the same rotation
+            # the angles that scipy returns at gimbal lock are right, although it warns
             warnings.simplefilter("ignore", UserWarning)
             columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
         for child in children:

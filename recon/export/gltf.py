@@ -1,4 +1,4 @@
-"""glTF 2.0 (.glb): the body as a skinned mesh with an animated skeleton."""
+"""Writes a motion as glTF 2.0 (.glb): a skinned mesh with an animated skeleton."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ _HALF = 0.5**0.5
 
 
 def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
-    """Write one clip; frame k is at k / fps seconds, the clock's first time in `asset.extras`.
+    """Write one clip, frame k at k / fps seconds; `asset.extras` has the start time.
 
     The node `z_up` above the skeleton turns our z up to glTF's y up. Vertices keep their four
     largest weights, scaled to sum to one. Corrective offsets of SMPL bodies are left out.
@@ -57,7 +57,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
             version="2.0", generator="recon", extras={"start_time": motion.start_time}
         ),
         scene=0,
-        # a skinned mesh must be a root node: only its joints place it
+        # a skinned mesh must be a root node, since only its joints move it
         scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],
         nodes=nodes,
         meshes=[mesh],
@@ -74,7 +74,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
 
 
 class _Buffer:
-    """The binary part of a .glb while it grows, and what describes it."""
+    """The growing binary part of a .glb, with its buffer views and accessors."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -82,7 +82,7 @@ class _Buffer:
         self.accessors: list[Any] = []
 
     def add(self, array: np.ndarray, component: int, kind: str, target: int | None = None) -> int:
-        """Append an array of one row per element; its accessor's number."""
+        """Append an array with a row per element; returns its accessor's number."""
         array = np.ascontiguousarray(array)
         self.views.append(
             gltf.BufferView(
@@ -105,7 +105,7 @@ class _Buffer:
         return len(self.accessors) - 1
 
     def mesh(self, vertices: Float[Tensor, "vertices 3"], body: BodyModel) -> Any:
-        """The body at rest with its skinning weights."""
+        """Append the body at rest with its skinning weights as a mesh."""
         weights, joints = influences(body, INFLUENCES)
         normals = _array(tensor_normals(vertices.double(), body.faces))
         attributes = gltf.Attributes(
@@ -124,7 +124,7 @@ class _Buffer:
         )
 
     def animation(self, motion: Motion, rest: Float[Tensor, "22 3"]) -> Any:
-        """Rotations of all joints and the path of the pelvis, interpolated linearly."""
+        """Append an animation of all joints' rotations and the pelvis' path."""
         times = (np.arange(motion.frames) / motion.fps).astype(np.float32)
         clock = self.add(times, gltf.FLOAT, gltf.SCALAR)
         turns = _array(quaternions(motion.rotations.double()))

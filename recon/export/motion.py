@@ -1,4 +1,4 @@
-"""A motion file in the formats of other programs."""
+"""`recon export`'s function: writes a motion file in formats of other programs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
 from recon.mocap.marker_tables import write_trc
-from recon.view.files import draw_html, shown
+from recon.view.files import draw_html, show_of_files
 
 
 def export_file(
@@ -100,24 +100,24 @@ def export_file(
     file = load_motion_of(motion, own)
     moved, name = file.motion, motion.stem
 
-    def tracks(path: Path) -> None:
+    def write_markers(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
 
-    def meshes(folder: Path) -> None:
+    def write_meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
     every: list[tuple[Path | None, Kind, Callable[[Path], object]]] = [
         (glb, Kind.FILE, lambda path: write_glb(path, moved, own)),
         (usd, Kind.FILE, lambda path: write_usd(path, moved, own)),
         (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
-        (trc, Kind.FILE, tracks),
+        (trc, Kind.FILE, write_markers),
         (mot, Kind.FILE, lambda path: write_mot(path, moved, own, model)),
         (angles, Kind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (joints, Kind.FILE, lambda path: write_joint_table(path, file, own.pose(moved).joints)),
         (robot, Kind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
         (smpl, Kind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
-        (ply, Kind.FOLDER, meshes),
-        (html, Kind.FILE, lambda path: draw_html(path, shown(motion, body=body))),
+        (ply, Kind.FOLDER, write_meshes),
+        (html, Kind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
@@ -131,7 +131,7 @@ def export_file(
 
 
 def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
-    """Refuse options of the TRC file where none is written: they would do nothing.
+    """Refuse options of the TRC file if none is written.
 
     Raises:
         ReconError: naming the option.

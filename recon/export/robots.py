@@ -1,4 +1,4 @@
-"""Motions for robots and for people of SMPL: files with the poses of a SMPL-family body."""
+"""Writes motions on SMPL-family bodies, for robots and for users of SMPL."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ _GENDERS = ("female", "male", "neutral")
 
 
 def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> None:
-    """Write a motion for GMR's loader: 30 Hz, z up, soles on z = 0, contacts beside.
+    """Write a motion on SMPL-X for robot retargeting: 30 Hz, z up, soles on z = 0, contacts.
 
     Args:
         path: `.npz` to write.
@@ -56,7 +56,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
-    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes, fingers: at rest
+    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes and fingers stay at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),
@@ -74,7 +74,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
 
 
 def _arrays(motion: Motion, target: BodyModel, joints: int, gender: str) -> dict[str, np.ndarray]:
-    """A motion in AMASS layout; joints beyond the 22 of the body are at rest."""
+    """The arrays of a motion in AMASS layout; joints beyond our 22 are at rest."""
     poses = so3.log(motion.rotations.double()).float().numpy().reshape(motion.frames, -1)
     whole = np.zeros((motion.frames, 3 * joints), np.float32)
     whole[:, : poses.shape[1]] = poses
@@ -98,7 +98,7 @@ def _gender(path: Path) -> str | None:
 
 
 def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
-    """The motion on another body of the family, bones turned as ours are, soles on z = 0.
+    """The motion on another body, with equally oriented bones and soles on z = 0.
 
     Args:
         motion: one clip without a batch axis.
@@ -122,7 +122,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
 
 
 def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Transferred:
-    """Write a motion in AMASS layout on a body file of the SMPL family; z up, metres.
+    """Write a motion in AMASS layout on a user's SMPL-family body; z up, metres.
 
     `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); those beyond the 22 of
     the body are at rest. `betas` are coefficients of that file's shapes.

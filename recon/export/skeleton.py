@@ -1,4 +1,4 @@
-"""Skeleton, skin and rotations of a motion, as the exporters of all formats need them."""
+"""Skeleton, skinning weights and quaternions of a motion, for all exporters."""
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from recon.core.skeleton import PARENTS
 
 
 def one_clip(motion: Motion) -> Motion:
-    """The frames of a motion that exist, on the CPU and without gradients.
+    """The valid frames of a motion of one clip, on the CPU and without gradients.
 
     Raises:
         ReconError: when it has a batch axis.
@@ -24,7 +24,7 @@ def one_clip(motion: Motion) -> Motion:
 
 
 def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
-    """Vector to every joint of the unposed body from its parent; of the root from the origin."""
+    """Vector to every joint of the unposed body from its parent (the root: from the origin)."""
     root = np.array(PARENTS)[:, None] < 0
     return rest - np.where(root, rest.dtype.type(0), rest[list(PARENTS)])
 
@@ -32,7 +32,7 @@ def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
 def influences(
     body: BodyModel, most: int | None = None
 ) -> tuple[Float[np.ndarray, "vertices some"], Int[np.ndarray, "vertices some"]]:
-    """The largest weights of every vertex, scaled to sum to one, and their joints.
+    """The largest skinning weights of every vertex, scaled to sum to one, and their joints.
 
     Args:
         body: whose skin it is.
@@ -52,7 +52,6 @@ def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "t
     """
     vector = so3.log(rotations)
     half = vector.norm(dim=-1, keepdim=True) / 2
-    # near zero sin(x)/x comes from its Taylor series
     q = torch.cat((vector * torch.sinc(half / torch.pi) / 2, half.cos()), -1)
     signs = (q[1:] * q[:-1]).sum(-1).sign()
     signs = torch.where(signs == 0, 1.0, signs).cumprod(0)

@@ -1,4 +1,4 @@
-"""Tables over time: OpenSim's storage of coordinates (.mot), and angles as CSV."""
+"""Writes tables over time: OpenSim's coordinates (.mot), and joint angles as CSV."""
 
 import tomllib
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) 
         "endheader",
         "\t".join(("time", *columns)),
     ]
-    _write(path, header, motion, columns, "\t")
+    _write_table(path, header, motion, columns, "\t")
 
 
 def write_angles(
@@ -54,7 +54,7 @@ def write_angles(
     body: BodyModel,
     std: Float[Tensor, "time 42"] | None = None,
 ) -> None:
-    """Write joint angles after the ISB, a row per frame: `time` in seconds, `NAME_deg` in degrees.
+    """Write ISB joint angles, a row per frame: `time` in seconds, `NAME_deg` in degrees.
 
     Args:
         path: file to write.
@@ -70,10 +70,10 @@ def write_angles(
     if std is not None:
         known = zip(ISB_ANGLES, std.double().cpu().numpy().T, strict=True)
         columns |= {f"{name}_std": values for name, values in known}
-    _write(path, [",".join(("time", *columns))], motion, columns, ",")
+    _write_table(path, [",".join(("time", *columns))], motion, columns, ",")
 
 
-def _write(
+def _write_table(
     path: Path,
     header: list[str],
     motion: Motion,
@@ -93,7 +93,7 @@ MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "bsm"]
 def markers_of(
     motion: Motion, body: BodyModel, markers: MarkerSetName, name: str
 ) -> MarkerRecording:
-    """Positions of a marker set on the moving body, never hidden, at the motion's times.
+    """Positions of a marker set on the moving body in every frame of a motion.
 
     They lie on the skin; real markers stand about a centimetre off it.
 
@@ -130,7 +130,7 @@ def markers_of(
 
 
 def places_of(markers: str) -> dict[str, BodyPlace]:
-    """The place on the body of every label of a marker set, in the order of the set."""
+    """The place on the body of every marker of a marker set, keyed by label."""
     known = landmarks()
     return {
         label: BodyPlace(landmarks=(point,)) if point in known else PLACES[point]

@@ -1,4 +1,4 @@
-"""USD (.usd, .usda, .usdc): the body as a skinned mesh with an animated skeleton (UsdSkel).
+"""Writes a motion as USD: a skinned mesh with an animated skeleton (UsdSkel).
 
 It needs the package usd-core (`pip install motion-recon[usd]`), which is loaded when a file is
 written.
@@ -25,7 +25,7 @@ _COLOUR = (0.55, 0.65, 0.8)
 
 
 def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
-    """Write one clip: metres, z up, a time code per frame from 0 on.
+    """Write one clip as USD: metres, z up, one time code per frame from 0 on.
 
     All skinning weights are kept. Corrective offsets of SMPL bodies are left out. The motion's
     start time stands in the layer's custom data as `start_time`, seconds.
@@ -44,22 +44,22 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
     with replacing(path) as beside, TemporaryDirectory() as folder:
-        # the library finds the format by the file name, which it parses as UTF-8 with arguments
+        # written under a plain name, since the library parses arguments in file names
         staged = Path(folder) / f"motion{path.suffix.lower()}"
-        _save(staged, motion, body)
+        _write_stage(staged, motion, body)
         shutil.copyfile(staged, beside)
 
 
 def joint_paths() -> list[str]:
-    """Every joint with those above it, as UsdSkel names them: pelvis/left_hip/left_knee."""
+    """UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
     paths: list[str] = []
     for name, parent in zip(JOINTS, PARENTS, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths
 
 
-def _save(path: Path, motion: Motion, body: BodyModel) -> None:
-    """Make a stage with one person and write it."""
+def _write_stage(path: Path, motion: Motion, body: BodyModel) -> None:
+    """Make a USD stage with one person and write it."""
     pxr: Any = import_module("pxr")
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     stage = pxr.Usd.Stage.CreateNew(str(path))
@@ -74,36 +74,36 @@ def _save(path: Path, motion: Motion, body: BodyModel) -> None:
     root = pxr.UsdSkel.Root.Define(stage, "/person")
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
-    # the rest pose: joints in the world, and relative to their parents
+    # the rest pose, in the world (bind) and relative to the parents (rest)
     skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joint_paths()))
-    skeleton.CreateBindTransformsAttr(_placed(pxr, rest))
-    skeleton.CreateRestTransformsAttr(_placed(pxr, rest_offsets(rest)))
+    skeleton.CreateBindTransformsAttr(_translation_matrices(pxr, rest))
+    skeleton.CreateRestTransformsAttr(_translation_matrices(pxr, rest_offsets(rest)))
     animation = pxr.UsdSkel.Animation.Define(stage, "/person/motion")
-    _animate(pxr, animation, motion, rest)
+    _write_animation(pxr, animation, motion, rest)
     binding = pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
-    _skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
-    # bounding boxes of the body at some frames: viewers need them to frame the body
+    _write_skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
+    # viewers need bounding boxes over time to show the body
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
     extent = root.CreateExtentAttr()
     for frame in range(0, motion.frames, max(int(motion.fps), 1)):
         corners = np.stack((middle[frame] - reach, middle[frame] + reach))
-        extent.Set(_extent(pxr, corners), frame)
+        extent.Set(_bounding_box(pxr, corners), frame)
     layer.Save()
 
 
-def _placed(pxr: Any, places: Float[np.ndarray, "joints 3"]) -> Any:
+def _translation_matrices(pxr: Any, places: Float[np.ndarray, "joints 3"]) -> Any:
     matrix, vector = pxr.Gf.Matrix4d, pxr.Gf.Vec3d
     moved = [matrix(1.0).SetTranslate(vector(*place)) for place in places.tolist()]
     return pxr.Vt.Matrix4dArray(moved)
 
 
-def _animate(
+def _write_animation(
     pxr: Any, animation: Any, motion: Motion, rest: Float[np.ndarray, "joints 3"]
 ) -> None:
-    """Rotations of all joints and the path of the pelvis."""
+    """Write the rotations of all joints and the path of the pelvis into an animation."""
     animation.CreateJointsAttr(pxr.Vt.TokenArray(joint_paths()))
     turns = quaternions(motion.rotations.double()).numpy().astype(np.float32)
     places = np.tile(rest_offsets(rest), (motion.frames, 1, 1))
@@ -116,10 +116,10 @@ def _animate(
         translations.Set(pxr.Vt.Vec3fArray.FromNumpy(place), frame)
 
 
-def _skin(
+def _write_skin(
     pxr: Any, mesh: Any, skeleton: Any, body: BodyModel, vertices: Float[np.ndarray, "vertices 3"]
 ) -> None:
-    """The unposed surface with its weights."""
+    """Write the unposed surface and its skinning weights into a mesh."""
     integers, numbers = pxr.Vt.IntArray.FromNumpy, pxr.Vt.FloatArray.FromNumpy
     faces = body.faces.cpu().numpy().astype(np.int32)
     mesh.CreatePointsAttr(pxr.Vt.Vec3fArray.FromNumpy(vertices.astype(np.float32)))
@@ -127,7 +127,7 @@ def _skin(
     mesh.CreateFaceVertexIndicesAttr(integers(faces.reshape(-1)))
     mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([pxr.Gf.Vec3f(*_COLOUR)])
-    mesh.CreateExtentAttr(_extent(pxr, vertices))
+    mesh.CreateExtentAttr(_bounding_box(pxr, vertices))
     weights, joints = influences(body)
     count = weights.shape[1]
     binding = pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim())
@@ -138,6 +138,6 @@ def _skin(
     binding.CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(1.0))
 
 
-def _extent(pxr: Any, points: Float[np.ndarray, "points 3"]) -> Any:
+def _bounding_box(pxr: Any, points: Float[np.ndarray, "points 3"]) -> Any:
     corners = np.stack((points.min(0), points.max(0))).astype(np.float32)
     return pxr.Vt.Vec3fArray.FromNumpy(corners)

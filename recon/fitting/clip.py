@@ -22,11 +22,11 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
 from recon.fitting.stages import (
-    after_place,
-    paced_by_size,
+    after_placement,
     prior_stages,
     shape_found_once,
     shape_held,
+    with_relative_accelerations,
     with_scene,
     with_shape_terms,
     without_root,
@@ -96,12 +96,12 @@ def posed(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
     )
-    seen, offsets = _with_offsets(observations)
+    seen, offsets = _with_keypoint_offsets(observations)
     return ClipProblem(seen, guess, noises, offsets, body, options, watch)
 
 
-def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """Offsets of keypoints, which several views of one layout determine.
+def _with_keypoint_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
+    """The observations with unknown keypoint offsets, which several views of one layout determine.
 
     And their number of rows.
     """
@@ -129,10 +129,10 @@ class ClipProblem:
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
         if not self.options.grounded:
-            return self.paced()._in_recording(ground_known=False)
+            return self.with_camera_scale()._in_recording(ground_known=False)
         if all(one.ground_known for one in self.observations):
             return self._in_recording(ground_known=True)
-        job = self.paced()
+        job = self.with_camera_scale()
         result = job.with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach().cpu()
@@ -177,7 +177,7 @@ class ClipProblem:
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
         # moving cameras keep the focal length that their tracker assumed
-        return self.size_untold and not views_of(self.observations)[0].focal_known
+        return self.scale_unknown and not views_of(self.observations)[0].focal_known
 
     @property
     def one_view(self) -> bool:
@@ -185,7 +185,7 @@ class ClipProblem:
         return len(self.observations) == len(views_of(self.observations)) == 1
 
     @property
-    def size_untold(self) -> bool:
+    def scale_unknown(self) -> bool:
         """Whether there is only one view, from a fixed camera of unknown pose."""
         if not self.one_view:
             return False
@@ -203,13 +203,13 @@ class ClipProblem:
         return scene.replace(ground=ground, lens=UnknownLens.create(depth[:, 0]))
 
     @property
-    def rough(self) -> FitOptions:
-        """The problem under the pose prior, which needs no ground, for first motions."""
+    def pose_prior_options(self) -> FitOptions:
+        """Options to fit first motions by the pose prior, which needs no ground."""
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
     def stages(self, options: FitOptions, moved: frozenset[str]) -> Stages:
-        """The prior's stages with what is known of the shape, the scene and further terms."""
+        """The prior's stages, with a known shape, unknowns of the scene and further terms."""
         noise = min(noise.metres for noise in self.noises)
         prior = prior_stages(options, noise, self.body)
         known = options.shape_prior
@@ -223,7 +223,7 @@ class ClipProblem:
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
 
-        def rewritten(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        def stages_for(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
             stages = prior(data)
             if options.shape is not None:
                 stages = shape_held(stages)
@@ -231,14 +231,14 @@ class ClipProblem:
                 stages = with_shape_terms(stages, of_shape)
             elif self.one_view:
                 stages = shape_found_once(stages)
-            if self.size_untold:
-                stages = paced_by_size(stages)
+            if self.scale_unknown:
+                stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
             if self.guess.posed:
-                return after_place(stages)
+                return after_placement(stages)
             return stages if self.guess.distance_known else without_root(stages)
 
-        return rewritten
+        return stages_for
 
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
@@ -272,7 +272,7 @@ class ClipProblem:
 
         What a camera sees does not change when everything is farther and larger by one factor.
         """
-        free = self.free()
+        free = self.pose_prior_motion()
         view = views_of(self.observations)[0]
         eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
         factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
@@ -288,22 +288,22 @@ class ClipProblem:
         return seen or self.options.ground_given
 
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
-        """The observations with what was found of the scene."""
+        """The observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
 
-    def free(self) -> Motion:
+    def pose_prior_motion(self) -> Motion:
         """A first motion under the pose prior, which needs no ground."""
         start = self.guess.motion
-        return self.fit(self.rough, self.scene(start), start, frozenset()).motion
+        return self.fit(self.pose_prior_options, self.scene(start), start, frozenset()).motion
 
-    def paced(self) -> "ClipProblem":
-        """The problem with the scale of the camera's path, by the feet of a first motion."""
+    def with_camera_scale(self) -> "ClipProblem":
+        """The problem with the camera's path scaled to metres by the feet of a first motion."""
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
         (view,) = views
-        motion = self.free()
+        motion = self.pose_prior_motion()
         feet = self.body.pose(motion).joints[..., list(_BALLS), :]
         there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
@@ -326,12 +326,12 @@ class ClipProblem:
         start = self.guess.motion
         # z is up and only the height of the ground is unknown
         if frame_is_level(self.observations):
-            start, unknown = self.free(), HEIGHT
+            start, unknown = self.pose_prior_motion(), HEIGHT
             ground = ground_below(start, self.body)
         elif self.ground_seen:
             ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
         else:
-            start, unknown = self.free(), GROUND
+            start, unknown = self.pose_prior_motion(), GROUND
             ground = upright_ground(start, self.body)
         if not self.options.knows_gravity:
             unknown = frozenset()

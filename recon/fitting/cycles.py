@@ -12,7 +12,7 @@ from torch import Tensor
 
 from observations.depth import CLOUD_NOISE, PointCloud
 from observations.noise import weights_of
-from observations.surfels import bounded
+from observations.surfels import fixed_scale_kernel
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -37,21 +37,21 @@ RATES = (30.0, 60.0)
 
 
 def completion_rate(fps: float) -> float:
-    """A rate between `RATES`, of which an observation's is a multiple or part."""
+    """A rate between `RATES` that is a multiple or a divisor of an observation's rate."""
     if fps < RATES[0]:
         return fps * math.ceil(RATES[0] / fps)
     return fps / math.ceil(fps / RATES[1] - 1e-6)
 
 
-def on_fast_clock(one: Sensor) -> Sensor:
+def on_fast_clock(sensor: Sensor) -> Sensor:
     """The observation on a clock of at least 30 Hz; moments in between show nothing.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
     motion is too coarse to move as people do, and a moment counts for several. A sensor that moves
     keeps its clock, since nobody knows where it is in between.
     """
-    times = math.ceil(RATES[0] / one.fps - 1e-6)
-    return one if times <= 1 else one.on_faster_clock(times)
+    times = math.ceil(RATES[0] / sensor.fps - 1e-6)
+    return sensor if times <= 1 else sensor.on_faster_clock(times)
 
 
 def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
@@ -67,10 +67,10 @@ def moments_per_second(observations: Sequence[Sensor]) -> float:
     return (len(times) - 1) / float(times[-1] - times[0])
 
 
-def seen_times(one: Sensor) -> Float[Tensor, " moments"]:
+def seen_times(sensor: Sensor) -> Float[Tensor, " moments"]:
     """Times of frames with data in any clip, seconds, rounded to milliseconds."""
-    there = one.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
-    return (one.start_time + there.double() / one.fps).mul(1000).round().div(1000)
+    there = sensor.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
+    return (sensor.start_time + there.double() / sensor.fps).mul(1000).round().div(1000)
 
 
 HEADINGS = 8
@@ -87,7 +87,7 @@ class CycleClock:
 
     @classmethod
     def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
-        """The first observation's rate or a multiple or part of it, over all that is seen.
+        """A clock at the first observation's rate, a multiple or a divisor of it, over all data.
 
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.
@@ -111,10 +111,10 @@ class CycleClock:
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
 
 
-def seen_from_to(one: Sensor) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+def seen_from_to(sensor: Sensor) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
     """Times of the first and last moment of each clip that show anything; infinite where none."""
-    there = one.shown.any(-1).cpu()
-    times = one.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / one.fps
+    there = sensor.shown.any(-1).cpu()
+    times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
 
 
@@ -238,9 +238,9 @@ def complete(
             "them with another prior"
         )
     prior = cycle_prior(options.prior, options.weights, body)
-    seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
+    seen, rows = _with_marker_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(o.cloud and _densest_observation(o.cloud) >= DENSE for o in seen)
+    dense = any(o.cloud and _largest_point_count(o.cloud) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
 
 
@@ -292,9 +292,9 @@ class _Completion:
         stages = (
             *_stages_keeping(search, KEPT),
             *_stages_keeping(
-                [replace(stage, ranking=ranking) for stage in self._moving(coded)], 1
+                [replace(stage, ranking=ranking) for stage in self._with_free_offsets(coded)], 1
             ),
-            *self._moving(details),
+            *self._with_free_offsets(details),
         )
         found, reports = run_hypotheses(stages, body, began.rows(began.best(value, TRIED)), watch)
         T = torch.eye(4).expand(len(self.clock.valid), 4, 4)
@@ -303,11 +303,11 @@ class _Completion:
 
     @property
     def noise(self) -> float:
-        """Metres by which the least noisy observation is off."""
+        """Standard deviation of the least noisy observation, metres."""
         return min(one.metres for one in self.noises)
 
-    def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
-        """The stages with offsets of markers, from the one in which they are near the body."""
+    def _with_free_offsets(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
+        """The stages with free offsets of markers wherever the shape is free."""
         if self.offsets == 0:
             return list(stages)
         held = Term("offsets", offsets, (self.noise / MARKER_OFFSET_DEVIATION) ** 2)
@@ -320,7 +320,7 @@ class _Completion:
 
 
 def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
-    """Stages of which the last keeps so many hypotheses of every clip."""
+    """Stages of which the last keeps `count` hypotheses of every clip."""
     return (*stages[:-1], replace(stages[-1], kept=count))
 
 
@@ -329,37 +329,37 @@ def _thinned(variables: Any, step: int) -> Any:
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
 
-def _coarse_observation(one: Sensor, step: int, body: BodyModel) -> Sensor:
+def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
     """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
-    few = one.coarse(body, step)
-    return few.derived(kernel=bounded) if few.cloud else few
+    few = sensor.coarse(body, step)
+    return few.derived(kernel=fixed_scale_kernel) if few.cloud else few
 
 
-def _densest_observation(cloud: PointCloud) -> int:
+def _largest_point_count(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 
-def cycle_noise(one: Sensor, told: float | None) -> Noise:
+def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
     """Noise for a cycle: a frame's cloud counts like some named points.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
     """
-    count = one.shown.sum(-1)
+    count = sensor.shown.sum(-1)
     typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
-    first, last = seen_from_to(one)
+    first, last = seen_from_to(sensor)
     rate = ((count > 0).sum(-1).cpu() - 1) / (last - first)
     seen = rate.isfinite() & (rate > 0)
-    often = float(rate[seen].median()) if bool(seen.any()) else one.fps
-    worth = one.fps / max(often, REFERENCE_FPS)
-    named = one.named is not None
+    often = float(rate[seen].median()) if bool(seen.any()) else sensor.fps
+    worth = sensor.fps / max(often, REFERENCE_FPS)
+    named = sensor.named is not None
     usual = NAMED_NOISE if named else CLOUD_NOISE
-    noise = usual if told is None else told
-    alike = 1.0 if named else max(typical / _WORTH, 1.0)
-    return Noise(noise * (alike / worth) ** 0.5, noise)
+    noise = usual if given is None else given
+    cloud_factor = 1.0 if named else max(typical / _WORTH, 1.0)
+    return Noise(noise * (cloud_factor / worth) ** 0.5, noise)
 
 
-def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """The observations with unknown offsets of markers from the skin, and the number of these."""
+def _with_marker_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
+    """The observations with unknown offsets of markers from the skin, and their number."""
     changed: list[Sensor] = []
     count = 0
     for one in observations:

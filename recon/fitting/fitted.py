@@ -63,7 +63,7 @@ class ClipFit:
 
     @property
     def compared(self) -> tuple[Compared, ...]:
-        """All hypotheses that were compared on the way, the last ones last."""
+        """The hypotheses that stages compared, stage by stage."""
         stages = [report.compared for report in self.result.reports]
         return tuple(one for one in stages if one is not None)
 

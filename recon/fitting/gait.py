@@ -55,7 +55,7 @@ class CompletedCycle:
 
 
 def stretches(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
-    """Cycles that follow each other, or overlap, together."""
+    """Cycles grouped into stretches, in which each follows or overlaps the one before."""
     found: list[list[Cycle]] = []
     for cycle in sorted(cycles, key=lambda cycle: cycle.start):
         if found and cycle.start <= max(one.stop for one in found[-1]) + _APART:
@@ -105,9 +105,9 @@ class CycleData:
             for one in (estimate, first)
         ]
         made = estimate.motion[0].detach().replace(start_time=cycle.start)
-        return CompletedCycle(cycle, made, *energies, noise=self._noise(parts))
+        return CompletedCycle(cycle, made, *energies, noise=self._half_coordinate_count(parts))
 
-    def _noise(self, parts: Sequence[Sensor]) -> float:
+    def _half_coordinate_count(self, parts: Sequence[Sensor]) -> float:
         """Half the number of independent measured coordinates in a cycle."""
         total = 0.0
         for part, noise in zip(parts, self.noises, strict=True):
@@ -117,7 +117,9 @@ class CycleData:
         return total
 
 
-def told_by_cycles(cycles: Sequence[CompletedCycle], motion: Motion, body: BodyModel) -> Joints3D:
+def joints_of_cycles(
+    cycles: Sequence[CompletedCycle], motion: Motion, body: BodyModel
+) -> Joints3D:
     """Joint positions from completed cycles, as further observations of the first fit's frames.
 
     Every cycle counts as sin² of its phase, so that those which overlap fade into each other, and

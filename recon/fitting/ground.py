@@ -26,7 +26,7 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
-    """The ground of every clip of a batch, in recordings whose frame is not the world.
+    """First guess of an unknown ground, one per clip, in a recording with an unknown up axis.
 
     Up is where heads are from between the ankles, on average over the frames: steps forward and
     back, and leaning to either side, cancel. The ground is as high as the soles that stand.
@@ -43,7 +43,7 @@ def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
 
 
 def ground_below(motion: Motion, body: BodyModel) -> UnknownGround:
-    """The ground under clips in a recording whose z is up; only its height is found."""
+    """First guess of the ground in a recording whose z axis is up; only its height is unknown."""
     ground = UnknownGround.create(pelvis_path(motion, body))
     return ground.replace(lift=-sole_heights(motion, body))
 

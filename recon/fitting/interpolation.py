@@ -28,7 +28,7 @@ _WHOLE = 0.5
 """Share of such a file that a cycle found in it lasts; with shorter ones it is several."""
 
 
-def between(
+def interpolated_cycle(
     prior: AnchorFrames, a: AnchorVariables, b: AnchorVariables, share: float
 ) -> AnchorVariables:
     """The cycles `share` of the way from `a` to `b`: (1-k) z_a + k z_b, and so their shapes.
@@ -38,10 +38,13 @@ def between(
     """
     shape = torch.lerp(a.shape, b.shape, share)
     base = [x.base for x in (a, b)]
-    pelvis = [(T @ _point(prior, x.shape))[..., :3, :] for T, x in zip(base, (a, b), strict=True)]
+    pelvis = [
+        (T @ _homogeneous_pelvis(prior, x.shape))[..., :3, :]
+        for T, x in zip(base, (a, b), strict=True)
+    ]
     fraction = shape.new_full(shape.shape[:-1], share)
     turn = so3.interpolate(base[0][..., :3, :3], base[1][..., :3, :3], fraction)
-    rest = _point(prior, shape)[..., :3, :]
+    rest = _homogeneous_pelvis(prior, shape)[..., :3, :]
     place = torch.lerp(pelvis[0], pelvis[1], share) - turn @ rest
     upper = torch.cat((turn, place), -1)
     return a.replace(
@@ -51,8 +54,8 @@ def between(
     )
 
 
-def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
-    """A decoded cycle, one of a batch of one, from its first anchor on at some rate.
+def motion_of_cycle(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
+    """A batch of one cycle decoded to a motion at `fps`, beginning at its first anchor.
 
     Raises:
         ValueError: when it lasts no time that a cycle can last.
@@ -95,7 +98,7 @@ def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batc
     return left - right
 
 
-def agreement(
+def curve_correlation(
     a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
 ) -> Float[Tensor, "first second"]:
     """Uncentred correlation of two sets of curves, -1 to 1."""
@@ -103,7 +106,7 @@ def agreement(
     return unit[0] @ unit[1].mT
 
 
-def _point(prior: AnchorFrames, shape: Tensor) -> Tensor:
+def _homogeneous_pelvis(prior: AnchorFrames, shape: Tensor) -> Tensor:
     """The unposed pelvis as a homogeneous column."""
     pelvis = rest_pelvis(prior.body, shape)
     return torch.cat((pelvis, torch.ones_like(pelvis[..., :1])), -1)[..., None]

@@ -18,7 +18,7 @@ from recon.fitting.long_recording import AT_ONCE, LongRecording
 from recon.fitting.stages import shape_held, until_shape
 from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
-from recon.method.reconstruction import Reconstruction, admitted, reconstruct
+from recon.method.reconstruction import Reconstruction, checked_arguments, reconstruct
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
@@ -81,7 +81,9 @@ def fit_long(
         ValueError: when there is no observation or not exactly one clip, one of them cannot be
             cut, or the overlap is none or more than 40 % of a window.
     """
-    ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    ready, body, start, scene, weights = checked_arguments(
+        observations, body, start, scene, weights
+    )
     recording = LongRecording.cut(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
@@ -92,7 +94,7 @@ def fit_long(
     stages = stages_of(prior)
 
     def tied(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        ties = [recording.tie(row, apart.beside(row), apart.fps, body) for row in rows]
+        ties = [recording.tie(row, apart.neighbours(row), apart.fps, body) for row in rows]
         return shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
 
     shapes = job.fit(
@@ -113,8 +115,8 @@ def fit_long(
 
 
 @dataclass(frozen=True)
-class _Fitted:
-    """Windows fitted alike."""
+class _WindowFits:
+    """Motions of the windows of one round of fits."""
 
     motions: dict[int, Motion]
     failed: tuple[int, ...]
@@ -125,7 +127,7 @@ class _Fitted:
         """The lowest frame rate among the windows; fast motions may be fitted at a higher one."""
         return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
-    def beside(self, row: int) -> list[Motion]:
+    def neighbours(self, row: int) -> list[Motion]:
         """The neighbouring windows, without those that failed."""
         sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
         return [self.motions[k] for k in sound]
@@ -153,7 +155,7 @@ class _Job:
         rows: Sequence[int],
         shape: Float[Tensor, " shape"],
         stages: Callable[[Sequence[int], tuple[Term, ...]], tuple[Stage[Any], ...]],
-    ) -> _Fitted:
+    ) -> _WindowFits:
         """Fit some windows, from a shape, by the stages for their rows and data."""
         motions: dict[int, Motion] = {}
         failed: list[int] = []
@@ -174,22 +176,22 @@ class _Job:
             failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
             reports.append(result.reports)
         order = torch.tensor(list(motions)).argsort()
-        merged = [_merge(name, stage, order) for stage in zip(*reports, strict=True)]
-        return _Fitted(motions, tuple(failed), tuple(merged))
+        merged = [_merged_report(name, stage, order) for stage in zip(*reports, strict=True)]
+        return _WindowFits(motions, tuple(failed), tuple(merged))
 
     def _watch(self, name: str) -> Watch | None:
         watch = self.watch
         if watch is None:
             return None
 
-        def told(stage: str, progress: Progress) -> bool | None:
+        def with_window(stage: str, progress: Progress) -> bool | None:
             return watch(f"{name}: {stage}", progress)
 
-        return told
+        return with_window
 
 
-def _merge(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:
-    """One report of a stage from those of its batches, in the order of windows."""
+def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:
+    """Join the reports of batches of windows to one report of a stage."""
     solutions = [part.solution for part in parts]
     steps = max(s.trace.shape[1] for s in solutions)
     traces = [s.trace[:, torch.arange(steps).clamp(max=s.trace.shape[1] - 1)] for s in solutions]

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.points import of_places
+from observations.points import quadratic_model
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -20,7 +20,7 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
 from recon.method.sensor import Sensor
 from recon.method.timing import at_observation_times
-from recon.method.windows import Windows, fade
+from recon.method.windows import Windows, smooth_ramp
 
 AT_ONCE = 8
 """Windows fitted as one batch, so that memory does not grow with the recording."""
@@ -67,7 +67,7 @@ class Overlap(TensorStruct):
         """The energy about predicted joints, metres."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
-        return of_places(points, self.joints, weights, squared, rate)
+        return quadratic_model(points, self.joints, weights, squared, rate)
 
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
@@ -95,7 +95,7 @@ class LongRecording:
         overlap: float,
         start: Motion | None = None,
     ) -> "LongRecording":
-        """Windows of some seconds; they begin where frames meet those at 30 Hz, if any do.
+        """Cut into windows of some seconds that begin at multiples of 1/30 s where possible.
 
         Raises:
             ValueError: when there is no observation or not exactly one clip, one of them cannot
@@ -116,7 +116,7 @@ class LongRecording:
                 "expected one clip, positions (1, time, points, 3); got a first guess of shape "
                 f"{tuple(guess.translation.shape)}; fit long clips one after the other"
             )
-        # of a frame every few seconds, a window has few
+        # at a low frame rate a window of this duration has few frames
         longest = max(round(window * guess.fps) + 1, _LEAST_FRAMES)
         shared = max(round(overlap * guess.fps), 1)
         windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
@@ -142,7 +142,7 @@ class LongRecording:
         )
 
     def batches(self, rows: Sequence[int]) -> Iterator[list[int]]:
-        """Windows at whose beginning all observations' clocks stand alike, few at a time."""
+        """Small batches of windows whose observations begin at the same times after the start."""
 
         def clocks(row: int) -> tuple[float, ...]:
             return tuple(part.start_time for part in self.seen(row))
@@ -153,7 +153,7 @@ class LongRecording:
             yield from (alike[k : k + size] for k in range(0, len(alike), size))
 
     def tie(self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel) -> Overlap:
-        """The terms that keep a window near its finished neighbours where they overlap."""
+        """The energy that keeps a window near its finished neighbours where they overlap."""
         (start, stop), like = self.span(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
@@ -162,7 +162,7 @@ class LongRecording:
             begins, ends = motion.start_time, motion.stop_time
             shared = (times > begins - 1e-6) & (times < ends + 1e-6)
             joints[shared] = body.pose(motion.at(times[shared], fps)).joints
-            later = fade(times[shared], max(start, begins), min(stop, ends)).to(weight)
+            later = smooth_ramp(times[shared], max(start, begins), min(stop, ends)).to(weight)
             weight[shared] = later if begins > start else 1 - later
         return Overlap(joints, weight, fps)
 

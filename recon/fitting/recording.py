@@ -33,7 +33,7 @@ from recon.fitting.cycles import (
     seen_times,
 )
 from recon.fitting.fitted import ClipFit, Stretch
-from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
+from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches
 from recon.fitting.methods import FitOptions, loaded
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
@@ -110,16 +110,20 @@ def complete_recording(
     few = bool(placed) and moments_per_second(placed) < FEW
     if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
         return one
-    noise = tuple(noise_told(one, options.noise_of(row), few) for row, one in enumerate(seen))
+    noise = tuple(
+        given_or_usual_noise(one, options.noise_of(row), few) for row, one in enumerate(seen)
+    )
     any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
     first = fit_clip(seen, any_motion, body, watch)
     motion = first.result.clip(0).detach()
-    gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
+    gait = (
+        _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
+    )
     told = _stretches(gait, in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
-    joints = told_by_cycles(kept, motion, body).to(device=body.template.device)
+    joints = joints_of_cycles(kept, motion, body).to(device=body.template.device)
     begun = motion.map(lambda tensor: tensor[None])
     again = replace(any_motion, noise=(*noise, None))
     second = fit_clip([*seen, joints], again, body, watch, start=begun)
@@ -140,7 +144,7 @@ def _one_cycle(
     body: BodyModel,
     watch: Watch | None,
 ) -> ClipFit | None:
-    """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
+    """The recording as one cycle of gait; None if it lasts longer or its hips do not show one."""
     seen = in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
@@ -161,21 +165,21 @@ def _one_cycle(
     return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
-def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
-    """The noise to pass on for an observation; None where it is estimated from the data.
+def given_or_usual_noise(sensor: Sensor, given: float | None, few_moments: bool) -> float | None:
+    """The noise to pass on for an observation; None leaves it to be estimated.
 
     Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
     a moment, which a smaller noise makes up for.
     """
-    if not few or one.places is None:
+    if not few_moments or sensor.places is None:
         return given
-    usual = NAMED_NOISE if one.named else CLOUD_NOISE
-    often = max(moments_per_second([one]), RATES[0])
-    return (usual if given is None else given) * (often / max(one.fps, often)) ** 0.5
+    usual = NAMED_NOISE if sensor.named else CLOUD_NOISE
+    often = max(moments_per_second([sensor]), RATES[0])
+    return (usual if given is None else given) * (often / max(sensor.fps, often)) ** 0.5
 
 
-def _gait(
+def _completed_gait(
     first: ClipFit,
     prior: WholeRecording,
     options: FitOptions,

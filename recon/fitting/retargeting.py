@@ -36,18 +36,18 @@ SETTLING_ITERATIONS = 60
 
 
 def settled(
-    motion: Motion, moving: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
+    motion: Motion, accelerations_of: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
     """Motions corrected so that feet neither sink, float nor slide and the body is balanced.
 
     Near a motion, with the accelerations of another: least ½ Σ |p - q|² + `SMOOTH` ½ Σ |second
     difference of p - r|² of the joints p, where q are those of `motion` and r those of
-    `moving`, plus the energies of `recon.physics.energies`. Poses, place and heading are moved,
-    the shape is not.
+    `accelerations_of`, plus the energies of `recon.physics.energies`. Poses, place and heading
+    are moved, the shape is not.
 
     Args:
         motion: on the ground z = 0, or nearly.
-        moving: as smoothly as people do; may be the motion itself.
+        accelerations_of: a motion as smooth as people move; may be `motion` itself.
         flying: frames in which nothing pulls the body down.
         body: that moves.
     """
@@ -56,7 +56,7 @@ def settled(
         name="physics",
         prior=prior,
         terms=(
-            Term("near", NearTo(*(body.pose(m).joints for m in (motion, moving))), 1.0),
+            Term("near", NearTo(*(body.pose(m).joints for m in (motion, accelerations_of))), 1.0),
             Term("penetration", penetration, PENETRATION),
             Term("floating", FloatingUnlessFlying(flying), FLOATING),
             Term("slide", slide, SLIDE),
@@ -117,13 +117,13 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
         ValueError: when the clip is shorter than a second, or frames of it do not exist.
     """
     body = prior.body
-    motion, shape = _checked(motion, shape, body)
-    start = _start(motion, body)
+    motion, shape = _checked_arguments(motion, shape, body)
+    start = _start_position(motion, body)
 
-    def one(window: Motion) -> Motion:
-        return _settled_proposal(_proposed(window, shape, prior, start), window, body)
+    def retargeted(window: Motion) -> Motion:
+        return _settled_proposal(_network_proposal(window, shape, prior, start), window, body)
 
-    return _in_windows(motion, one)
+    return _in_windows(motion, retargeted)
 
 
 def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
@@ -133,18 +133,18 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
     physics.
     Arguments, result and errors are those of `retarget`.
     """
-    motion, shape = _checked(motion, shape, body)
+    motion, shape = _checked_arguments(motion, shape, body)
     # the path is scaled about the start of the whole clip, not of this window
     grown = with_shape(motion, body, shape)
 
-    def one(window: Motion) -> Motion:
+    def retargeted(window: Motion) -> Motion:
         first = round((window.start_time - motion.start_time) * motion.fps)
         return _settled_proposal(grown.window(first, first + window.frames), window, body)
 
-    return _in_windows(motion, one)
+    return _in_windows(motion, retargeted)
 
 
-def _proposed(
+def _network_proposal(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:
     """The proposal for one window.
@@ -197,19 +197,19 @@ def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
-def _in_windows(motion: Motion, one: Callable[[Motion], Motion]) -> Motion:
-    """The results of `one` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
+def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
+    """The results of `function` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
-    return join([one(part) for part in parts])
+    return join([function(part) for part in parts])
 
 
-def _start(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
+def _start_position(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
     """The place of the pelvis in the first frame."""
     return motion.translation[0] + body.rest_joints(motion.shape)[0]
 
 
-def _checked(
+def _checked_arguments(
     motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
     """Motion and shape in single precision, or an error that says what is wrong."""

@@ -12,7 +12,7 @@ _FILES = ("masks", "camera", "camera_track", "mapping")
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How to read the files and folders of one clip, where they do not tell by themselves."""
+    """Options for reading the files of one clip, for facts that the files do not contain."""
 
     unit: str | None = None
     """Unit of positions and scans, where the file is wrong about it: m, cm, mm, inch, ft, cmu, or
@@ -65,7 +65,7 @@ class ReadOptions:
 
     @classmethod
     def of(cls: type[Options], given: Mapping[str, Any]) -> Options:
-        """The options with these names; paths may be texts.
+        """Options from arguments by name; paths may be strings.
 
         Raises:
             TypeError: when there is no option of a name.
@@ -79,7 +79,7 @@ class ReadOptions:
         files = {name: Path(given[name]) for name in _FILES if isinstance(given.get(name), str)}
         return cls(**{**given, **files})
 
-    def given(self) -> list[str]:
+    def changed_names(self) -> list[str]:
         """Names of the options that differ from their defaults."""
         return [one.name for one in fields(self) if getattr(self, one.name) != one.default]
 

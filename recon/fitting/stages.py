@@ -38,21 +38,21 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
         physics = physics_terms(noise, options.physics)
 
-    def made(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages_for(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         stages = prior.stages(data, noise, body, method)
         return with_physics(stages, physics) if physics else stages
 
-    return made
+    return stages_for
 
 
-def after_place(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first with a prior on; earlier ones only place the motion."""
+def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages from the first one that has a prior; earlier ones only place the motion."""
     first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
     return tuple(stages[first:])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first on that moves more than translation and root.
+    """The stages from the first one that optimises more than translation and root.
 
     One image tells the distance of a body by the size of its bones. Placing a rest body there
     would trade its stretched limbs against distance. And a prior that knows of no ground has its
@@ -67,13 +67,13 @@ def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def until_shape(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages up to the first that moves the shape; the first one where none does."""
+    """The stages up to the first that optimises the shape; only the first if none does."""
     moving = (k for k, stage in enumerate(stages) if "shape" in stage.free)
     return tuple(stages[: next(moving, 0) + 1])
 
 
 def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages, with the shape moved in the first stage that moves it and held afterwards.
+    """The stages, with the shape optimised in the first that frees it, then held.
 
     One view does not tell whether somebody is large and far or small and near, but for the feet
     that stand on a ground that is known. A prior over steps does not either, yet it finds the
@@ -85,25 +85,25 @@ def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
 
 
-def paced_by_size(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages that move the shape with accelerations in units of the body's size.
+def with_relative_accelerations(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages, with accelerations relative to the body's size wherever the shape is free.
 
     In one view, a person half as large and half as far away looks the same and accelerates half
     as much in metres: smoothness would shrink walkers by a third.
     """
 
-    def paced(term: Term) -> Term:
+    def relative(term: Term) -> Term:
         smooth = term.energy == joint_acceleration
         return replace(term, energy=relative_acceleration) if smooth else term
 
     return tuple(
-        replace(stage, terms=tuple(map(paced, stage.terms))) if "shape" in stage.free else stage
+        replace(stage, terms=tuple(map(relative, stage.terms))) if "shape" in stage.free else stage
         for stage in stages
     )
 
 
 def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages without the shape; those that would move nothing else are left out."""
+    """The stages with the shape held; stages that optimise nothing else are left out."""
     held = (replace(stage, free=stage.free - _SHAPE) for stage in stages)
     return tuple(stage for stage in held if stage.free)
 
@@ -111,7 +111,7 @@ def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 def with_shape_terms(
     stages: Sequence[Stage[Any]], terms: tuple[Term, ...]
 ) -> tuple[Stage[Any], ...]:
-    """The stages with further terms in those that move the shape."""
+    """The stages, with further terms wherever the shape is optimised."""
     return tuple(
         replace(one, terms=(*one.terms, *terms)) if "shape" in one.free else one for one in stages
     )

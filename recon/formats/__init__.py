@@ -1,1 +1,1 @@
-"""Readers and writers of files: motions, observations, and a folder for each kind of producer."""
+"""Readers and writers of files of motions, observations, cameras and bodies."""

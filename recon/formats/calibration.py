@@ -17,7 +17,7 @@ from recon.core.camera import check_pose
 from recon.core.errors import FormatError
 from recon.core.limits import CALIBRATION
 from recon.core.units import METRES, Up, to_z_up
-from recon.formats.cameras import CameraArrays, CameraFields, settle_camera
+from recon.formats.cameras import CameraArrays, CameraFields, checked_camera
 from recon.formats.json_files import read_json
 from recon.formats.opencv_yaml import read_opencv_yaml
 from recon.formats.opening import existing, load_arrays
@@ -70,7 +70,7 @@ _IN_FOLDER = (".yml", ".yaml", ".npz")
 
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of a set-up and what was decided about them."""
+    """The cameras of a set-up, with notes on how unit and axes were decided."""
 
     cameras: Mapping[str, CameraArrays]
     """Cameras by name. Poses are in metres with world z up; the pose is None where the file has
@@ -108,12 +108,15 @@ def load_cameras(
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such calibration")
-    parts, decisions = _read(path, level=up is not None)
+    parts, decisions = _read_cameras(path, level=up is not None)
     if len(parts) == 0:
         raise FormatError(f"{path}: expected at least one camera, found none")
-    cameras = {name: settle_camera(part, image_size, path) for name, part in parts.items()}
+    cameras = {name: checked_camera(part, image_size, path) for name, part in parts.items()}
     chosen, reason = _settle_unit(cameras, unit, path)
-    turned = {name: _placed(camera, METRES[chosen], up or "z") for name, camera in cameras.items()}
+    turned = {
+        name: _in_metres_z_up(camera, METRES[chosen], up or "z")
+        for name, camera in cameras.items()
+    }
     for name, camera in turned.items():
         if camera.T_camera_world is not None:
             check_pose(camera.T_camera_world, path, f"pose of camera {name}")
@@ -121,7 +124,7 @@ def load_cameras(
     return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
 
 
-def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
+def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
     if path.is_dir():
         if (path / "intri.yml").is_file():
             return read_opencv_yaml(path / "intri.yml"), ()
@@ -134,7 +137,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[st
                 f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
                 "per camera in this folder"
             )
-        found = [pair for one in files for pair in _read(one, level=level)[0].items()]
+        found = [pair for one in files for pair in _read_cameras(one, level=level)[0].items()]
         if len(dict(found)) < len(found):
             raise FormatError(f"{path}: expected one file per camera, got two of one name")
         return dict(found), ()
@@ -184,7 +187,7 @@ def _settle_unit(
 ) -> tuple[CameraUnit, str]:
     if unit is not None:
         if unit not in ("m", "mm"):
-            raise FormatError(f"--camera-unit is m or mm, got {unit!r}")
+            raise FormatError(f"--camera-unit must be m or mm, got {unit!r}")
         return unit, f"camera unit {unit}: given"
     poses = [c.T_camera_world for c in cameras.values() if c.T_camera_world is not None]
     if len(poses) == 0:
@@ -201,8 +204,8 @@ def _settle_unit(
     )
 
 
-def _placed(camera: CameraArrays, metres: float, up: Up) -> CameraArrays:
-    """The camera with its pose in metres to a world with z up."""
+def _in_metres_z_up(camera: CameraArrays, metres: float, up: Up) -> CameraArrays:
+    """The camera with its pose in metres, in a world with z up."""
     if camera.T_camera_world is None:
         return camera
     pose = camera.T_camera_world.copy()

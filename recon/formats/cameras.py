@@ -25,7 +25,7 @@ USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)
 
 @dataclass(frozen=True)
 class CameraPath:
-    """The path of a moving camera, in the world of a tracker that knows no ground."""
+    """The poses of a moving camera, in the world of a tracker that does not know the ground."""
 
     T_world_camera: Float[np.ndarray, "time 4 4"]
     """A pose for every frame, in the tracker's unit."""
@@ -37,7 +37,7 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class CameraArrays:
-    """A calibrated camera; OpenCV axes."""
+    """The arrays of a calibrated camera with OpenCV's axes."""
 
     camera_matrix: Float[np.ndarray, "3 3"]
     """Focal lengths, skew and principal point, pixels."""
@@ -54,13 +54,13 @@ class CameraArrays:
 
     @property
     def poses(self) -> int:
-        """Number of poses: none where it is not known, one of a fixed camera, or one per frame."""
+        """Number of poses: 0 if they are unknown, 1 of a fixed camera, or one per frame."""
         return 0 if self.T_camera_world is None else len(self.T_camera_world)
 
 
 @dataclass(frozen=True)
 class CameraFields:
-    """The values of a file about a camera, not yet checked."""
+    """The values that a file states about a camera, before they are checked."""
 
     name: str
     matrix: Any
@@ -74,30 +74,30 @@ class CameraFields:
     """Instead of the two: 3x4 or 4x4, one or one per frame."""
 
 
-def settle_camera(
-    parts: CameraFields, image_size: tuple[int, int] | None, path: Path
+def checked_camera(
+    fields: CameraFields, image_size: tuple[int, int] | None, path: Path
 ) -> CameraArrays:
-    """A camera of finite numbers and right shapes, in the file's unit and world.
+    """Check shapes and finiteness of a camera's values; unit and world are still the file's.
 
     Raises:
         ValueError: for what is not numbers, has a wrong shape, a focal length that is not
             positive, a rotation that is none, or an image size that is neither stated nor given.
     """
-    where = f"{path}, camera {parts.name}"
-    matrix = _numbers(parts.matrix, "camera matrix", where)
+    where = f"{path}, camera {fields.name}"
+    matrix = _numbers(fields.matrix, "camera matrix", where)
     if matrix.shape != (3, 3):
         raise FormatError(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
             f"an array of shape {matrix.shape}"
         )
-    size = _size(parts.size, image_size, where)
-    distortion = _distortion(parts.distortion, where)
+    size = _size(fields.size, image_size, where)
+    distortion = _distortion(fields.distortion, where)
     check_camera(matrix, size, distortion, where)
     return CameraArrays(
         camera_matrix=matrix,
         image_size=size,
         distortion=distortion,
-        T_camera_world=_pose(parts, where),
+        T_camera_world=_pose(fields, where),
     )
 
 
@@ -142,24 +142,24 @@ def _distortion(value: Any, where: str) -> np.ndarray | None:
     return numbers if numbers.any() else None
 
 
-def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
-    if parts.pose is not None:
-        pose = _numbers(parts.pose, "pose", where)
+def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
+    if fields.pose is not None:
+        pose = _numbers(fields.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose
         if pose.ndim != 3 or pose.shape[1:] not in ((3, 4), (4, 4)) or len(pose) == 0:
             raise FormatError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
         rotation, translation = pose[:, :3, :3], pose[:, :3, 3]
-    elif parts.rotation is None and parts.translation is None:
+    elif fields.rotation is None and fields.translation is None:
         return None
-    elif parts.rotation is None or parts.translation is None:
+    elif fields.rotation is None or fields.translation is None:
         raise FormatError(f"{where}: expected both rotation and translation, got only one")
     else:
-        turn = _numbers(parts.rotation, "rotation", where)
+        turn = _numbers(fields.rotation, "rotation", where)
         if turn.size == 3:
             import cv2
 
             turn = np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0])
-        translation = _numbers(parts.translation, "translation", where).reshape(1, -1)
+        translation = _numbers(fields.translation, "translation", where).reshape(1, -1)
         if turn.shape != (3, 3) or translation.shape != (1, 3):
             raise FormatError(
                 f"{where}: expected a rotation of 3 or 3x3 numbers and a translation of 3, got "
@@ -168,7 +168,7 @@ def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
         rotation = turn[None]
     out = np.tile(np.eye(4), (len(rotation), 1, 1))
     out[:, :3, :3] = rotation
-    # the range of the translation is checked later, when its unit is known
+    # the size of the translation is checked later, when its unit is known
     check_pose(out, where, "rotation from world to camera")
     out[:, :3, 3] = translation
     return out

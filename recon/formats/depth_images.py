@@ -1,4 +1,4 @@
-"""Folders of 16-bit depth images with the sensor's intrinsics, as points in its frame."""
+"""Reads folders of 16-bit depth images as points, by the sensor's intrinsics."""
 
 import struct
 from pathlib import Path
@@ -12,14 +12,14 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
 from recon.formats.observations import CameraArrays, PointsFile
 from recon.formats.opening import existing, files_of
-from recon.formats.scans import POINTS, naturally, thinned
+from recon.formats.scans import POINTS, naturally_sorted, thinned
 
 _HEAD = struct.Struct(">8s4x4sIIBB")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The pixels of an image as they are: (height, width), or (height, width, channels).
+    """The unchanged pixels of a PNG image: (height, width), or (height, width, channels).
 
     Args:
         path: of the .png file.
@@ -29,7 +29,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, no PNG image, too large, or of another size.
     """
-    # imported here: it is slow to load
+    # imported only when needed, since it loads slowly
     import cv2
 
     BINARY.check(existing(path).stat().st_size, path)
@@ -39,7 +39,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     _, name, width, height, bits, colour = _HEAD.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
-    # greyscale images have one channel; of others cv2 returns up to four
+    # cv2 returns up to four channels of a colour image
     IMAGE.check(width * height * max(bits // 8, 1) * (4 if colour else 1), path, "header")
     if size is not None and (width, height) != size:
         raise FormatError(
@@ -72,7 +72,7 @@ def read_depth_images(
     outliers: float | None = 3.0,
     seed: int = 0,
 ) -> PointsFile:
-    """Points of all images: the world's when the camera has a pose, else the camera's.
+    """Points of all images: in the world if the camera has a pose, else in the camera's frame.
 
     Pixels at depth edges mix what lies before and behind them and are left out.
 
@@ -92,12 +92,12 @@ def read_depth_images(
             size than the camera's, or no person is seen at such depths; says what to do.
     """
     folder = Path(folder)
-    paths = _images(folder)
-    shapes = None if masks is None else _matched(paths, Path(masks))
+    paths = _png_files(folder)
+    shapes = None if masks is None else _masks_of_images(paths, Path(masks))
     FRAME_RATE.check(fps, folder, "frame rate")
     DEPTH_SCALE.check(depth_scale, folder, "--depth-scale")
     generator = np.random.default_rng(seed)
-    poses, lens = camera.T_camera_world, _lens(camera)
+    poses, lens = camera.T_camera_world, _camera_at_origin(camera)
     if poses is not None and len(poses) not in (1, len(paths)):
         raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
     clouds: list[np.ndarray] = []
@@ -133,19 +133,21 @@ def read_depth_images(
 
 
 def back_projected(
-    depth: Float[np.ndarray, "height width"], seen: Bool[np.ndarray, "height width"], lens: Camera
+    depth: Float[np.ndarray, "height width"],
+    seen: Bool[np.ndarray, "height width"],
+    camera: Camera,
 ) -> Float[np.ndarray, "points 3"]:
-    """Points of the camera's frame at the centres of some pixels, metres.
+    """Points at the centres of pixels with depth, in the camera's frame, metres.
 
     Pixel (column, row) covers u from column to column + 1 - as in `Camera.in_image`.
     """
     row, column = np.nonzero(seen)
     pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
-    return lens.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
+    return camera.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
 
 
 def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Pixels at depth edges: next to pixels farther or nearer by more than a hand's width."""
+    """Mask of pixels next to others that are farther or nearer by more than a hand's width."""
     edge = np.zeros(depth.shape, np.bool_)
     for axis in (0, 1):
         a, b = (np.moveaxis(depth, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
@@ -156,8 +158,8 @@ def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "heigh
     return edge
 
 
-def _lens(camera: CameraArrays) -> Camera:
-    """The camera at the origin."""
+def _camera_at_origin(camera: CameraArrays) -> Camera:
+    """The camera without its pose, at the origin."""
     distortion = camera.distortion
     return Camera.create(
         torch.from_numpy(np.asarray(camera.camera_matrix, np.float64)),
@@ -166,17 +168,17 @@ def _lens(camera: CameraArrays) -> Camera:
     )
 
 
-def _images(folder: Path) -> list[Path]:
+def _png_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder; expected one of .png images")
-    paths = naturally(files_of(folder, (".png",)))
+    paths = naturally_sorted(files_of(folder, (".png",)))
     if not paths:
         raise FormatError(f"{folder}: expected .png images, one per frame, got none")
     return paths
 
 
-def _matched(paths: list[Path], masks: Path) -> list[Path]:
-    found = _images(masks)
+def _masks_of_images(paths: list[Path], masks: Path) -> list[Path]:
+    found = _png_files(masks)
     named = {path.name: path for path in found}
     if all(path.name in named for path in paths):
         return [named[path.name] for path in paths]

@@ -1,4 +1,4 @@
-"""Per-frame parameters of SMPL-like bodies, as video networks write them.
+"""Reads per-frame parameters of SMPL-like bodies that networks estimate from video.
 
 Read are dictionaries of arrays, nested or not, in .npz, .pt and .pkl files: GVHMR
 (`smpl_params_global`), WHAM (`pose_world`, `trans_world` for every person), SLAHMR
@@ -66,7 +66,7 @@ class BodyEstimate:
 
 
 def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -> BodyEstimate:
-    """The body that a file holds.
+    """Read one person's body parameters of a file.
 
     Args:
         path: the file.
@@ -78,7 +78,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         FileNotFoundError: when there is no such file.
         FormatError: when it is damaged, holds nothing of this kind or not so many people.
     """
-    tree = _tree(path)
+    tree = _read_tree(path)
     people = list(_people(tree, ()))
     in_world = [
         one for one in people if not any(word in str(key) for key in one[0] for word in _IN_CAMERA)
@@ -90,13 +90,13 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
             "(global_orient, body_pose and transl; root_orient, pose_body and trans; or poses and "
             f"trans), got {_names_of_people(tree)}"
         )
-    number, notes = _chosen(path, people, person)
+    number, notes = _chosen_person(path, people, person)
     where, arrays = people[number]
     if where:
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ scales the body; here the path is
+    if "smpl_scaling" in arrays:  # AIST++ scales the body instead of its path
         translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
@@ -110,7 +110,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         raise FormatError(f"{path}: no frame of the person holds finite numbers")
     limits.POSITION.check(translation[known], path, "translation")
     rotations, translation, known = _on_clock(path, arrays, rotations, translation, known)
-    axis = _up(path, rotations[known], up, notes)
+    axis = _up_axis_of(path, rotations[known], up, notes)
     betas = next((_numbers(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
     known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
     betas = betas.reshape(-1, betas.shape[-1]).mean(0) if known_shape else np.zeros(1)
@@ -120,8 +120,8 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     return BodyEstimate(rotations, translation, known, betas, rate, axis, tuple(notes))
 
 
-def _tree(path: Path) -> Tree:
-    """A dictionary of arrays and dictionaries; nothing in the file is run."""
+def _read_tree(path: Path) -> Tree:
+    """Read a file as nested dictionaries of arrays, without running code in it."""
     existing(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":
@@ -139,7 +139,7 @@ def _tree(path: Path) -> Tree:
         if is_zipfile(path):
             with ZipFile(path) as archive:
                 packed = [one for one in archive.infolist() if one.compress_type != ZIP_STORED]
-            if packed:  # torch would unpack compressed members, whatever their size
+            if packed:  # compressed members could unpack to any size
                 raise ValueError(f"{packed[0].filename} is compressed, which torch never does")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGE as error:
@@ -155,7 +155,7 @@ def _tree(path: Path) -> Tree:
 
 
 def _by_person(tree: Tree) -> Tree:
-    """The tracks of PHALP (4D-Humans), which go by image, by person; other trees as they are."""
+    """Regroup PHALP's records (4D-Humans), kept by image, by person; others stay as they are."""
     images = list(tree.values())
     if not images or not all(
         isinstance(one, dict) and {"tid", "smpl"} <= set(one) for one in images
@@ -185,7 +185,7 @@ def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...
 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
-    """The people of arrays with an axis of people before that of frames."""
+    """Split arrays whose first axis is people, and whose second is frames, into people."""
     place = _numbers(next(arrays[key] for key in _PLACE if key in arrays))
     if place.ndim != 3 or place.shape[1] == 1:
         yield arrays
@@ -198,7 +198,7 @@ def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
         }
 
 
-def _chosen(
+def _chosen_person(
     path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
 ) -> tuple[int, list[str]]:
     if person is not None and not 0 <= person < len(people):
@@ -234,7 +234,7 @@ def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
 
 
 def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 3 3"]:
-    """Rotation matrices from rotation vectors or matrices in any arrangement; NaN stays."""
+    """Rotation matrices from rotation vectors or matrices, flat or not; NaN stays NaN."""
     if values.ndim >= 3 and values.shape[-2:] == (3, 3):
         found = values.reshape(len(values), -1, 3, 3)
         off = np.abs(found @ found.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
@@ -283,30 +283,30 @@ def _on_clock(
     arrays: Tree,
     rotations: np.ndarray,
     translation: np.ndarray,
-    known: Bool[np.ndarray, " time"],
+    finite: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The estimate on an even clock: frames without the person repeat the last one."""
-    frames = np.arange(len(known))
+    """The estimate at even frames; frames without the person repeat the last one."""
+    frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:
         ids = _numbers(arrays[key]).ravel()
-        if ids.dtype.kind not in "iu" or len(ids) != len(known) or (np.diff(ids) <= 0).any():
+        if ids.dtype.kind not in "iu" or len(ids) != len(finite) or (np.diff(ids) <= 0).any():
             raise FormatError(f"{path}: expected rising {key}, one for every frame")
         frames = ids - ids[0]
     count = int(frames[-1]) + 1
     limits.FRAMES.check(count, path, "frame_ids")
     NUMBERS.check(count * rotations[0].size, path, "frame_ids")
     there = np.zeros(count, bool)
-    there[frames] = known
+    there[frames] = finite
     source = np.full(count, -1)
-    source[frames[known]] = np.flatnonzero(known)
+    source[frames[finite]] = np.flatnonzero(finite)
     held = np.maximum.accumulate(source)
     held[held < 0] = source[source >= 0][0]
     return rotations[held], translation[held], there
 
 
-def _up(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
-    """The direction that the trunk points in; a SMPL body's y axis leads from pelvis to head."""
+def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
+    """The axis along which the trunk stands, by the pelvis' y axis, which points to the head."""
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:
         if mean @ to_z_up(given)[2] < -_UPRIGHT:
@@ -315,8 +315,8 @@ def _up(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -
     axis = int(np.abs(mean).argmax())
     if np.abs(mean[axis]) < _UPRIGHT:
         raise FormatError(
-            f"{path}: the body is not upright along any axis, so that nothing tells which one is "
-            "up; say it (--up)"
+            f"{path}: the body is not upright along any axis, so the up axis is "
+            "unknown; give it with --up"
         )
     up = along(axis, mean[axis])
     notes.append(f"{'-' if up.endswith('down') else ''}{up[0]} is up, as the body stands along it")

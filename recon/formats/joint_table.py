@@ -1,4 +1,4 @@
-"""Standard deviations of a motion's joints in short, and a CSV table of joints."""
+"""A summary of the standard deviations of a motion's joints, and a CSV table of joints."""
 
 import csv
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from recon.formats.replacing import replacing
 
 @dataclass(frozen=True)
 class JointCertainty:
-    """Medians of the standard deviations of joints' coordinates, over frames and joints."""
+    """Median standard deviations of joint coordinates, for seen and for inferred joints."""
 
     seen: float | None
     """Median of joints that a sensor saw, metres; None where none was seen."""
@@ -27,7 +27,7 @@ class JointCertainty:
 
     @classmethod
     def of(cls, file: MotionFile) -> "JointCertainty | None":
-        """What a motion file says of its joints; None where it says nothing."""
+        """The medians over a motion file; None if it has no standard deviations."""
         if file.joint_std is None:
             return None
         std = file.joint_std.detach().cpu()
@@ -36,7 +36,7 @@ class JointCertainty:
         return cls(_median(std, seen), _median(std, ~seen), float((~seen).double().mean()))
 
     def __str__(self) -> str:
-        """Medians in words: `1.1 cm where seen, 5.3 cm where inferred (17 % of the joints)`."""
+        """The medians in words, as `1.1 cm where seen, 5.3 cm where inferred (17 % of joints)`."""
         parts: list[str] = []
         if self.seen is not None:
             parts.append(f"{100 * self.seen:.1f} cm where seen")
@@ -51,7 +51,7 @@ def _median(std: Float[Tensor, "time 22"], rows: Bool[Tensor, "time 22"]) -> flo
 
 
 def write_joint_table(path: Path, file: MotionFile, joints: Float[Tensor, "time 22 3"]) -> None:
-    """Write `frame`, `time` and then, joint by joint, the columns of `joint_columns`.
+    """Write a CSV table with `frame`, `time` and the columns of `joint_columns`.
 
     Args:
         path: the table to write.
@@ -71,7 +71,7 @@ def write_joint_table(path: Path, file: MotionFile, joints: Float[Tensor, "time 
 def joint_columns(
     file: MotionFile, joints: Float[Tensor, "time 22 3"]
 ) -> tuple[list[str], Float[np.ndarray, "time columns"]]:
-    """Names and values of the columns, for every joint in turn.
+    """Names and values of the columns of a joint table, joint after joint.
 
     `pelvis_x`, `pelvis_y`, `pelvis_z`: its position in the world, metres. `pelvis_std`: standard
     deviation of each of these coordinates, metres. `pelvis_observed`: 1 where it was seen and 0

@@ -1,4 +1,4 @@
-"""JSON written by other programs: one file per frame, or one file with all of them."""
+"""Reads JSON of other programs: one file per frame, or one file with all frames."""
 
 import gc
 import json
@@ -32,7 +32,7 @@ _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 
 def read_json(path: Path) -> Any:
-    """The value in a JSON file.
+    """Read the value of a JSON file.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -42,9 +42,9 @@ def read_json(path: Path) -> Any:
 
 
 def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
-    """Contents of files, refused where the lists and dictionaries in them would take too much."""
+    """Read files, and refuse them if their parsed contents would not fit into memory."""
     found = [read_bytes(path, JSON) for path in paths]
-    # a text with characters beyond ASCII needs two to four bytes per character in memory
+    # Python needs two to four bytes per character of a text that is not ASCII
     JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
     sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
     _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
@@ -52,7 +52,7 @@ def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
 
 
 def _parsed(path: Path, data: bytes) -> Any:
-    # parsed JSON has no reference cycles; garbage collection would take most of the time
+    # garbage collection would take most of the time, and JSON makes no reference cycles
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -62,7 +62,7 @@ def _parsed(path: Path, data: bytes) -> Any:
     except ValueError as error:
         if str(path) in str(error):
             raise
-        # raised by numbers with more digits than Python converts
+        # raised by an integer with too many digits for Python
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     finally:
         if collects:
@@ -70,7 +70,7 @@ def _parsed(path: Path, data: bytes) -> Any:
 
 
 def read_frame_folder(folder: Path) -> Frames:
-    """The .json files of a folder by frame number.
+    """Read the .json files of a folder, keyed by frame number.
 
     Raises:
         ValueError: when there are none, one is damaged, or their names do not number them.
@@ -86,7 +86,7 @@ def read_frame_folder(folder: Path) -> Frames:
 
 
 def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
-    """The number of each frame: the last one in its name that is not the same in all names.
+    """Each frame's number: the last number in its file name that differs between names.
 
     Raises:
         ValueError: when a name has no number, or two have the same.
@@ -120,7 +120,7 @@ def _common_ending(stems: Sequence[str]) -> str:
 
 
 def listed_frames(entries: Sequence[Any], name: str) -> Frames:
-    """The entries of a list by the frame number each states, or by their place when none does.
+    """The entries of a list by the frame number each states, else by their position.
 
     Raises:
         ValueError: when only some state one, or two the same.
@@ -151,7 +151,7 @@ def _stated_number(entry: Any) -> int | None:
 def people_in(
     frames: Frames, key: str, name: str, expected: str
 ) -> Iterator[tuple[int, dict[str, Any], str]]:
-    """Frame number, record and place (for messages) of everybody in a list under `key`.
+    """For every person in the list under `key`: frame number, record and place for messages.
 
     An empty frame is one without people.
 
@@ -170,7 +170,7 @@ def people_in(
 
 
 def as_floats(value: Any, name: str) -> np.ndarray:
-    """Numbers nested in lists as an array; null becomes NaN.
+    """Nested lists of numbers as an array; null becomes NaN.
 
     Raises:
         ValueError: when they are no numbers, or rows have different lengths.
@@ -185,7 +185,7 @@ def as_floats(value: Any, name: str) -> np.ndarray:
 
 
 def flat_points(value: Any, name: str) -> np.ndarray:
-    """x, y, confidence of every keypoint from one flat list, or from a list of triples.
+    """Rows x, y, confidence of all keypoints, from one flat list or a list of triples.
 
     Raises:
         ValueError: when they are no triples.
@@ -199,7 +199,7 @@ def flat_points(value: Any, name: str) -> np.ndarray:
 
 
 def as_identity(value: Any, name: str) -> int:
-    """A person's number as some program wrote it (7, [7], 7.0, "7"); -1 when there is none.
+    """A person's number, however it is written (7, [7], 7.0, "7"); -1 if there is none.
 
     Raises:
         ValueError: when it is larger than any number of a person.

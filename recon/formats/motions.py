@@ -1,4 +1,4 @@
-"""Motion files: AMASS .npz with the additional arrays of a reconstruction.
+"""Reads and writes motions as AMASS .npz files with arrays that recon adds.
 
 Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22 (hands, jaw,
 eyes), which are left out; a file may give `root_orient` and `pose_body` instead.
@@ -69,7 +69,7 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
 
 
 def holds_motion(path: str | Path) -> bool:
-    """Whether a file holds a motion rather than an observation or something else.
+    """Whether a file holds a motion, and not an observation or something else.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -85,7 +85,7 @@ def holds_motion(path: str | Path) -> bool:
 def motion_from(
     arrays: dict[str, np.ndarray], path: Path, dtype: torch.dtype = torch.float32
 ) -> MotionFile:
-    """The motion that the arrays of a file hold.
+    """Make a motion of the arrays of a file.
 
     Args:
         arrays: by the names of the AMASS layout.
@@ -129,7 +129,7 @@ def motion_from(
         for key, shape in _EXTRA.items()
         if key in arrays
     }
-    _check_places(path, extra)
+    _check_ground_and_camera(path, extra)
     extra |= {key: extra[key] > 0.5 for key in _FLAGS if key in extra}
     return MotionFile(
         motion,
@@ -142,12 +142,12 @@ def motion_from(
 
 
 def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
-    """Write a motion in one step; reading it gives the same record back.
+    """Write a motion file atomically; reading it gives the same record back.
 
     Raises:
         ValueError: when it has a batch axis, no frames, or NaN or infinity in it.
     """
-    from recon.formats.replacing import save_arrays  # fits and readers write no files
+    from recon.formats.replacing import save_arrays  # not needed by fits
 
     path = Path(path)
     file = MotionFile(file) if isinstance(file, Motion) else file
@@ -161,7 +161,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     if frames == 0 or not bool(motion.valid[:frames].all()):
         raise FormatError("expected a clip whose frames exist from the first on")
     precision = motion.translation.dtype
-    # in double precision: near half turns the logarithm loses half of its digits
+    # doubles, since the logarithm loses half of its digits near 180 degrees
     poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
     arrays: dict[str, np.ndarray] = {
         "trans": _numpy(motion.translation[:frames]),
@@ -225,8 +225,8 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
 
 
-def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
-    """Refuse an impossible ground or camera.
+def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
+    """Refuse a ground without a unit normal, and cameras with wrong poses.
 
     Raises:
         ValueError: naming file, quantity and what came.
@@ -241,7 +241,7 @@ def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
-        from recon.core.camera import check_pose  # imported here: few motions come with a camera
+        from recon.core.camera import check_pose  # few motions have a camera
 
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:

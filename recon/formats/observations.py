@@ -1,4 +1,4 @@
-"""Observation files: what a sensor saw, as plain arrays in one .npz, checked as they are read."""
+"""Reads and writes observation files: the data of one sensor as plain arrays in an .npz."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit
 from recon.core.units import METRES, check_override, to_z_up
 from recon.formats.cameras import CameraArrays as CameraArrays
-from recon.formats.cameras import CameraFields, settle_camera
+from recon.formats.cameras import CameraFields, checked_camera
 from recon.formats.opening import load_arrays
 from recon.formats.replacing import save_arrays
 from recon.formats.scan_times import PointClock, settled_clock
@@ -33,7 +33,7 @@ _NOT_WRITTEN = ("decisions", "focal_known", "path", "camera")
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """What an observation of any kind may have besides its data."""
+    """Optional data that an observation of any kind may have."""
 
     truth_visible: Bool[np.ndarray, "truth 22"] | None = None
     """Body joints that a simulated sensor could see; fits never read it."""
@@ -81,7 +81,7 @@ class KeypointsFile(_File):
 
 @dataclass(frozen=True)
 class PointsFile(_File):
-    """Point clouds; the points of all frames are in one array."""
+    """Point clouds of all frames, in one array of points."""
 
     points: Float[np.ndarray, "points 3"]
     """World frame, metres, z up; the camera's frame when a camera without pose is given."""
@@ -96,7 +96,7 @@ ObservationFile = PositionsFile | KeypointsFile | PointsFile
 
 
 def load_observation(path: str | Path, *, unit: str | None = None) -> ObservationFile:
-    """Read an observation of any kind; files with y up are turned to z up.
+    """Read an observation file of any kind, turned to z up where it has y up.
 
     Args:
         path: of the .npz file.
@@ -127,15 +127,15 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
     common: dict[str, Any] = {
         "fps": found.number("fps", 0.0, rate),
         "start_time": found.number("start_time", 0.0, limits.TIME),
-        "truth_visible": found.given("truth_visible", (None, 22), "b"),
+        "truth_visible": found.optional("truth_visible", (None, 22), "b"),
         "truth_T_world_camera": found.poses("truth_T_world_camera", (4, 4)),
     }
     if kind == "points":
-        return _points(found, common)
+        return _points_file(found, common)
     if kind == "keypoints2d":
-        file, frames = _keypoints(found, common), len(found.arrays["confidence"])
+        file, frames = _keypoints_file(found, common), len(found.arrays["confidence"])
     else:
-        file = _positions(found, kind, METRES[unit or "m"], common)
+        file = _positions_file(found, kind, METRES[unit or "m"], common)
         frames = len(file.visible)
     if frames == 0:
         raise FormatError(f"{path}: expected at least one frame, got none")
@@ -148,7 +148,7 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
 
 
 def save_observation(path: str | Path, file: ObservationFile) -> None:
-    """Write an observation in one step; reading it gives the same record back."""
+    """Write an observation file atomically; reading it gives the same record back."""
     kind = "points" if isinstance(file, PointsFile) else "keypoints2d"
     camera = getattr(file, "camera", None)
     values = {"kind": kind, **vars(file), **({} if camera is None else vars(camera))}
@@ -160,82 +160,82 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
     save_arrays(Path(path), arrays)
 
 
-def _positions(
-    found: "_Arrays", kind: Any, metres: float, common: dict[str, Any]
+def _positions_file(
+    arrays: "_Arrays", kind: Any, metres: float, common_fields: dict[str, Any]
 ) -> PositionsFile:
-    visible = found.taken("visible", (None, None), "b")
-    positions = found.taken("positions", (*visible.shape, 3))
-    limits.JOINTS.check(visible.shape[1], found.path, "visible")
+    visible = arrays.checked("visible", (None, None), "b")
+    positions = arrays.checked("positions", (*visible.shape, 3))
+    limits.JOINTS.check(visible.shape[1], arrays.path, "visible")
     scaled = positions if metres == 1 else positions * metres
-    limits.POSITION.check(scaled, found.path, "positions", seen=visible)
-    std = found.given("std", visible.shape)
+    limits.POSITION.check(scaled, arrays.path, "positions", seen=visible)
+    std = arrays.optional("std", visible.shape)
     if std is not None:
-        limits.POINT_DEVIATION.check(std * metres, found.path, "std", seen=visible)
+        limits.POINT_DEVIATION.check(std * metres, arrays.path, "std", seen=visible)
         std = np.where(visible, std, 0.0)
-    names = found.taken("names", visible.shape[1:], "US")
+    names = arrays.checked("names", visible.shape[1:], "US")
     return PositionsFile(
         kind=kind,
-        positions=np.where(visible[..., None], positions @ found.turn().T, 0.0),
+        positions=np.where(visible[..., None], positions @ arrays.rotation_to_z_up().T, 0.0),
         visible=visible,
         names=tuple(names.astype(str).tolist()),
         std=std,
-        **{key: bool(found.number(key, 1.0)) for key in ("ground_known", "level", "placed")},
-        **common,
+        **{key: bool(arrays.number(key, 1.0)) for key in ("ground_known", "level", "placed")},
+        **common_fields,
     )
 
 
-def _keypoints(found: "_Arrays", common: dict[str, Any]) -> KeypointsFile:
-    confidence = found.taken("confidence", (None, None), limit=limits.CONFIDENCE)
-    pixels = found.taken("pixels", (*confidence.shape, 2))
-    limits.PIXEL.check(pixels, found.path, "pixels", seen=confidence > 0)
-    limits.JOINTS.check(confidence.shape[1], found.path, "confidence")
+def _keypoints_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> KeypointsFile:
+    confidence = arrays.checked("confidence", (None, None), limit=limits.CONFIDENCE)
+    pixels = arrays.checked("pixels", (*confidence.shape, 2))
+    limits.PIXEL.check(pixels, arrays.path, "pixels", seen=confidence > 0)
+    limits.JOINTS.check(confidence.shape[1], arrays.path, "confidence")
     return KeypointsFile(
         pixels=np.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
-        layout=found.text("layout"),
-        camera=_camera(found, len(confidence)),
-        **common,
+        layout=arrays.text("layout"),
+        camera=_camera(arrays, len(confidence)),
+        **common_fields,
     )
 
 
-def _points(found: "_Arrays", common: dict[str, Any]) -> PointsFile:
-    path = found.path
-    points = found.taken("points", (None, 3), limit=limits.POSITION)
-    frame = found.taken("frame", points.shape[:1], "iu")
+def _points_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> PointsFile:
+    path = arrays.path
+    points = arrays.checked("points", (None, 3), limit=limits.POSITION)
+    frame = arrays.checked("frame", points.shape[:1], "iu")
     if len(points) == 0:
         raise FormatError(f"{path}: expected at least one point")
     limits.FRAME_NUMBER.check(frame, path, "frame")
     limits.CLOUD.check(len(points), path, "points")
-    camera, turn = None, found.turn()
-    if {"camera_matrix", "image_size"} <= found.arrays.keys():
-        camera = _camera(found, int(frame.max()) + 1)
+    camera, rotation_to_z_up = None, arrays.rotation_to_z_up()
+    if {"camera_matrix", "image_size"} <= arrays.arrays.keys():
+        camera = _camera(arrays, int(frame.max()) + 1)
     if camera is None or camera.T_camera_world is not None:
-        points = points @ turn.T
+        points = points @ rotation_to_z_up.T
     if camera is not None and camera.T_camera_world is not None:
         pose = camera.T_camera_world.copy()
-        pose[:, :3, :3] = pose[:, :3, :3] @ turn.T
+        pose[:, :3, :3] = pose[:, :3, :3] @ rotation_to_z_up.T
         camera = replace(camera, T_camera_world=pose)
-    clock = PointClock(frame.astype(np.int64), common["fps"], common["start_time"])
+    clock = PointClock(frame.astype(np.int64), common_fields["fps"], common_fields["start_time"])
     moving = camera is not None and camera.poses > 1
-    if not moving and common["truth_visible"] is None:
+    if not moving and common_fields["truth_visible"] is None:
         clock = settled_clock(clock.frame, clock.fps, clock.start_time, path)
     limits.FRAME_RATE.check(clock.fps, path, "fps")
-    return PointsFile(points=points, camera=camera, **{**common, **vars(clock)})
+    return PointsFile(points=points, camera=camera, **{**common_fields, **vars(clock)})
 
 
 def _camera(found: "_Arrays", frames: int) -> CameraArrays:
-    """The camera of an observation file, for every one of its frames."""
-    given = found.arrays
+    """The camera of an observation file, with one pose or one per frame."""
+    arrays = found.arrays
     fields = CameraFields(
-        "of the file", given["camera_matrix"], given["image_size"], given.get("distortion"),
-        pose=given.get("T_camera_world"),
+        "of the file", arrays["camera_matrix"], arrays["image_size"], arrays.get("distortion"),
+        pose=arrays.get("T_camera_world"),
     )  # fmt: skip
-    distortion = found.given("distortion", (None,))
+    distortion = found.optional("distortion", (None,))
     if distortion is not None and len(distortion) not in (4, 5, 8):
         raise FormatError(
             f"{found.path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
         )
-    camera = replace(settle_camera(fields, None, found.path), distortion=distortion)
+    camera = replace(checked_camera(fields, None, found.path), distortion=distortion)
     if camera.T_camera_world is not None:
         if camera.poses != 1 and camera.poses < frames:
             raise FormatError(f"{found.path}: expected 1 or {frames} poses in T_camera_world")
@@ -255,19 +255,19 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class _Arrays:
-    """The arrays of one file, each checked when it is taken."""
+    """The arrays of one file, each checked when it is used."""
 
     path: Path
     arrays: dict[str, np.ndarray]
 
-    def taken(
+    def checked(
         self,
         key: str,
         shape: tuple[int | None, ...],
-        kinds: str = _NUMBERS,
+        dtype_kinds: str = _NUMBERS,
         limit: Limit | None = None,
     ) -> np.ndarray:
-        """An array of a kind and shape, where None stands for any length; numbers as doubles.
+        """An array, checked for dtype and shape (None stands for any length); numbers as doubles.
 
         Raises:
             ValueError: when it has another type or shape, or is not finite or beyond the limit.
@@ -276,13 +276,13 @@ class _Arrays:
         fits = value.ndim == len(shape) and all(
             want in (None, got) for got, want in zip(value.shape, shape, strict=True)
         )
-        if value.dtype.kind not in kinds or not fits:
+        if value.dtype.kind not in dtype_kinds or not fits:
             wanted = ", ".join("?" if size is None else str(size) for size in shape)
             raise FormatError(
-                f"{self.path}: expected {_KINDS[kinds]} of shape ({wanted}) in {key}, got "
+                f"{self.path}: expected {_KINDS[dtype_kinds]} of shape ({wanted}) in {key}, got "
                 f"{value.dtype} {value.shape}"
             )
-        if kinds != _NUMBERS:
+        if dtype_kinds != _NUMBERS:
             return value
         if not np.isfinite(value).all():
             raise FormatError(
@@ -292,21 +292,21 @@ class _Arrays:
             limit.check(value, self.path, key)
         return value.astype(np.float64)
 
-    def given(
-        self, key: str, shape: tuple[int | None, ...], kinds: str = _NUMBERS
+    def optional(
+        self, key: str, shape: tuple[int | None, ...], dtype_kinds: str = _NUMBERS
     ) -> np.ndarray | None:
-        """An array as of `taken`; None where the file has none."""
-        return self.taken(key, shape, kinds) if key in self.arrays else None
+        """The array as `checked` gives it; None where the file lacks it."""
+        return self.checked(key, shape, dtype_kinds) if key in self.arrays else None
 
     def poses(self, key: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
-        """Rigid transforms; None where the file has none."""
-        pose = self.given(key, shape)
+        """Rigid transforms of the file; None where it lacks them."""
+        pose = self.optional(key, shape)
         if pose is not None:
             check_pose(pose, self.path, key)
         return pose
 
     def number(self, key: str, default: float, limit: Limit | None = None) -> float:
-        """One finite number in an array of any shape."""
+        """The single finite number that an array holds."""
         value = self.arrays.get(key, np.array(default))
         if value.size != 1 or value.dtype.kind not in "fiub" or not np.isfinite(value).all():
             raise FormatError(
@@ -317,7 +317,7 @@ class _Arrays:
         return float(value.reshape(()))
 
     def text(self, key: str, default: str = "") -> str:
-        """One text in an array of any shape."""
+        """The single text that an array holds."""
         value = self.arrays.get(key, np.array(default))
         if value.size != 1 or value.dtype.kind not in "US":
             raise FormatError(
@@ -325,8 +325,8 @@ class _Arrays:
             )
         return str(value.astype(str).reshape(()))
 
-    def turn(self) -> Float[np.ndarray, "3 3"]:
-        """The rotation that brings the file's axes to z up."""
+    def rotation_to_z_up(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation matrix from the file's axes to axes with z up."""
         up = self.text("up_axis", "z")
         if up not in ("y", "z"):
             raise FormatError(f"{self.path}: expected up_axis y or z, got {up!r}")

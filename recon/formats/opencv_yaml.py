@@ -1,4 +1,4 @@
-"""OpenCV's YAML: EasyMocap's `intri.yml` and `extri.yml`, or the calibration of one camera."""
+"""Reads OpenCV's YAML: EasyMocap's `intri.yml` and `extri.yml`, or one camera's file."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ _SCALAR_TEXT = re.compile(r"([^\s:]+):[ \t]+(\S[^\n]*)")
 
 
 def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
-    """The cameras of a YAML file by name; `extri.yml` is looked for beside `intri.yml`.
+    """Read the cameras of a YAML file, keyed by name; `intri.yml` also needs `extri.yml`.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -49,7 +49,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
         matrices = [key for key in values if key.startswith("K_")]
         names = [key.removeprefix("K_") for key in matrices]
     if len(names) == 0:
-        return {path.stem: _single(path, values)}
+        return {path.stem: _single_camera(path, values)}
     beside = path.with_name("extri.yml")
     poses = _read(beside) if path.name.lower() == "intri.yml" and beside.is_file() else values
     if len(set(names)) < len(names):
@@ -60,7 +60,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
         name: CameraFields(
             name=name,
             matrix=values[f"K_{name}"],
-            size=_pair(values.get(f"W_{name}"), values.get(f"H_{name}")),
+            size=_size_in_pixels(values.get(f"W_{name}"), values.get(f"H_{name}")),
             distortion=values.get(f"dist_{name}", values.get(f"D_{name}")),
             rotation=_first(poses, (f"Rot_{name}", f"R_{name}")),
             translation=poses.get(f"T_{name}"),
@@ -69,7 +69,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
     }
 
 
-def _single(path: Path, values: dict[str, Any]) -> CameraFields:
+def _single_camera(path: Path, values: dict[str, Any]) -> CameraFields:
     matrix = _first(values, _MATRIX)
     if matrix is None:
         raise FormatError(
@@ -79,7 +79,8 @@ def _single(path: Path, values: dict[str, Any]) -> CameraFields:
     if any(values.get(key) in (1.0, "true", "True") for key in ("fisheye_model", "fisheye")):
         raise FormatError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
     return CameraFields(
-        name=path.stem, matrix=matrix, size=_pair(_first(values, _WIDTH), _first(values, _HEIGHT)),
+        name=path.stem, matrix=matrix,
+        size=_size_in_pixels(_first(values, _WIDTH), _first(values, _HEIGHT)),
         distortion=_first(values, _DISTORTION), rotation=_first(values, _ROTATION),
         translation=_first(values, _TRANSLATION),
     )  # fmt: skip
@@ -89,14 +90,14 @@ def _first(values: dict[str, Any], keys: tuple[str, ...]) -> Any:
     return next((values[key] for key in keys if key in values), None)
 
 
-def _pair(width: Any, height: Any) -> tuple[float, float] | None:
+def _size_in_pixels(width: Any, height: Any) -> tuple[float, float] | None:
     if not isinstance(width, float) or not isinstance(height, float):
         return None
     return (width, height) if min(width, height) > 0 else None
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """All top-level values: matrices, numbers, texts and lists of texts.
+    """Read all top-level values of a file: matrices, numbers, texts and lists of texts.
 
     OpenCV's own reader is not used: damaged files make it end the whole process.
     """

@@ -1,4 +1,4 @@
-"""Reading arrays from archives that may be damaged."""
+"""Reads arrays from .npz and .npy files that may be damaged or hostile."""
 
 import lzma
 import tokenize
@@ -33,8 +33,8 @@ _MEMBERS = 1000
 """Members an archive may have; ours have about twenty."""
 
 
-def packed(path: Path, limit: Limit) -> Limit:
-    """The limit of what a packed file may become: fifty times its size, where that is above 64 MB.
+def limit_when_unpacked(path: Path, limit: Limit) -> Limit:
+    """Largest allowed size of an unpacked file: fifty times its packed size, or 64 MB if more.
 
     Zeros are packed to a thousandth, so that a small file could become as large as the largest.
     """
@@ -45,7 +45,7 @@ def packed(path: Path, limit: Limit) -> Limit:
 def check_sizes(
     path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None
 ) -> list[str]:
-    """Refuse an archive that does not fit into memory or is damaged; gives its arrays' names.
+    """Names of an archive's arrays; it is refused if damaged or too large for memory.
 
     Both a compressed bomb and a header that promises more than the file holds are found here,
     before memory is taken for them. A single object that is no array (AMASS keeps a dictionary
@@ -61,8 +61,8 @@ def check_sizes(
         zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
     """
     total, names = 0, []
-    # masks compress well: a mask without a person has only zeros
-    limit = limit if limit is MASKS else packed(path, limit)
+    # empty masks compress so well that the ratio of sizes says nothing
+    limit = limit if limit is MASKS else limit_when_unpacked(path, limit)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if len(members) > _MEMBERS:
@@ -88,7 +88,7 @@ def check_sizes(
                     f"{path}: {name} promises {dtype} {shape}, {stated} bytes, but holds "
                     f"{info.file_size - place}"
                 )
-            # numbers are used as float32 or wider, so each takes at least four bytes
+            # every number is later stored in at least four bytes
             total += max(info.file_size, 4 * int(np.prod([float(n) for n in shape])))
             limit.check(total, path, name)
     return names
@@ -97,7 +97,7 @@ def check_sizes(
 def _header(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype, int]:
-    """Shape, type and length of the header of one array."""
+    """Shape and dtype of one array in an archive, and the length of its header."""
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
         if version not in HEADERS:
@@ -124,7 +124,7 @@ def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
 
 
 def existing(path: Path) -> Path:
-    """The path of a file that is there and not empty.
+    """The path itself, after a check that it is an existing file with contents.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -140,7 +140,7 @@ def existing(path: Path) -> Path:
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an .npz file; pickled objects are never opened.
+    """Read all arrays of an .npz file; pickled objects are never opened.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -162,7 +162,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def load_array(path: Path) -> np.ndarray:
-    """The array of an .npy file; pickled objects are never opened.
+    """Read the array of an .npy file; pickled objects are never opened.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -1,4 +1,4 @@
-"""Checks of a verb's outputs before it starts.
+"""Checks, before a command starts, whether its outputs can and may be written.
 
 recon's own files are those whose checksum stands in the report beside them
 (`recon.formats.reports`).
@@ -11,12 +11,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from recon.formats.replacing import clear_leftovers, part_of
+from recon.formats.replacing import clear_leftovers, temporary_path
 from recon.formats.reports import read_report
 
 
 class Kind(Enum):
-    """The kind of an output, which decides where its report is."""
+    """Kind of an output: a file or a folder, and where its report lies."""
 
     FILE = "a file with its report beside it, OUT.json"
     REPORT = "a JSON file that is its own report"
@@ -26,7 +26,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Output:
-    """One file or folder that a verb writes."""
+    """One file or folder that a command writes."""
 
     path: Path
     kind: Kind = Kind.FILE
@@ -37,22 +37,22 @@ class Output:
 
     @property
     def real(self) -> Path:
-        """The path without symbolic links: what is written over is what a link leads to."""
+        """The path with symbolic links resolved, since a link's target is what is written over."""
         return Path(os.path.realpath(self.path))
 
     @property
     def is_folder(self) -> bool:
-        """Whether it is a folder."""
+        """Whether the output is a folder."""
         return self.kind in (Kind.FOLDER, Kind.CONTINUED)
 
     @property
     def base(self) -> Path:
-        """The folder to which names of files in the report are relative."""
+        """The folder to which file names in the report are relative."""
         return self.real if self.is_folder else self.real.parent
 
     @property
     def report(self) -> Path | None:
-        """The file that says which files are recon's own; a continued folder has several."""
+        """The report, which lists the files that recon wrote; None for a continued folder."""
         places = {
             Kind.FILE: self.real.parent / f"{self.real.name}.json",
             Kind.REPORT: self.real,
@@ -62,7 +62,7 @@ class Output:
 
     @property
     def places(self) -> tuple[Path, ...]:
-        """The output and its report."""
+        """Paths of the output and of its report."""
         others = () if self.report in (None, self.real) else (self.report,)
         return (self.real, *others)
 
@@ -70,7 +70,7 @@ class Output:
 def check_outputs(
     outputs: Sequence[Output], inputs: Iterable[Path] = (), *, overwrite: bool = False
 ) -> None:
-    """Refuse places that cannot or must not be written to; removes what killed runs left there.
+    """Refuse outputs that cannot or must not be written; remove leftovers of killed runs.
 
     Args:
         outputs: everything that will be written.
@@ -99,7 +99,7 @@ def check_outputs(
 
 
 def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
-    """Refuse an output that is an input, or a folder that holds one, or lies in a folder read.
+    """Refuse an output that is an input, holds one, or lies in an input folder.
 
     Links of both kinds, relative paths and other spellings are seen through.
 
@@ -114,7 +114,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
                 )
-        # for a symbolic link, the folder that contains it counts, not its target
+        # the folder that contains a symbolic link counts, too
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
         if output.is_folder and any(name.is_relative_to(output.real) for name in names):
             raise ValueError(
@@ -128,7 +128,7 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
 
 
 def refuse_place(output: Output) -> None:
-    """Refuse a place that cannot be written to; tested by creating and removing a file.
+    """Refuse a path that cannot be written, by creating and removing a file there.
 
     Raises:
         ValueError: when a folder is where a file is written, or the other way round.
@@ -136,7 +136,7 @@ def refuse_place(output: Output) -> None:
     """
     real = output.real
     for place in output.places:
-        if place.is_symlink():  # realpath resolves all links except circular ones
+        if place.is_symlink():  # only a circular link is left by realpath
             raise OSError(f"{output.path}: its links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:
@@ -154,10 +154,10 @@ def refuse_place(output: Output) -> None:
         )
     for beside in (real, folder / real.name):
         clear_leftovers(beside)
-    # try to write: permissions do not show read-only file systems, and root has all permissions
-    trial = part_of(folder / (real.name + ".json"))
+    # only an attempt to write shows a read-only file system
+    trial = temporary_path(folder / (real.name + ".json"))
     try:
-        os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # fails on links
+        os.close(os.open(trial, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # O_EXCL fails on links
         trial.unlink()
     except OSError as error:
         raise OSError(
@@ -175,7 +175,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
         assert output.is_former is not None
         if not overwrite and _existing_files(output) and not output.is_former(output.real):
             raise FileExistsError(
-                f"{output.path} holds files already, and is no folder of a run that could go on; "
+                f"{output.path} holds files already, and is not the folder of an interrupted run; "
                 "give a new folder, or write into it by --overwrite"
             )
         return {}
@@ -200,7 +200,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
 
 
 def _existing_files(output: Output) -> dict[str, Path]:
-    """Files that are there now, by their names in the report; hidden ones do not count."""
+    """Files that exist now, keyed by their names in the report; hidden ones are left out."""
     real = output.real
     found = sorted(real.rglob("*")) if output.is_folder else [real]
     return {
@@ -233,7 +233,7 @@ def paths_in(value: Any) -> Iterator[Path]:
     """
     match value:
         case Path():
-            # FILE::MEMBER is a member of the archive FILE
+            # FILE::MEMBER means MEMBER of the archive FILE
             path = value if value.exists() else Path(str(value).partition("::")[0])
             yield path
             if path.is_file() and (pattern := _READ_TOGETHER.get(path.suffix.lower())) is not None:

@@ -1,4 +1,4 @@
-"""PCD: point clouds of the Point Cloud Library, as text, binary or compressed binary."""
+"""Reads .pcd files of the Point Cloud Library: text, binary or compressed binary."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Finite points of one file, in its own unit and axes; invalid points (NaN) are left out.
+    """Read the finite points of a file, in its own unit and axes; NaN points are left out.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -36,7 +36,7 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
             raise FormatError("impossible numbers of points or values")
         keyword = header["DATA"][0]
         if keyword == "ascii":
-            points = _text(body, names, counts, columns, count)
+            points = _values_of_text(body, names, counts, columns, count)
         elif keyword == "binary":
             layout = np.dtype(
                 [(f"f{k}", f, (n,)) for k, (f, n) in enumerate(zip(formats, counts, strict=True))]
@@ -45,7 +45,7 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
             points = np.stack([rows[f"f{column}"][:, 0] for column in columns], 1)
         elif keyword == "binary_compressed":
             expected = count * sum(s * n for s, n in zip(sizes, counts, strict=True))
-            points = _columns(
+            points = _values_by_field(
                 _decompressed(body, expected), formats, sizes, counts, columns, count
             )
         else:
@@ -73,7 +73,7 @@ def _header(path: Path, data: bytes) -> tuple[dict[str, list[str]], bytes]:
     return header, data[place:]
 
 
-def _text(
+def _values_of_text(
     body: bytes, names: list[str], counts: list[int], columns: list[int], count: int
 ) -> np.ndarray:
     values = numbers_in(body, count * sum(counts)).reshape(count, sum(counts))
@@ -82,11 +82,11 @@ def _text(
     return values[:, first[columns]]
 
 
-def _columns(
+def _values_by_field(
     body: bytes, formats: list[str], sizes: list[int], counts: list[int], columns: list[int],
     count: int,
 ) -> np.ndarray:  # fmt: skip
-    """Compressed files hold one field after the other."""
+    """Values of a decompressed file, which holds one field after the other."""
     starts = np.cumsum([0, *(s * n * count for s, n in zip(sizes, counts, strict=True))])
     return np.stack(
         [np.frombuffer(body, formats[k], count, int(starts[k])).astype(float) for k in columns], 1
@@ -116,7 +116,7 @@ def _decompressed(body: bytes, expected: int) -> bytes:
         place += 1
         if back < 0 or len(out) > size:
             raise FormatError("the compressed data is damaged")
-        # a reference may overlap its own output, which repeats a pattern
+        # a reference may run into its own output, and so repeat a pattern
         pattern = out[back : back + length + 2]
         out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:

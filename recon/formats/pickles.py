@@ -1,4 +1,4 @@
-"""Reads pickles of arrays without running code: only names on a list are allowed."""
+"""Reads pickles of arrays without running their code: only listed names are allowed."""
 
 import pickle
 import struct
@@ -14,11 +14,11 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, DEPTH, ENTRIES, MODEL_NUMBERS
-from recon.formats.opening import DAMAGE, HEADERS, packed
+from recon.formats.opening import DAMAGE, HEADERS, limit_when_unpacked
 
 
 def read_tree(path: Path) -> dict[Any, Any]:
-    """A pickled dictionary of arrays, plain containers and inert records; nothing is run.
+    """Read a pickled dictionary of arrays and plain containers without running its code.
 
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
@@ -31,7 +31,7 @@ def read_tree(path: Path) -> dict[Any, Any]:
 
 
 def read_pickle(file: BinaryIO, path: Path) -> object:
-    """What is pickled from the place of an open file on, as `read_tree` reads it.
+    """Read the pickle that begins at the position of an open file, as `read_tree` does.
 
     Of an .npy file of objects these are the objects, in lists.
 
@@ -39,7 +39,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
     try:
-        # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
+        # most files are from Python 2, whose strings are bytes, which latin-1 keeps
         BINARY.check(path.stat().st_size, path)
         data = _inflated(file.read(), path)
         kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
@@ -57,7 +57,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
     except (
         *DAMAGE, pickle.UnpicklingError, SystemError, ImportError, NameError, struct.error,
     ) as error:  # fmt: skip
-        # the pickle documentation names these for damaged files
+        # errors that damaged pickles raise, by the pickle documentation
         raise FormatError(
             f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
         ) from error
@@ -67,13 +67,13 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
 
 
 def array_in(value: object, name: str, path: Path) -> np.ndarray:
-    """An array of a tree, also one in a record of chumpy or scipy.
+    """Make an array of a value of a tree, also of chumpy's and scipy's records.
 
     Raises:
         ValueError: when it is none, damaged, or has more numbers than a body model.
     """
     try:
-        array = _plain(value)
+        array = _unwrapped(value)
     except (
         KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
     ) as error:  # fmt: skip
@@ -96,23 +96,25 @@ class _Inert:
 
 
 class _Chumpy(_Inert):
-    """chumpy.Ch holds its array as `x`; chumpy's Select picks entries `idxs` of another, `a`."""
+    """A pickled chumpy.Ch with its array `x`, or chumpy's Select of entries `idxs` of `a`."""
 
     def value(self) -> object:
         if "x" in self.state:
-            return _plain(self.state["x"])
-        picked = np.asarray(_plain(self.state["a"])).reshape(-1)[np.asarray(self.state["idxs"])]
+            return _unwrapped(self.state["x"])
+        picked = np.asarray(_unwrapped(self.state["a"])).reshape(-1)[
+            np.asarray(self.state["idxs"])
+        ]
         return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
 
 
 class _CompressedRows(_Inert):
-    """scipy.sparse.csr_matrix; entries named twice add up."""
+    """A pickled scipy.sparse.csr_matrix; repeated entries add up."""
 
     def value(self) -> np.ndarray:
         return self._dense(*(int(size) for size in self.state["_shape"]))
 
     def _dense(self, lines: int, length: int) -> np.ndarray:
-        """Compressed lines as a full matrix."""
+        """The full matrix of compressed rows."""
         MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
         if min(lines, length) < 0:
             raise FormatError(f"a sparse matrix of shape {lines} x {length}")
@@ -127,25 +129,25 @@ class _CompressedRows(_Inert):
 
 
 class _CompressedColumns(_CompressedRows):
-    """scipy.sparse.csc_matrix."""
+    """A pickled scipy.sparse.csc_matrix."""
 
     def value(self) -> np.ndarray:
         rows, columns = (int(size) for size in self.state["_shape"])
         return self._dense(columns, rows).T
 
 
-def _plain(value: object) -> object:
+def _unwrapped(value: object) -> object:
     return value.value() if isinstance(value, _Chumpy | _CompressedRows) else value
 
 
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
-    """How Python 3 pickles bytes for Python 2; no other codec is looked up."""
+    """Bytes that Python 3 pickled for Python 2 as latin-1 text; other codecs are refused."""
     if encoding not in ("latin1", "latin-1"):
         raise FormatError(f"unexpected text encoding {encoding!r}")
     return text.encode("latin-1")
 
 
-def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
+def _empty_array(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
     """Replacement for the function with which numpy's pickles begin an array.
 
     Only size zero is allowed.
@@ -164,8 +166,8 @@ def _some_bytes(value: object = b"", *encoding: str) -> bytes:
     return bytes(value)
 
 
-def _bare(kind: type, base: type, state: object) -> object:
-    """copyreg._reconstructor for records without a built-in base."""
+def _inert_record(kind: type, base: type, state: object) -> object:
+    """Replacement for copyreg._reconstructor that makes only inert records."""
     if not issubclass(kind, _Inert) or base is not object:
         raise TypeError(f"unexpected record of type {kind.__name__}")
     del state
@@ -184,7 +186,7 @@ def _storage(data: bytes) -> Any:
 def _tensor(
     storage: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *rest: object
 ) -> np.ndarray:
-    """Replacement for the function with which torch builds a pickled tensor; an array."""
+    """Replacement for the function that builds a pickled torch tensor; gives an array."""
     import torch
 
     del rest
@@ -195,10 +197,10 @@ def _tensor(
 
 
 class _JoblibArray(_Inert):
-    """What joblib pickles in place of an array, whose bytes follow it in the file."""
+    """Joblib's record of an array, whose bytes follow the record in the file."""
 
     def read(self, file: BytesIO) -> np.ndarray:
-        """The array; `file` stands behind the pickled record."""
+        """Read the array from the file, which is positioned behind the record."""
         shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
         if not isinstance(dtype, np.dtype) or dtype.hasobject:
             raise _RefusedError("an array of pickled objects")
@@ -218,14 +220,14 @@ _CONTAINERS = (object, set, frozenset, dict, list, tuple, slice, int, float, boo
 _ALLOWED: dict[tuple[str, str], object] = {
     ("numpy", "ndarray"): np.ndarray,
     ("numpy", "dtype"): np.dtype,
-    **{(f"{core}.multiarray", "_reconstruct"): _empty for core in _NUMPY},
+    **{(f"{core}.multiarray", "_reconstruct"): _empty_array for core in _NUMPY},
     **{(f"{core}.multiarray", "scalar"): np.float64(0).__reduce__()[0] for core in _NUMPY},
     **{(f"{core}.numeric", "_frombuffer"): np.zeros(1).__reduce_ex__(5)[0] for core in _NUMPY},
     **{(module, kind.__name__): kind for module in _BUILTINS for kind in _CONTAINERS},
     **{(module, kind): _some_bytes for module in _BUILTINS for kind in ("bytes", "bytearray")},
     ("_codecs", "encode"): _latin_bytes,
-    ("copy_reg", "_reconstructor"): _bare,
-    ("copyreg", "_reconstructor"): _bare,
+    ("copy_reg", "_reconstructor"): _inert_record,
+    ("copyreg", "_reconstructor"): _inert_record,
     ("collections", "OrderedDict"): OrderedDict,
     ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
     ("torch.storage", "_load_from_bytes"): _storage,
@@ -242,7 +244,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
 
 
 class _RefusedError(Exception):
-    """A pickle named something that is not on the list."""
+    """A pickle names a class or function that is not allowed."""
 
 
 class _Unpickler(pickle.Unpickler):
@@ -259,7 +261,7 @@ _InPython: Any = vars(pickle)["_Unpickler"]
 
 
 class _JoblibUnpickler(_InPython):
-    """Knows the names in `_ALLOWED`, and joblib's arrays."""
+    """An unpickler of the names in `_ALLOWED` that also reads joblib's arrays."""
 
     def __init__(self, file: BytesIO, *, encoding: str) -> None:
         super().__init__(file, encoding=encoding)
@@ -276,10 +278,10 @@ class _JoblibUnpickler(_InPython):
 
 
 def _inflated(data: bytes, path: Path) -> bytes:
-    """The pickle in a file that joblib compressed (zlib or gzip); others as they are."""
+    """Decompress a file that joblib compressed (zlib or gzip); other data stay as they are."""
     if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
         return data
-    most = packed(path, BINARY)
+    most = limit_when_unpacked(path, BINARY)
     content = zlib.decompressobj(32 + zlib.MAX_WBITS).decompress(data, int(most.high) + 1)
     most.check(len(content), path)
     return content

@@ -17,7 +17,7 @@ from recon.core.errors import FormatError
 
 @dataclass(frozen=True)
 class Producer:
-    """Files of one kind, and the programs that write them."""
+    """A kind of file, the program that writes it, and how recon takes it."""
 
     name: str
     """Of the programs; empty where any may have written it."""
@@ -35,8 +35,8 @@ class Producer:
     folder: bool = False
     """Whether a folder of such files is one recording or view."""
 
-    def answer(self) -> str:
-        """A sentence: kind of file, its program, and which command reads it or what else to do."""
+    def how_to_read(self) -> str:
+        """A sentence: what the file is, and which command reads it or what to do instead."""
         what = f"{self.holds} of {self.name}" if self.name else self.holds
         if self.verbs == ("info",):
             return f"{what}: {self.note}"
@@ -246,7 +246,7 @@ PRODUCERS = (
 
 
 def producer_of(path: Path) -> Producer | None:
-    """Who wrote a file, or the files of a folder, by endings and first bytes; None is unknown."""
+    """The program that wrote a file or folder, by endings and first bytes; None if unknown."""
     if not path.is_dir():
         return _of_file(path) if path.is_file() else None
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
@@ -256,7 +256,7 @@ def producer_of(path: Path) -> Producer | None:
             return one
     endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
     alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
-    # a file of a frame without people does not show its format, so the largest file is examined
+    # the largest file is examined, since a frame without people does not show the format
     found = _of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
     return found if found is None or found.folder or len(alike) == len(inside) else None
 
@@ -265,7 +265,7 @@ def _of_file(path: Path) -> Producer | None:
     ending, head = Path(path.name.lower().removesuffix(".xz")).suffix, None
     for one in PRODUCERS:
         if ending in one.endings:
-            head = _head(path, ending) if head is None and one.mark else head
+            head = _first_bytes(path, ending) if head is None and one.mark else head
             if not one.mark or re.search(one.mark, head or b""):
                 return one
     return None
@@ -277,8 +277,8 @@ _PICKLED = 1 << 22
 """The same of pickles, some of whose keys stand behind arrays."""
 
 
-def _head(path: Path, ending: str) -> bytes:
-    """The first bytes of a file, inflated; the names of the arrays of an archive, by lines."""
+def _first_bytes(path: Path, ending: str) -> bytes:
+    """The first bytes of a file, decompressed; for an archive the names of its arrays."""
     if ending == ".npz":
         return "\n".join(sorted(_arrays_of(path))).encode()
     pickled = ending in (".pkl", ".npy", ".pt", ".pth")
@@ -293,7 +293,7 @@ def _head(path: Path, ending: str) -> bytes:
 
 
 def _arrays_of(path: Path) -> set[str]:
-    """Names of the arrays of an .npz file; none where it is damaged, which its reader tells."""
+    """Names of the arrays of an .npz file; none if it is damaged (its reader raises the error)."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
@@ -302,7 +302,7 @@ def _arrays_of(path: Path) -> set[str]:
 
 
 def refuse_others(path: Path, verb: str) -> None:
-    """Refuse a file that a verb does not take, with what it is and the way out.
+    """Refuse a file that a command does not take, and say what it is and what to do.
 
     Raises:
         FormatError: when it is known and for another verb, or for none.
@@ -311,9 +311,9 @@ def refuse_others(path: Path, verb: str) -> None:
     if found is None:
         return
     if verb not in found.verbs and not (verb == "info" and found.verbs):
-        raise FormatError(f"{path}: {found.answer()}")
+        raise FormatError(f"{path}: {found.how_to_read()}")
     if path.is_dir() and not found.folder and "/" not in found.endings:
-        raise FormatError(f"{path}: give one of its files; {found.answer()}")
+        raise FormatError(f"{path}: give one of its files; {found.how_to_read()}")
 
 
 def holds_sam3d_body(path: Path) -> bool:
@@ -323,7 +323,7 @@ def holds_sam3d_body(path: Path) -> bool:
 
 
 def is_estimate(paths: Sequence[Path]) -> bool:
-    """Whether the one file seems to hold body parameters of every frame; reads little of it.
+    """Whether the single path seems to be a file of body parameters, by its first bytes.
 
     Motion files of recon, which name their body by its checksum, are none.
     """

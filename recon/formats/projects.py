@@ -1,4 +1,4 @@
-"""Project folders of Pose2Sim and OpenCap: the files that a fit needs, and their settings.
+"""Finds the files and settings that a fit needs in projects of Pose2Sim and OpenCap.
 
 Pose2Sim keeps a trial as `Config.toml`, `pose*/CAMERA_json/*.json`, `pose-3d/*.trc` and `videos`;
 what a trial's Config.toml does not say, that of the participant or session above it does, and the
@@ -28,7 +28,7 @@ _METADATA = "sessionMetadata.yaml"
 
 @dataclass(frozen=True)
 class Project:
-    """One trial of a project."""
+    """Files and settings of one trial of a Pose2Sim or OpenCap project."""
 
     folder: Path
     detections: Path | None
@@ -46,7 +46,7 @@ class Project:
 
 
 def project_at(folder: Path) -> Project | None:
-    """The project in a folder, or None where it is none.
+    """Read a folder as a project; None if it is not one.
 
     Raises:
         ValueError: when it holds several trials or calibrations, or its settings are damaged;
@@ -55,9 +55,9 @@ def project_at(folder: Path) -> Project | None:
     if not folder.is_dir():
         return None
     if (folder / _METADATA).is_file() or (folder / "MarkerData").is_dir():
-        return _opencap(folder)
+        return _opencap_project(folder)
     if any((folder / name).is_dir() for name in (*_POSES, "pose-3d")):
-        return _pose2sim(folder)
+        return _pose2sim_project(folder)
     if (folder / _CONFIG).is_file():
         trials = sorted(
             one.parent for depth in ("*", "*/*") for one in folder.glob(f"{depth}/pose*")
@@ -71,25 +71,25 @@ def project_at(folder: Path) -> Project | None:
     return None
 
 
-def _pose2sim(folder: Path) -> Project | None:
+def _pose2sim_project(folder: Path) -> Project | None:
     levels = [folder, *folder.resolve().parents][:_LEVELS]
     configs = [level / _CONFIG for level in levels if (level / _CONFIG).is_file()]
-    # neighbouring folders belong to the project only where a configuration file says so
+    # without a configuration file, folders above do not belong to the project
     calibration = _calibration(levels if configs else levels[:1])
     detections = next((folder / name for name in _POSES if (folder / name).is_dir()), None)
-    points = _points(folder)
+    points = _triangulated_points_file(folder)
     if not configs and calibration is None and points is None:
-        return None  # only a folder of detections, no project
+        return None  # a folder of detections without a project
     stated: dict[str, Any] = {}
-    # the trial's own configuration overrides those of the levels above
+    # configurations of folders further in override those of folders further out
     for config in reversed(configs):
         stated |= _project_table(config)
     said = [f"Pose2Sim project: {folder}"]
     if calibration is not None:
         said.append(f"calibration: {calibration}")
-    fps, fps_said = _rate(stated.get("frame_rate", "auto"), folder, points)
+    fps, fps_said = _frame_rate(stated.get("frame_rate", "auto"), folder, points)
     said += [] if fps_said is None else [fps_said]
-    frames = _frames(stated.get("frame_range"), folder)
+    frames = _frame_range(stated.get("frame_range"), folder)
     if frames is not None:
         said.append(f"frames {frames[0]} to {frames[1] - 1}: frame_range of {_CONFIG}")
     if detections is None and points is not None:
@@ -104,7 +104,7 @@ def _project_table(config: Path) -> dict[str, Any]:
 
 
 def _calibration(levels: list[Path]) -> Path | None:
-    """The calibration of the nearest level that has one.
+    """The calibration file in the nearest folder, going outwards, that has one.
 
     Raises:
         ValueError: when there are several.
@@ -124,15 +124,15 @@ def _calibration(levels: list[Path]) -> Path | None:
     return None
 
 
-def _points(folder: Path) -> Path | None:
-    """The triangulated keypoints: unfiltered where there are both, as the fit smooths itself."""
+def _triangulated_points_file(folder: Path) -> Path | None:
+    """The file of triangulated keypoints; the unfiltered one if possible, since fits smooth."""
     found = sorted((folder / "pose-3d").glob("*.trc"))
     raw = [one for one in found if "filt" not in one.name and "_LSTM" not in one.name]
     chosen = raw or found
     return chosen[0] if len(chosen) == 1 else None
 
 
-def _rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None, str | None]:
+def _frame_rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None, str | None]:
     """Frames per second from Config.toml, the 3D keypoints or a video, and a note."""
     if isinstance(stated, int | float) and not isinstance(stated, bool):
         fps = float(stated)
@@ -147,7 +147,7 @@ def _rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None,
 
 
 def _trc_rate(path: Path) -> float | None:
-    if not path.is_file():  # a pipe would wait for ever
+    if not path.is_file():  # reading a pipe would never end
         return None
     with path.open("rb") as file:
         lines = decode(file.read(_TRC_HEADER)).splitlines()
@@ -162,7 +162,7 @@ def _trc_rate(path: Path) -> float | None:
 
 
 def _video_rate(path: Path) -> float | None:
-    """Frames per second of a video, to whole numbers as Pose2Sim takes them; None for others."""
+    """Frames per second of a video, rounded as Pose2Sim does; None for other files."""
     import cv2
 
     if not path.is_file():
@@ -173,7 +173,7 @@ def _video_rate(path: Path) -> float | None:
     return fps if FRAME_RATE.holds(fps) else None
 
 
-def _frames(stated: Any, folder: Path) -> tuple[int, int] | None:
+def _frame_range(stated: Any, folder: Path) -> tuple[int, int] | None:
     if stated in (None, "auto", "all") or stated == []:
         return None
     whole = isinstance(stated, list) and len(stated) == 2 and all(type(k) is int for k in stated)
@@ -186,7 +186,7 @@ def _frames(stated: Any, folder: Path) -> tuple[int, int] | None:
     return stated[0], stated[1]
 
 
-def _opencap(folder: Path) -> Project:
+def _opencap_project(folder: Path) -> Project:
     markers = folder / "MarkerData"
     trials = sorted(markers.glob("*.trc")) or sorted(markers.glob("*/*.trc"))
     moving = [one for one in trials if one.stem.lower() not in ("neutral", "static")]

@@ -1,4 +1,4 @@
-"""Atomic writing of files and arrays, and removal of files that killed processes left."""
+"""Writes files and arrays atomically, and removes files that killed processes left."""
 
 import contextlib
 import glob
@@ -15,7 +15,7 @@ from typing import Any
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path beside the target, moved onto it when the block ends well and removed when not.
+    """Context with a temporary path that replaces the target if the block succeeds.
 
     Where the target is a symbolic link, the file that it leads to is replaced and the link stays.
 
@@ -25,7 +25,7 @@ def replacing(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{target.parent}: no such folder; create it first")
-    beside = part_of(target)
+    beside = temporary_path(target)
     try:
         yield beside
         os.replace(beside, target)
@@ -34,26 +34,26 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8, in one step: a reader finds the former file or the whole new one.
+    """Write UTF-8 text atomically: a reader finds the former file or the whole new one.
 
     Raises:
         FileNotFoundError: when the folder does not exist.
     """
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 _HOST = re.sub(r"[^A-Za-z0-9]", "", platform.node())[:32]
 """Name of this machine: folders are shared between machines, each with its own process numbers."""
 
 
-def part_of(path: Path) -> Path:
-    """The place where this process prepares what replaces a path: a hidden name beside it."""
+def temporary_path(path: Path) -> Path:
+    """The hidden name next to a path under which this process prepares its replacement."""
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.part")
 
 
 def clear_leftovers(path: Path) -> None:
-    """Remove what killed processes of this machine had prepared for a path.
+    """Remove temporary files that killed processes of this machine left for a path.
 
     What belongs to a process that still runs, or to another machine, stays.
     """
@@ -71,19 +71,19 @@ def clear_leftovers(path: Path) -> None:
 
 def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write numpy arrays as an .npz file; readers see the old file or the whole new one."""
-    import numpy as np  # a command line that is refused need not wait for it
+    import numpy as np  # not loaded by commands that fail early
 
     clear_leftovers(path)
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
-def _process_runs(process: int) -> bool:
-    """Whether there is a process of this number."""
+def _process_runs(process_id: int) -> bool:
+    """Whether a process with this number is running."""
     if os.name == "nt":
-        return True  # on Windows os.kill would end the process
+        return True  # on Windows os.kill(process, 0) would end the process
     try:
-        os.kill(process, 0)
+        os.kill(process_id, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
@@ -110,7 +110,7 @@ def file_checksum(path: str | Path) -> str:
 
 
 def files_checksum(files: Iterable[Path], folder: Path) -> str:
-    """SHA-256 of files below a folder, in the order of their relative names, names included.
+    """SHA-256 of the contents and relative names of files below a folder, in any order.
 
     Files that do not exist count as `MISSING`, so that the checksum changes when they appear.
 
@@ -124,6 +124,6 @@ def files_checksum(files: Iterable[Path], folder: Path) -> str:
 
 
 def value_checksum(value: Mapping[str, Any] | list[Any]) -> str:
-    """SHA-256 of a value made of texts, numbers, lists and mappings; mappings have no order."""
+    """SHA-256 of nested texts, numbers, lists and mappings, whatever the order of keys."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=True)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

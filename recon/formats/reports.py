@@ -1,4 +1,4 @@
-"""Reports of results, which also identify files as written by recon.
+"""Reads and writes the reports of results, whose checksums tell which files recon wrote.
 
 A report is a JSON object. Beside what a verb has to say it holds
 
@@ -26,7 +26,7 @@ _LARGEST = 1 << 28
 
 @dataclass(frozen=True)
 class Report:
-    """A report that is unchanged since recon wrote it."""
+    """The checksums of a report that is unchanged since recon wrote it."""
 
     outputs: Mapping[str, str]
     """SHA-256 by name of file, relative to the report's folder."""
@@ -36,7 +36,7 @@ class Report:
     """All that it says."""
 
     def checksum_if_own(self, name: str, path: Path) -> str | None:
-        """SHA-256 of a file of this name; None where it is not as recon wrote it."""
+        """SHA-256 of a file listed under this name; None unless it is as recon wrote it."""
         known = {self.outputs.get(name), self.replaces.get(name)} - {None}
         if len(known) == 0 or not path.is_file():
             return None
@@ -45,7 +45,7 @@ class Report:
 
 
 def read_report(path: Path) -> Report | None:
-    """The report of a JSON file; None where it is none, or was changed since it was written."""
+    """Read the report of a JSON file; None if it is no report, or was changed."""
     if not path.is_file() or path.stat().st_size > _LARGEST:
         return None
     try:
@@ -63,7 +63,7 @@ def read_report(path: Path) -> Report | None:
 def report_text(
     report: Mapping[str, Any], outputs: Mapping[str, str], replaces: Mapping[str, str]
 ) -> str:
-    """A report as the text of its file; what JSON cannot hold is written as `str` shows it.
+    """The JSON text of a report; values that JSON lacks are written as text.
 
     Args:
         report: what a verb has to say.
@@ -74,7 +74,7 @@ def report_text(
     whole = {**report, _OUTPUTS: dict(outputs)}
     if len(replaces) > 0:
         whole[_REPLACES] = dict(replaces)
-    # normalised as JSON reads it: keys are text, tuples are lists
+    # through JSON and back, so that keys are texts and tuples are lists
     whole = json.loads(json.dumps(whole, default=str))
     return json.dumps({**whole, _SEAL: value_checksum(whole)}, indent=1) + "\n"
 
@@ -89,5 +89,5 @@ def versions() -> dict[str, str]:
 
 
 def checksums(paths: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of input files by their path, for a report's `inputs`."""
+    """SHA-256 of input files, keyed by path, for a report's `inputs`."""
     return {str(path): file_checksum(path) for path in paths}

@@ -1,4 +1,4 @@
-"""Times of scans: a table beside them, put on a clock of even frames."""
+"""Reads the times of scans from a table, and assigns them to evenly spaced frames."""
 
 import math
 import re
@@ -28,7 +28,7 @@ of them takes memory."""
 
 @dataclass(frozen=True)
 class Timed:
-    """Files in the order of their times, on a clock."""
+    """Scan files in the order of their times, each with a frame number."""
 
     files: list[Path]
     frames: Int[np.ndarray, " files"]
@@ -41,7 +41,7 @@ class Timed:
 
 
 def timed(path: Path, files: list[Path]) -> Timed:
-    """Files with their times from a table; named files may be in any order.
+    """Order scan files by the times in a table, which may name them in any order.
 
     Raises:
         ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
@@ -54,11 +54,13 @@ def timed(path: Path, files: list[Path]) -> Timed:
         decisions.append(f"{path.name} has the files in another order than their names")
         files, times = [files[k] for k in order], times[order]
     frames, fps, start = frames_of(times, path)
-    return Timed(files, frames, fps, start, [*decisions, *uneven(times, frames, fps)])
+    return Timed(
+        files, frames, fps, start, [*decisions, *note_on_empty_frames(times, frames, fps)]
+    )
 
 
 def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files"], bool]:
-    """Time of every file, seconds, and whether lines name the files; a heading may be.
+    """Read the time of every file, seconds, and whether the lines name files.
 
     Raises:
         ValueError: when a file has no time or the lines are of another kind.
@@ -80,13 +82,13 @@ def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files
 
 
 def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarray, float, float]:
-    """Frame numbers on an even clock, its rate and its first time.
+    """Frame numbers for times in seconds, the frame rate and the first time.
 
     Where scans follow each other evenly but for dropped ones, that is their own clock; where not,
     the coarsest of which a frame of its own is near each of them.
 
     Raises:
-        ValueError: when the times do not rise, or lie on no even clock for too long.
+        ValueError: when the times do not rise, or are unevenly spaced for too long.
     """
     if len(times) < 2 or not np.isfinite(times).all():
         raise FormatError(
@@ -104,10 +106,10 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
     span, step = float(times[-1] - times[0]), float(np.median(steps))
     FRAME_RATE.check(1 / max(step, 1e-300), path, "half of the times")
     count = max(round(span / step), 1)
-    if span > _LONGEST and not crowded(count, len(times)):
+    if span > _LONGEST and not fits_memory(count, len(times)):
         row = int(steps.argmax())
         raise FormatError(
-            f"{path}: {len(times)} times of {count} frames show anything, and nothing was seen "
+            f"{path}: {len(times)} of {count} frames have a scan, and there is none "
             f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
         )
     off = _largest_deviation(times, count)
@@ -116,13 +118,13 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
         return _nearest_steps(times, count), count / span, float(times[0])
     if span > _LONGEST:
         raise FormatError(
-            f"{path}: the times lie on no even clock (up to {off:.2f} frames off), "
+            f"{path}: the times are not evenly spaced (up to {off:.2f} frames off), "
             f"which is possible for {_LONGEST:g} s at most; resample first"
         )
     if float(steps.min()) < 1 / _FINEST:
         raise FormatError(
             f"{path}: two scans are {1000 * float(steps.min()):.2g} ms apart, and the others lie "
-            f"on no even clock; leave one of them out"
+            f"not evenly spaced; leave one of them out"
         )
     finest = math.ceil(span * _FINEST)
     for count in range(len(times) - 1, finest):
@@ -133,15 +135,15 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
     return _nearest_steps(times, finest), finest / span, float(times[0])
 
 
-def crowded(frames: int, seen: int) -> bool:
-    """Whether a clock with that many frames, mostly empty, would need too much memory."""
+def fits_memory(frames: int, seen: int) -> bool:
+    """Whether so many frames, most of them perhaps empty, fit into memory."""
     return frames <= max(_EMPTY * seen, _SHORT)
 
 
-def uneven(
+def note_on_empty_frames(
     times: Float[np.ndarray, " files"], frames: Int[np.ndarray, " files"], fps: float
 ) -> list[str]:
-    """A note about a clock on which most frames are empty."""
+    """A note if most frames of a recording are empty."""
     if 2 * len(frames) > int(frames[-1]) + 1:
         return []
     off = float(np.abs(times - times[0] - frames / fps).max())
@@ -152,7 +154,7 @@ def uneven(
 
 
 def _nearest_steps(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
-    """The nearest of so many equal steps from the first time to the last."""
+    """For every time the nearest of `count` equal steps from the first to the last time."""
     return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
 
 
@@ -162,7 +164,7 @@ def _have_own_steps(times: Float[np.ndarray, " files"], count: int) -> bool:
 
 
 def _largest_deviation(times: Float[np.ndarray, " files"], count: int) -> float:
-    """The largest distance of a time from the even clock, in steps."""
+    """The largest distance of a time from its nearest equal step, in steps."""
     place = (times - times[0]) / (times[-1] - times[0]) * count
     return float(np.abs(place - place.round()).max())
 
@@ -176,7 +178,7 @@ def _is_number(text: str) -> bool:
 
 @dataclass(frozen=True)
 class PointClock:
-    """Times at which points were seen."""
+    """Frame numbers of points, with frame rate and start time."""
 
     frame: Int[np.ndarray, " points"]
     """The frame of each point, from 0."""
@@ -190,7 +192,7 @@ class PointClock:
 def settled_clock(
     frame: Int[np.ndarray, " points"], fps: float, start_time: float, path: Path
 ) -> PointClock:
-    """Frames of a clock on which not nearly all are empty.
+    """Renumber the frames of points whose frames are nearly all empty.
 
     Numbers that are close to each other stay as they are. Others are counted from the first one
     and by their greatest common divisor, which changes no time; where that does not help, their
@@ -201,13 +203,13 @@ def settled_clock(
             than any camera's frames.
     """
     numbers, place = np.unique(frame, return_inverse=True)
-    if crowded(int(numbers[-1]) + 1, len(numbers)):
+    if fits_memory(int(numbers[-1]) + 1, len(numbers)):
         FRAME_RATE.check(fps, path, "fps")
         return PointClock(frame, fps, start_time)
     ticks = numbers - numbers[0]
     step = max(int(np.gcd.reduce(ticks)), 1)
     ticks, rate, start = ticks // step, fps / step, start_time + float(numbers[0]) / fps
-    if not crowded(int(ticks[-1]) + 1, len(ticks)):
+    if not fits_memory(int(ticks[-1]) + 1, len(ticks)):
         ticks, rate, _ = frames_of(ticks / rate, path)
     FRAME_RATE.check(rate, path, "fps and frame")
     note = (

@@ -1,4 +1,4 @@
-"""Folders of point clouds or surface scans, one PLY, PCD or OBJ file per frame."""
+"""Reads folders of point clouds or surface scans, one PLY, PCD or OBJ file per frame."""
 
 import re
 import struct
@@ -29,7 +29,7 @@ _LONGEST = 1 << 16
 
 
 def check_counts(path: Path) -> int:
-    """The number of vertices; a file whose header promises more than its size allows is refused.
+    """Number of vertices of a PLY file, refused if its header promises more than its size allows.
 
     Raises:
         ValueError: when it has no header of a PLY file, or is cut short or too large.
@@ -53,7 +53,7 @@ def check_counts(path: Path) -> int:
             CLOUD.check(count, path, f"element {line[1][:20]}")
             vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # least size: a list has the bytes of its length, a number in a text two characters
+            # at least: of a list the bytes of its length, of a number in text two characters
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -97,7 +97,7 @@ def write_ply_sequence(
     vertices: Float[np.ndarray, "time vertices 3"],
     faces: Int[np.ndarray, "faces 3"] | None = None,
 ) -> tuple[Path, ...]:
-    """Write frame_000000.ply, frame_000001.ply, ... into a folder, which is made if need be."""
+    """Write a mesh or cloud per frame as frame_000000.ply, frame_000001.ply, ..."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = tuple(folder / f"frame_{k:06d}.ply" for k in range(len(vertices)))
     for path, frame in zip(paths, vertices, strict=True):
@@ -106,7 +106,7 @@ def write_ply_sequence(
 
 
 def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
-    """Vertices of one file, text or binary, without invalid ones (NaN).
+    """Read the vertices of a PLY file, without invalid ones (NaN).
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -114,7 +114,7 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
     """
     if check_counts(existing(path)) == 0:
         return np.zeros((0, 3))
-    # imported here: it is slow to load
+    # imported only when needed, since it loads slowly
     import trimesh
 
     try:
@@ -147,7 +147,7 @@ def read_scans(
     outliers: float | None = 3.0,
     seed: int = 0,
 ) -> PointsFile:
-    """Clouds of all frames, in metres, z up. Files count in natural order, `scan_2` first of `10`.
+    """Read the clouds of all frames in metres, z up; `scan_2` comes before `scan_10`.
 
     A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
     time) tells the clock; frames that were dropped stay empty. Times of named files may be in any
@@ -195,7 +195,7 @@ def read_scans(
     metres = METRES[unit]
     if up is None:
         scaled = [cloud * metres for cloud in clouds]
-        up, said = up_of_clouds(scaled, str(folder), told=told)
+        up, said = up_of_clouds(scaled, str(folder), unit_given=told)
         decisions += said
     for path, cloud in zip(paths, clouds, strict=True):
         POSITION.check(cloud * metres, path, "[point, axis]")
@@ -211,7 +211,7 @@ def read_scans(
 
 
 def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
-    """Write frame_000000.ply, ... and times.csv; frames without points have no file.
+    """Write clouds as frame_000000.ply, ... and times.csv; empty frames get no file.
 
     Only points and times are kept. The clouds read back are the same to single precision.
 
@@ -242,7 +242,7 @@ def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """The clouds of a folder, in natural order.
+    """Paths of the clouds in a folder; `scan_2` comes before `scan_10`.
 
     Raises:
         FileNotFoundError: when there is no such folder.
@@ -259,11 +259,11 @@ def scan_paths(folder: Path) -> list[Path]:
             f"{folder}: expected files {' or '.join(CLOUDS)}, one per frame, got "
             f"{' and '.join(kinds) or 'none'}"
         )
-    return naturally(found)
+    return naturally_sorted(found)
 
 
-def naturally(paths: Iterable[Path]) -> list[Path]:
-    """Sorted by name, numbers in it by their value."""
+def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted by name, with numbers in names compared by value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
         # at most 4000 digits, the most that Python converts to an integer
@@ -276,14 +276,14 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
 def thinned(
     cloud: Float[np.ndarray, "points 3"],
     count: int,
-    outliers: float | None,
+    outlier_deviations: float | None,
     generator: np.random.Generator,
 ) -> Float[np.ndarray, "kept 3"]:
-    """A cloud without outliers, of at most `count` points drawn at random, in their order."""
+    """At most `count` random points of a cloud without its outliers, in their order."""
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
-    if outliers is not None:
-        cloud = cloud[~is_outlier(cloud, outliers)]
+    if outlier_deviations is not None:
+        cloud = cloud[~is_outlier(cloud, outlier_deviations)]
     if len(cloud) <= count:
         return cloud
     return cloud[np.sort(generator.permutation(len(cloud))[:count])]
@@ -292,7 +292,7 @@ def thinned(
 def is_outlier(
     cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
 ) -> np.ndarray:
-    """Outliers: points whose mean distance to neighbours is too large for a surface."""
+    """Mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
     if len(cloud) <= neighbours:
@@ -302,7 +302,7 @@ def is_outlier(
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """The points, or vertices, of a file; several at zero are pixels that measured nothing.
+    """Read the points of a cloud or mesh; several at zero are pixels that measured nothing.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
@@ -313,7 +313,7 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 
 
 def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Vertices of an .obj file; further numbers of theirs, such as colours, are left out."""
+    """Read the vertices of an .obj file without their colours."""
     lines = decode(read_bytes(path)).splitlines()
     rows = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
     CLOUD.check(len(rows), path, "vertices")
@@ -331,7 +331,7 @@ _BETWEEN = re.compile(r"\d\s*[;\s]\s*-?\d+,\d+\s*[;\s]\s*-?\d")
 
 
 def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Points of lines x, y, z; normals, colours and intensities after them are left out.
+    """Read points from lines of x, y, z; further columns, such as colours, are left out.
 
     Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
     .pts how many lines follow. Invalid points (NaN) are left out.
@@ -349,7 +349,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
         found = numbers_in(text, width * count).reshape(count, width)[:, :3]
     except ValueError as error:
         raise FormatError(
-            f"{path}: expected lines of x, y, z and what else is known of the point, all alike, "
+            f"{path}: expected lines of x, y, z and perhaps more, all of the same length, "
             f"but it is damaged ({error!s:.100})"
         ) from error
     return found[np.isfinite(found).all(1)]

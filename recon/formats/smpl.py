@@ -1,4 +1,4 @@
-"""Reads the SMPL, SMPL-H and SMPL-X model files a user has (.npz or .pkl).
+"""Reads a user's model files of SMPL, SMPL-H and SMPL-X (.npz or .pkl).
 
 The files are licensed by the Max Planck Society and are never shipped or downloaded here. Nothing
 inside a file is ever executed (`recon.formats.pickles`).
@@ -38,7 +38,7 @@ _MISSING = (
 
 @dataclass(frozen=True)
 class SmplArrays:
-    """A body model as its file defines it; metres, y up, facing z."""
+    """The arrays of a body model's file; metres, y up, facing z."""
 
     template: np.ndarray
     """(V, 3) surface of the mean shape."""
@@ -56,7 +56,7 @@ class SmplArrays:
     """(F, 3) vertex numbers."""
 
     def of_body(self) -> dict[str, np.ndarray]:
-        """The body's 22 joints alone, by the names of the arrays of `recon.body.model.BodyModel`.
+        """The arrays reduced to 22 joints, named as in `recon.body.model.BodyModel`.
 
         Their places are regressed from the shaped surface; weights of further joints are added to
         their nearest ancestor in the body.
@@ -85,7 +85,7 @@ class SmplArrays:
 
 
 def load_smpl(path: str | Path) -> SmplArrays:
-    """A model file of the SMPL family.
+    """Read a model file of the SMPL family.
 
     Raises:
         FileNotFoundError: when there is no such file; the message says where to get one.
@@ -140,7 +140,7 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
         pose_directions=_correctives(fields, vertices, joints, path),
         joint_regressor=numbers["J_regressor"],
         weights=weights,
-        parents=_tree(numbers["kintree_table"], path),
+        parents=_parents(numbers["kintree_table"], path),
         faces=faces,
     )
 
@@ -157,8 +157,8 @@ def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
     return array
 
 
-def _tree(table: np.ndarray, path: Path) -> np.ndarray:
-    """Parents from `kintree_table`, whose root is 4294967295 (-1 as an unsigned number)."""
+def _parents(table: np.ndarray, path: Path) -> np.ndarray:
+    """Each joint's parent from `kintree_table`, where 4294967295 (unsigned -1) means none."""
     parents = table[0].astype(np.int64)
     parents[0] = -1
     if tuple(parents[: len(JOINTS)]) != tuple(PARENTS):
@@ -194,7 +194,7 @@ def _correctives(
 
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
-    """The needed arrays; SMPL-X's object arrays beside them stay closed."""
+    """Read only the needed arrays of an .npz model, and none of its pickled objects."""
     try:
         check_sizes(path, BINARY, _USED)
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:

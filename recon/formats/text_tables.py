@@ -1,4 +1,4 @@
-"""Tables of text, cells between commas, semicolons or tabs: rows, written and read; numbers."""
+"""Reads and writes tables of text with commas, semicolons or tabs between cells."""
 
 import csv
 import re
@@ -24,7 +24,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
 def read_rows(path: Path, limit: Limit) -> list[list[str]]:
-    """The cells of every row that is not blank, without white space around them.
+    """Read the cells of every row that is not blank, stripped of white space.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -39,9 +39,9 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
 
 
 def _split(text: str) -> list[list[str]]:
-    """The cells of every line, by what is between those of the first line.
+    """Split lines into cells at the separator that the first line has.
 
-    Where it has no commas these are semicolons, tabs, bars or, of seven words and more, spaces.
+    Without commas these are semicolons, tabs, bars or, between seven words or more, spaces.
     Numbers may then have a comma for a point, as spreadsheets of many countries write.
     """
     lines = _without_comments([line for line in text.splitlines() if line.strip()])
@@ -61,7 +61,7 @@ _WORDS = 7
 
 
 def _without_comments(lines: list[str]) -> list[str]:
-    """The lines after the leading ones with #, the last of which may be the header (numpy)."""
+    """The lines without leading comments (#), the last of which may be the header (numpy)."""
     count = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
     if count == 0:
         return lines
@@ -71,7 +71,7 @@ def _without_comments(lines: list[str]) -> list[str]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write a table in one step: a column for every key, in the order in which keys come.
+    """Write a table atomically, with a column for every key in order of first appearance.
 
     Raises:
         FileNotFoundError: when the folder does not exist.
@@ -83,8 +83,8 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         writer.writerows(rows)
 
 
-def each_once(columns: Sequence[str], name: str) -> None:
-    """Refuse a table that has two columns of one name: only one of them could be used.
+def refuse_repeated_columns(columns: Sequence[str], name: str) -> None:
+    """Refuse a table in which two columns have the same name.
 
     Raises:
         ValueError: naming the column.
@@ -97,7 +97,7 @@ def each_once(columns: Sequence[str], name: str) -> None:
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:
-    """The first rows of a table, without reading the rest; none where it is no table.
+    """Read the first rows of a table only; none if the file is no table.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -118,7 +118,7 @@ def numbers(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """The numbers in some columns; NaN where a cell is blank or a short row has none.
+    """The numbers in some columns of a table; NaN where a cell is blank or missing.
 
     Args:
         rows: below the header.

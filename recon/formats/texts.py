@@ -1,4 +1,4 @@
-"""Text files, packed or not: their letters and numbers, and the values of TOML."""
+"""Reads text files, also xz-compressed ones, their numbers, and TOML."""
 
 import lzma
 import re
@@ -10,11 +10,11 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CALIBRATION, TEXT, Limit
-from recon.formats.opening import existing, packed
+from recon.formats.opening import existing, limit_when_unpacked
 
 
 def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
-    """Contents of a file, unpacked when its name ends in .xz; `read_binary` for larger ones.
+    """Read a file, decompressed if its name ends in .xz; `read_binary` allows larger ones.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -24,7 +24,7 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
     if path.suffix.lower() != ".xz":
         limit.check(path.stat().st_size, path)
         return path.read_bytes()
-    most = packed(path, min(limit, TEXT, key=lambda one: one.high))
+    most = limit_when_unpacked(path, min(limit, TEXT, key=lambda one: one.high))
     try:
         with lzma.open(path) as file:
             data = file.read(int(most.high) + 1)
@@ -35,12 +35,12 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
 
 
 def read_binary(path: Path) -> bytes:
-    """Contents of a file whose numbers take no more memory than the file."""
+    """Read a file of binary numbers, which take no more memory than the file."""
     return read_bytes(path, BINARY)
 
 
 def decode(data: bytes) -> str:
-    """Text of a recording: UTF-8 or, by its mark, UTF-16 or 32, else Latin-1 (old code pages)."""
+    """Decode bytes as UTF-16 or 32 if they have its mark, else as UTF-8, else as Latin-1."""
     if data[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
         return data.decode("utf-32", errors="replace")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -65,7 +65,7 @@ _LONGEST = 1000
 
 
 def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
-    """An array of `count` numbers between white space, from a place in the text to its end.
+    """Parse `count` numbers, separated by white space, from a position to the text's end.
 
     Raises:
         ValueError: when there are more or fewer, or something is no number.
@@ -91,7 +91,7 @@ _DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables and values of a file.
+    """Read the tables and values of a TOML file.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -103,5 +103,5 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        # ValueError is also raised by numbers with more digits than Python converts
+        # ValueError is also raised by an integer with too many digits for Python
         raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error

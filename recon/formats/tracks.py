@@ -1,4 +1,4 @@
-"""Camera paths as trackers write them, converted to poses with OpenCV's axes.
+"""Reads camera paths of trackers as poses with OpenCV's axes.
 
 * COLMAP, `images.txt` (a folder with it) and `cameras.txt`: quaternion first, world to camera,
   axes x right, y down, z forward; any world, any unit (https://colmap.github.io/format.html).
@@ -37,7 +37,7 @@ _LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def read_colmap(path: Path) -> "CameraTrack":
-    """The track of a model's `images.txt`, with the intrinsics of `cameras.txt` beside it.
+    """Read the poses of COLMAP's `images.txt` and the intrinsics of its `cameras.txt`.
 
     Images come in the order of their names; the last number of a name is that of its frame.
 
@@ -45,7 +45,7 @@ def read_colmap(path: Path) -> "CameraTrack":
         ValueError: when there are no images or lines are damaged, or they are of several cameras.
     """
     lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
-    # every other line lists the points that an image shows
+    # every second line lists the points in an image, and is not needed
     fields = [line.split(maxsplit=9) for line in lines[::2] if line.strip()]
     if short := [one for one in fields if len(one) < 10]:
         raise FormatError(
@@ -63,7 +63,7 @@ def read_colmap(path: Path) -> "CameraTrack":
     found = {name: re.findall(r"\d+", Path(name).stem)[-1:] for name in images}
     names = sorted(images, key=lambda name: (int((found[name] or "0")[0]), name))
     rows = np.array([_numbers(images[name][1:8], path) for name in names])
-    T = np.linalg.inv(rigid(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
+    T = np.linalg.inv(rigid_transforms(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
     numbers = [int(found[name][0]) for name in names if found[name]]
     counted = len(set(numbers)) == len(names)
     cameras = path.with_name("cameras.txt")
@@ -72,7 +72,7 @@ def read_colmap(path: Path) -> "CameraTrack":
 
 
 def read_tum(path: Path) -> "CameraTrack":
-    """The track of a text of times in seconds and poses; whole times are numbers of frames.
+    """Read lines of a time and a pose (TUM); times are seconds, or frames if all are whole.
 
     Raises:
         ValueError: when a line has not eight numbers, or times do not rise.
@@ -92,15 +92,17 @@ def read_tum(path: Path) -> "CameraTrack":
     if len(table) < 2 or not (np.diff(times) > 0).all():
         raise FormatError(f"{path}: expected rising timestamps, got {len(table)} poses")
     frames = times.astype(np.int64) if (times == np.round(times)).all() else None
-    return CameraTrack(rigid(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM")
+    return CameraTrack(
+        rigid_transforms(table[:, 4:], table[:, 1:4], path), frames, times, None, "TUM"
+    )
 
 
-def _camera(path: Path, identity: str) -> CameraFields:
-    """The camera of this identity in COLMAP's `cameras.txt`."""
+def _camera(path: Path, camera_id: str) -> CameraFields:
+    """Read the camera with this number from COLMAP's `cameras.txt`."""
     lines = [line.split() for line in path.read_text("utf-8").splitlines()]
-    fields = next((one for one in lines if one[:1] == [identity]), None)
+    fields = next((one for one in lines if one[:1] == [camera_id]), None)
     if fields is None:
-        raise FormatError(f"{path}: expected camera {identity}, which images.txt names")
+        raise FormatError(f"{path}: expected camera {camera_id}, which images.txt names")
     names = _MODELS.get("".join(fields[1:2]), ())
     if not names or len(fields) != 4 + len(names):
         raise FormatError(
@@ -122,10 +124,12 @@ def _numbers(fields: list[str], path: Path) -> list[float]:
         raise FormatError(f"{path}: expected numbers, got {' '.join(fields)[:80]!r}") from error
 
 
-def rigid(
-    quaternion: Float[np.ndarray, "poses 4"], places: Float[np.ndarray, "poses 3"], path: Path
+def rigid_transforms(
+    quaternion: Float[np.ndarray, "poses 4"],
+    translations: Float[np.ndarray, "poses 3"],
+    path: Path,
 ) -> Float[np.ndarray, "poses 4 4"]:
-    """Transforms of quaternions x y z w and translations.
+    """Rigid transforms from quaternions (x y z w) and translations.
 
     Raises:
         ValueError: when numbers are not finite, or quaternions are not of length one.
@@ -133,17 +137,17 @@ def rigid(
     from scipy.spatial.transform import Rotation
 
     length = np.linalg.norm(quaternion, axis=-1)
-    if not np.isfinite(places).all() or not (np.abs(length - 1) < 0.01).all():
+    if not np.isfinite(translations).all() or not (np.abs(length - 1) < 0.01).all():
         raise FormatError(
             f"{path}: expected finite numbers and quaternions of length 1, got lengths from "
             f"{np.nanmin(length):.3g} to {np.nanmax(length):.3g}; are its columns in order?"
         )
-    return _transforms(Rotation.from_quat(quaternion).as_matrix(), places)
+    return _transforms(Rotation.from_quat(quaternion).as_matrix(), translations)
 
 
-def _transforms(turns: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "poses 4 4"]:
-    T = np.tile(np.eye(4), (len(places), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = turns, places
+def _transforms(rotations: np.ndarray, translations: np.ndarray) -> Float[np.ndarray, "poses 4 4"]:
+    T = np.tile(np.eye(4), (len(translations), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = rotations, translations
     return T
 
 
@@ -160,7 +164,7 @@ _WRITTEN = (
 
 @dataclass(frozen=True)
 class CameraTrack:
-    """Poses of one camera over time."""
+    """Poses of one moving camera over time, with what its tracker knows of it."""
 
     T_world_camera: Float[np.ndarray, "poses 4 4"]
     """Poses in the tracker's world and unit; z up where it is `level`."""
@@ -176,10 +180,10 @@ class CameraTrack:
     level: bool = False
     """Whether the z axis of the world points up."""
 
-    def at(
+    def poses_at_frames(
         self, first: int, count: int, fps: float
     ) -> tuple[Float[np.ndarray, "frames 4 4"], str]:
-        """T_world_camera of so many frames from frame number `first` on, and how they were found.
+        """T_world_camera at `count` frames from frame number `first` on, and a note on it.
 
         Between poses the camera goes straight and turns evenly; beyond them it stands still.
 
@@ -207,11 +211,11 @@ class CameraTrack:
                 f"{known[-1]:.0f}, the keypoints of {first} to {first + count - 1}; expected "
                 "poses of the same film"
             )
-        return _between(self.T_world_camera, known, wanted), how
+        return _interpolated(self.T_world_camera, known, wanted), how
 
 
 def read_track(path: Path) -> CameraTrack:
-    """The track of a camera, from whatever tracker wrote it.
+    """Read a camera's path from the file of any known tracker.
 
     Raises:
         FileNotFoundError: when there is nothing there.
@@ -224,7 +228,7 @@ def read_track(path: Path) -> CameraTrack:
         case ".txt" | ".tum":
             return (read_colmap if path.name == "images.txt" else read_tum)(path)
         case ".npy":
-            return _droid(load_array(path), None, None, path)
+            return _track_of_droid(load_array(path), None, None, path)
         case ".npz":
             arrays = load_arrays(path)
             name = next((name for name in _SEVEN if name in arrays), None)
@@ -233,26 +237,28 @@ def read_track(path: Path) -> CameraTrack:
                     f"{path}: expected poses of DROID-SLAM or DPVO in one of {', '.join(_SEVEN)}, "
                     f"found {', '.join(sorted(arrays))}"
                 )
-            return _droid(arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path)
+            return _track_of_droid(
+                arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path
+            )
         case ".json":
-            return _arkit(path)
+            return _track_of_arkit(path)
     raise FormatError(f"{path}: expected the track of a camera: {_WRITTEN}")
 
 
-def _between(
-    T: Float[np.ndarray, "poses 4 4"], known: np.ndarray, wanted: np.ndarray
+def _interpolated(
+    T: Float[np.ndarray, "poses 4 4"], known_times: np.ndarray, wanted_times: np.ndarray
 ) -> Float[np.ndarray, "frames 4 4"]:
     from scipy.spatial.transform import Rotation, Slerp
 
-    order = np.argsort(known)
-    known, T = known[order], T[order]
-    held = wanted.clip(known[0], known[-1])
-    turns = Slerp(known, Rotation.from_matrix(T[:, :3, :3]))(held).as_matrix()
-    places = np.stack([np.interp(held, known, T[:, k, 3]) for k in range(3)], -1)
+    order = np.argsort(known_times)
+    known_times, T = known_times[order], T[order]
+    held = wanted_times.clip(known_times[0], known_times[-1])
+    turns = Slerp(known_times, Rotation.from_matrix(T[:, :3, :3]))(held).as_matrix()
+    places = np.stack([np.interp(held, known_times, T[:, k, 3]) for k in range(3)], -1)
     return _transforms(turns, places)
 
 
-def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
+def _track_of_droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
     if rows.ndim != 2 or rows.shape[1] != 7 or rows.dtype.kind not in "fiu" or len(rows) < 2:
         raise FormatError(
             f"{path}: expected poses of DROID-SLAM or DPVO, an array (frames, 7) of tx ty tz qx "
@@ -266,10 +272,12 @@ def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
     if intrinsics is not None:
         fx, fy, cx, cy = np.atleast_2d(np.asarray(intrinsics, np.float64))[0, :4]
         camera = CameraFields("track", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return CameraTrack(rigid(rows[:, 3:], rows[:, :3], path), frames, None, camera, "DROID-SLAM")
+    return CameraTrack(
+        rigid_transforms(rows[:, 3:], rows[:, :3], path), frames, None, camera, "DROID-SLAM"
+    )
 
 
-def _arkit(path: Path) -> CameraTrack:
+def _track_of_arkit(path: Path) -> CameraTrack:
     value = read_json(path)
     entries = value.get("frames", value) if isinstance(value, dict) else value
     keys = [key for key in _ARKIT if isinstance(entries, list) and entries and key in entries[0]]
@@ -277,7 +285,7 @@ def _arkit(path: Path) -> CameraTrack:
         raise FormatError(
             f"{path}: expected frames of ARKit, each with one of {', '.join(_ARKIT)}"
         )
-    matrices = np.array([_square(one[keys[0]], 4, path) for one in entries])
+    matrices = np.array([_square_matrix(one[keys[0]], 4, path) for one in entries])
     times = [next((one[key] for key in _TIMES if key in one), None) for one in entries]
     T = matrices @ _FLIPPED
     level = np.eye(4)
@@ -286,13 +294,15 @@ def _arkit(path: Path) -> CameraTrack:
         "intrinsics", value.get("intrinsics") if value is not entries else None
     )
     size = entries[0].get("imageResolution")
-    camera = None if stated is None else CameraFields("track", _square(stated, 3, path), size)
+    camera = (
+        None if stated is None else CameraFields("track", _square_matrix(stated, 3, path), size)
+    )
     known = None if None in times else np.array(times, np.float64)
     return CameraTrack(level @ T, None, known, camera, "ARKit", metric=True, level=True)
 
 
-def _square(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
-    """A matrix by rows, whether it is written by rows or, as Swift does, by columns."""
+def _square_matrix(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
+    """A rigid or camera matrix, written by rows or, as Swift does, by columns."""
     try:
         matrix = np.array(value, np.float64).reshape(size, size)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Atomic writing of results with their reports: the report first, the result last."""
+"""Writes results with their reports atomically: the report first, the result last."""
 
 import os
 import shutil
@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from recon.formats.outputs import Kind, Output, own_files, refuse_place
-from recon.formats.replacing import file_checksum, part_of
+from recon.formats.replacing import file_checksum, temporary_path
 from recon.formats.reports import report_text
 
 
@@ -20,7 +20,7 @@ from recon.formats.reports import report_text
 def writing(
     *outputs: Output, report: Mapping[str, Any], overwrite: bool = False
 ) -> Iterator[tuple[Path, ...]]:
-    """Paths to write the outputs at; all of them are put in place when the block ends well.
+    """Context of temporary paths, all moved to the outputs' places if the block succeeds.
 
     Until then they are hidden beside their places, and nothing of them stays when the block fails
     or is interrupted. Reports are moved first and results last, so that there is never a result
@@ -44,7 +44,7 @@ def writing(
         stages = [stack.enter_context(_staged(output)) for output in outputs]
         with _named_as_asked(stages):
             yield tuple(stage.path for stage in stages)
-        # checked again, since the computation may have taken hours
+        # checked again, since hours may have passed
         former = [own_files(output, overwrite=overwrite) for output in outputs]
         for stage, own in zip(stages, former, strict=True):
             stage.add_report(report, own)
@@ -59,20 +59,20 @@ def writing(
 def writing_file(
     path: Path, report: Mapping[str, Any], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """A context that writes one file, with its report beside it."""
+    """Context with a temporary path for one output file, which gets a report next to it."""
     with writing(Output(path), report=report, overwrite=overwrite) as (staged,):
         yield staged
 
 
 def write_report(path: Path, report: Mapping[str, Any], *, overwrite: bool = False) -> None:
-    """A JSON file that is a result and its own report."""
+    """Write a JSON file that is a result and its own report."""
     with writing(Output(path, Kind.REPORT), report=report, overwrite=overwrite):
         pass
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """An output while it is being written to a temporary place."""
+    """An output that is being prepared in a temporary folder."""
 
     output: Output
     folder: Path
@@ -80,12 +80,12 @@ class _Stage:
 
     @property
     def path(self) -> Path:
-        """Path at which the result is prepared; it has its own name already."""
+        """Temporary path of the result, under its final name."""
         return self.folder / self.output.real.name
 
     @property
     def report(self) -> Path:
-        """Path at which the report is prepared, where it will lie beside or in the result."""
+        """Temporary path of the report, next to the result or in its folder."""
         assert self.output.report is not None
         return self.folder / self.output.report.relative_to(self.output.real.parent)
 
@@ -107,12 +107,12 @@ class _Stage:
                 os.fsync(file.fileno())
 
     def move_report(self) -> None:
-        """Put the report in place; that of a new folder comes with the folder."""
+        """Move the report to its place; that of a new folder is moved with the folder."""
         if not self.output.is_folder or self.output.real.exists():
             os.replace(self.report, self.output.real.parent / self.report.relative_to(self.folder))
 
     def move(self, own: Mapping[str, str]) -> None:
-        """Put the result in place, and remove what a former run left of its own."""
+        """Move the result to its place, and remove files of a former run."""
         real = self.output.real
         if self.output.is_folder and not real.exists():
             os.rename(self.path, real)
@@ -129,10 +129,10 @@ class _Stage:
 @contextmanager
 def _staged(output: Output) -> Iterator[_Stage]:
     real = output.real
-    # an existing folder may be a mount point, which cannot be replaced at once
+    # an existing folder may be a mount point, which cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
-    stage = _Stage(output, part_of(beside))
+    stage = _Stage(output, temporary_path(beside))
     shutil.rmtree(stage.folder, ignore_errors=True)
     try:
         stage.folder.mkdir()
@@ -145,7 +145,7 @@ def _staged(output: Output) -> Iterator[_Stage]:
 
 @contextmanager
 def _named_as_asked(stages: Sequence[_Stage]) -> Iterator[None]:
-    """Errors name the output instead of its temporary path."""
+    """Context whose errors name the output instead of its temporary path."""
     try:
         yield
     except ValueError as error:
@@ -157,14 +157,14 @@ def _named_as_asked(stages: Sequence[_Stage]) -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C and the signal to end wait until the block is done."""
+    """Context that delays Ctrl-C and termination signals until its block is done."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    received: list[int] = []
 
     def later(number: int, _: FrameType | None) -> None:
-        came.append(number)
+        received.append(number)
 
     before = {number: signal.signal(number, later) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -172,5 +172,5 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for number in came:
+        for number in received:
             signal.raise_signal(number)

@@ -1,4 +1,4 @@
-"""Cycles of gait from strike to strike of one foot, and curves over them."""
+"""Finds cycles of gait, from strike to strike of one foot, and curves of angles over them."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +26,7 @@ _SETTLED = (0.1, 0.3)
 
 @dataclass(frozen=True)
 class GaitCycle:
-    """One stride: from the strike of a foot to its next; seconds of the recording's clock."""
+    """One stride, from a foot's strike to its next; times in seconds of the recording."""
 
     side: Side
     strike: float
@@ -49,12 +49,12 @@ class GaitCycle:
 
     @property
     def seconds(self) -> float:
-        """Stride time."""
+        """Duration of the cycle, seconds."""
         return self.next_strike - self.strike
 
     @property
     def speed(self) -> float:
-        """Metres per second."""
+        """Walking speed over the cycle, metres per second."""
         return self.length / self.seconds
 
     @property
@@ -64,12 +64,12 @@ class GaitCycle:
 
     @property
     def step_time(self) -> float | None:
-        """Seconds from the strike of the other foot to the next of this one."""
+        """Seconds from the other foot's strike to this foot's next strike."""
         return None if self.opposite_strike is None else self.next_strike - self.opposite_strike
 
     @property
     def double_support(self) -> float | None:
-        """Share of the cycle in which both feet are on the ground; below zero both are off it."""
+        """Share of the cycle with both feet on the ground; negative if both are in the air."""
         if self.opposite_off is None or self.opposite_strike is None:
             return None
         both = (self.opposite_off - self.strike) + (self.off - self.opposite_strike)
@@ -94,37 +94,53 @@ def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCyc
     return tuple(sorted(found, key=lambda cycle: cycle.strike))
 
 
-def normalised(
+def over_cycle(
     values: Float[np.ndarray, " time"], times: Float[np.ndarray, " time"], cycle: GaitCycle
 ) -> Float[np.ndarray, " percent"]:
-    """A curve over one cycle at 0 %, 1 %, ... 100 % of it, linearly between frames."""
+    """A curve resampled at 0 %, 1 %, ... 100 % of one cycle, linearly between frames."""
     moments = np.linspace(cycle.strike, cycle.next_strike, PERCENT)
     return np.interp(moments, times, values)
 
 
 def _cycle(
-    feet: Feet, side: int, strike: int, off: int, after: int, other: Sequence[GaitStance]
+    feet: Feet,
+    side: int,
+    strike: int,
+    toe_off: int,
+    next_strike: int,
+    other_stances: Sequence[GaitStance],
 ) -> GaitCycle:
-    period = after - strike
-    opposite_off = [s.off for s in other if s.off is not None and strike <= s.off < off]
-    opposite = [s.strike for s in other if s.strike is not None and strike < s.strike <= after]
-    begin, end = _place(feet, side, strike, period), _place(feet, side, after, period)
+    period = next_strike - strike
+    opposite_off = [
+        s.off for s in other_stances if s.off is not None and strike <= s.off < toe_off
+    ]
+    opposite = [
+        s.strike
+        for s in other_stances
+        if s.strike is not None and strike < s.strike <= next_strike
+    ]
+    begin, end = (
+        _place_of_heel(feet, side, strike, period),
+        _place_of_heel(feet, side, next_strike, period),
+    )
     stride = end - begin
     length = float(np.linalg.norm(stride))
     along = stride / max(length, 1e-9)
     step = width = None
     if opposite:
-        between = _place(feet, 1 - side, opposite[0], period) - begin
+        between = _place_of_heel(feet, 1 - side, opposite[0], period) - begin
         step = length - float(between @ along)
         width = abs(float(between[0] * along[1] - between[1] * along[0]))
-    angles = np.unwrap(np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : after + 1])
+    angles = np.unwrap(
+        np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : next_strike + 1]
+    )
     return GaitCycle(
         side=SIDES[side],
         strike=float(feet.times[strike]),
         opposite_off=float(feet.times[opposite_off[0]]) if opposite_off else None,
         opposite_strike=float(feet.times[opposite[0]]) if opposite else None,
-        off=float(feet.times[off]),
-        next_strike=float(feet.times[after]),
+        off=float(feet.times[toe_off]),
+        next_strike=float(feet.times[next_strike]),
         length=length,
         step_length=step,
         step_width=width,
@@ -133,8 +149,8 @@ def _cycle(
     )
 
 
-def _place(feet: Feet, side: int, strike: int, period: int) -> Float[np.ndarray, " 2"]:
-    """Place of a heel on the ground: the median of the first part of the stance."""
+def _place_of_heel(feet: Feet, side: int, strike: int, period: int) -> Float[np.ndarray, " 2"]:
+    """Horizontal position of a standing heel: the median over the early stance."""
     first = strike + round(_SETTLED[0] * period)
     last = max(strike + round(_SETTLED[1] * period), first + 1)
     first = min(first, len(feet.times) - 1)
@@ -170,7 +186,7 @@ FIGURES: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...]
 
 
 def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
-    """Means and standard deviations of every figure, over both sides and over each."""
+    """Means and standard deviations of all gait parameters, over both sides and each side."""
     found: list[GaitFigure] = []
     for name, unit, factor, value in FIGURES:
         for side in ("both", *SIDES):
@@ -185,7 +201,7 @@ def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
 
 @dataclass(frozen=True)
 class GaitCurve:
-    """An angle that is drawn over the cycle of either side."""
+    """An angle that a report draws over the cycle, for either side."""
 
     name: str
     """Its name among the angles; `_l` and `_r` follow where it belongs to a side."""
@@ -201,11 +217,11 @@ class GaitCurve:
     """Joints of the side that must be seen for the angle to be seen."""
 
     def angle(self, side: Side) -> str:
-        """Name of the angle of a side."""
+        """The angle's name for one side."""
         return f"{self.name}_{side[0]}" if self.sided else self.name
 
     def seen_joints(self, side: Side) -> list[int]:
-        """Joint numbers from which the angle of a side is computed."""
+        """Numbers of the joints from which one side's angle is computed."""
         return [joint_index(f"{side}_{name}") for name in self.joints]
 
 
@@ -234,7 +250,7 @@ CURVES: tuple[GaitCurve, ...] = (
 
 @dataclass(frozen=True)
 class Gait:
-    """The gait of one clip."""
+    """Gait events, cycles, parameters and joint angles of one clip."""
 
     times: Float[np.ndarray, " time"]
     """Seconds of the recording's clock."""
@@ -258,16 +274,16 @@ class Gait:
         return tuple(cycle for cycle in self.cycles if cycle.side == side)
 
     def curves(self, curve: GaitCurve, side: Side) -> Float[np.ndarray, "cycles percent"]:
-        """An angle over all cycles of a side, degrees."""
+        """An angle over every cycle of one side, degrees."""
         found = [self._over_cycle(curve, cycle) for cycle in self.cycles_of(side)]
         return np.array(found).reshape(len(found), PERCENT)
 
     def _over_cycle(self, curve: GaitCurve, cycle: GaitCycle) -> Float[np.ndarray, " percent"]:
-        """An angle of the cycle's side at every percent of it, degrees."""
+        """An angle at every percent of one cycle, degrees."""
         values = self.angles[curve.angle(cycle.side)]
         if curve.from_heading:
             values = values - np.rad2deg(cycle.heading)
-        found = normalised(values, self.times, cycle)
+        found = over_cycle(values, self.times, cycle)
         if curve.from_heading:
             found = found - 360 * np.round(found.mean() / 360)
         return -found if cycle.side == curve.mirrored else found
@@ -275,11 +291,11 @@ class Gait:
     def curve_std(
         self, curve: GaitCurve, side: Side
     ) -> Float[np.ndarray, "cycles percent"] | None:
-        """Standard deviation of the estimate of a curve, degrees."""
+        """Standard deviation of a fitted angle over every cycle of one side, degrees."""
         known = self.angle_std.get(curve.angle(side))
         if known is None or len(self.cycles_of(side)) == 0:
             return None
-        return np.array([normalised(known, self.times, one) for one in self.cycles_of(side)])
+        return np.array([over_cycle(known, self.times, one) for one in self.cycles_of(side)])
 
 
 def analyse(
@@ -291,7 +307,7 @@ def analyse(
     angle_std: Float[Tensor, "time 42"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Gait:
-    """Events, cycles, figures and angles of one clip.
+    """Find events, cycles, parameters and joint angles of one clip.
 
     Args:
         motion: one clip without a batch axis, z up.
@@ -317,12 +333,12 @@ def analyse(
         figures=spatio_temporal(cycles),
         angles=isb_angles(motion, body),
         angle_std=deviations,
-        unseen={} if observed is None else _unseen(observed),
+        unseen={} if observed is None else _shares_unseen(observed),
         belt=None if belt is None else float(belt.norm()),
     )
 
 
-def _unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
+def _shares_unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
     seen = observed.cpu().numpy()
     shares: dict[str, float] = {}
     for curve in CURVES:

@@ -16,7 +16,7 @@ from recon.core.errors import ReconError
 
 @dataclass(frozen=True, repr=False)
 class JointAngles:
-    """Angles of the joints of one clip, by name."""
+    """Joint angles of one clip over time, by name."""
 
     convention: str
     """The names and axes: `isb`, or an OpenSim model."""
@@ -28,7 +28,7 @@ class JointAngles:
     """Coordinates of an OpenSim model that are lengths, metres; empty for the ISB."""
 
     def __repr__(self) -> str:
-        """A summary of at most ten lines: how many angles, over how long, and their ranges."""
+        """A summary in at most ten lines: number of angles, duration and ranges."""
         first = (
             f"JointAngles: {len(self.degrees)} angles ({self.convention}), {len(self.times)} "
             f"frames, {self.times[0]:.2f} to {self.times[-1]:.2f} s"

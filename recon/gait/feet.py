@@ -1,4 +1,4 @@
-"""Heels, toes and pelvis of a motion over time, the input of gait analysis."""
+"""Heels, toes and pelvis of a motion over time, and the stances of its feet."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,7 +30,7 @@ _SOLES = tuple((joint_index(f"{side}_ankle"), joint_index(f"{side}_foot")) for s
 
 @dataclass(frozen=True)
 class Feet:
-    """Feet and pelvis of one clip in the frame of the ground that they stand on, metres, z up.
+    """Feet and pelvis of one clip over time, relative to the ground or belt; metres, z up.
 
     On a treadmill that is the belt, in whose frame the person walks ahead.
     """
@@ -57,7 +57,7 @@ class Feet:
         ground: float | None = 0.0,
         belt: Float[Tensor, " 2"] | None = None,
     ) -> "Feet":
-        """The feet of a motion, filtered at 12 Hz without delay.
+        """Positions of a motion's feet, low-pass filtered at 12 Hz without delay.
 
         Args:
             motion: one clip without a batch axis.
@@ -92,7 +92,7 @@ class Feet:
             heels=smooth[:, :2],
             toes=smooth[:, 2:],
             pelvis=low_passed(joints[:, 0].numpy(), motion.fps),
-            forward=_forward(low_passed(joints.numpy(), motion.fps)),
+            forward=_facing_directions(low_passed(joints.numpy(), motion.fps)),
             bearing=bearing,
             times=times.numpy(),
             fps=motion.fps,
@@ -100,7 +100,7 @@ class Feet:
 
 
 def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.ndarray, "time ..."]:
-    """Low-pass at 12 Hz: a second-order Butterworth filter, applied forwards and backwards.
+    """Values after a 12 Hz low-pass (second-order Butterworth, forwards and backwards).
 
     Values at too low a rate to hold anything faster, or too few, are returned as they are.
     """
@@ -112,7 +112,7 @@ def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.nd
     return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(fps / 2)))
 
 
-def _forward(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 2"]:
+def _facing_directions(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 2"]:
     across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
     across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
     return np.stack((across[:, 1], -across[:, 0]), -1)
@@ -135,7 +135,7 @@ BEFORE_S, AFTER_S = 0.03, 0.12
 
 @dataclass(frozen=True)
 class GaitStance:
-    """One stance of a foot, from strike to toe-off."""
+    """One stance of a foot, from its strike to toe-off."""
 
     side: Side
     strike: int | None
@@ -150,9 +150,9 @@ class GaitStance:
 
 
 def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
-    """All stances of both feet in the order of time; those at the ends may lack an event."""
+    """All stances of both feet in time order; the first and last may lack an event."""
     count = len(feet.times)
-    found = [stance for side in range(2) for stance in _stances(feet, side)]
+    found = [stance for side in range(2) for stance in _stances_of_foot(feet, side)]
 
     def moment(stance: GaitStance) -> tuple[int, Side]:
         frames = stance.frames(count)
@@ -161,7 +161,7 @@ def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
     return tuple(sorted(found, key=moment))
 
 
-def _stances(feet: Feet, side: int) -> list[GaitStance]:
+def _stances_of_foot(feet: Feet, side: int) -> list[GaitStance]:
     strikes = _strike_frames(
         feet, side, _peaks(_distance_ahead(feet, feet.heels[:, side]), feet.fps)
     )
@@ -177,7 +177,7 @@ def _stances(feet: Feet, side: int) -> list[GaitStance]:
             found.append(GaitStance(SIDES[side], frame, after if then == "off" else None))
     if feet.bearing is None:
         return found
-    # the foot must be in contact with the ground at some moment
+    # stances without ground contact are no stances
     bearing = feet.bearing[:, side]
     return [one for one in found if bool(bearing[list(one.frames(len(bearing)))].any())]
 
@@ -187,29 +187,29 @@ def _distance_ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np
 
 
 def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " peaks"]:
-    """Frames at which values are largest nearby; near the ends one flank is enough."""
+    """Frames of local maxima; near the ends a rise on one side is enough."""
     from scipy.signal import find_peaks
 
     swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
     least = max(MIN_SWING_M, MIN_SWING_SHARE * swing)
     padded = np.pad(values, 1, constant_values=float(values.min()) - 2 * least)
     found = find_peaks(padded, prominence=least, distance=max(1, round(MIN_STRIDE_S * fps)))[0] - 1
-    # a maximum at either end is left out: the true one may be outside the data
+    # at the first or last frame the true maximum may lie outside the data
     return found[(found > 0) & (found < len(values) - 1)]
 
 
-def _strike_frames(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of strikes.
+def _strike_frames(feet: Feet, side: int, step_peaks: Int[np.ndarray, " steps"]) -> list[int]:
+    """Frames at which a foot strikes the ground.
 
     Near the frame with the heel farthest ahead, where the foot falls fastest.
 
     The foot must have swung before: a heel may be farthest ahead while the person still stands.
     """
-    swings = _speeds(feet, side) > LEAVING_M_S
+    swings = _toe_speeds(feet, side) > LEAVING_M_S
     middle = (feet.heels[:, side, 2] + feet.toes[:, side, 2]) / 2
     rise = np.gradient(middle) * feet.fps
     found: list[int] = []
-    for frame in ahead.tolist():
+    for frame in step_peaks.tolist():
         first = max(0, frame - round(BEFORE_S * feet.fps))
         last = min(len(rise), frame + round(AFTER_S * feet.fps) + 1)
         strike = first + int(np.argmin(rise[first:last]))
@@ -218,15 +218,15 @@ def _strike_frames(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> l
     return found
 
 
-def _toe_off_frames(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames of toe-off: the last frame in which the toes rest before they are farthest behind.
+def _toe_off_frames(feet: Feet, side: int, behind_peaks: Int[np.ndarray, " steps"]) -> list[int]:
+    """Frames of toe-off: the last frame of rest before the toes are farthest behind.
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.
     """
-    rests = _speeds(feet, side) < LEAVING_M_S
+    rests = _toe_speeds(feet, side) < LEAVING_M_S
     found: list[int] = []
-    for frame in behind.tolist():
-        # when the toes rest at their farthest point, toe-off comes after that rest
+    for frame in behind_peaks.tolist():
+        # toes that still rest when farthest behind leave the ground after that rest
         after = np.flatnonzero(~rests[frame : frame + round(SWING_S * feet.fps)])
         if len(after) == 0:
             continue
@@ -236,7 +236,7 @@ def _toe_off_frames(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) ->
     return found
 
 
-def _speeds(feet: Feet, side: int) -> Float[np.ndarray, " time"]:
+def _toe_speeds(feet: Feet, side: int) -> Float[np.ndarray, " time"]:
     """Speed of the toes over the ground, m/s."""
     velocity = np.gradient(feet.toes[:, side], axis=0) * feet.fps
     return np.linalg.norm(velocity, axis=-1)

@@ -1,4 +1,4 @@
-"""A laboratory report, as `recon.report` returns it: a page that needs no network, and a table."""
+"""The laboratory report that `recon.report` returns: an offline page and a table."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,7 +52,7 @@ _DECIMALS = {"m": 3, "s": 3, "m/s": 2, "steps/min": 1, "% of cycle": 1}
 
 @dataclass(frozen=True, repr=False)
 class LaboratoryReport:
-    """The gait of one trial with residuals and findings, to look at and to save."""
+    """A report on the gait of one trial, with residuals and findings."""
 
     title: str
     facts: Mapping[str, str]
@@ -71,7 +71,7 @@ class LaboratoryReport:
     """What was read, guessed or cut in reading the recording."""
 
     def page(self) -> str:
-        """The text of the page: HTML that needs no network.
+        """The report's page as HTML that needs no network.
 
         Raises:
             ReconError: when matplotlib is not installed.
@@ -85,27 +85,29 @@ class LaboratoryReport:
             parts = [
                 f"<h1>{escape(self.title)}</h1>",
                 f"<dl>{''.join(facts)}</dl>",
-                _box("<b>Read this first</b>" + _listed(self.warnings)) if self.warnings else "",
+                _warning_box("<b>Read this first</b>" + _html_list(self.warnings))
+                if self.warnings
+                else "",
                 "<h2>Time and distance</h2>",
-                _figures(gait),
+                _figures_html(gait),
                 "<h2>Gait events</h2>",
-                _scrolled(plot_steps(gait)) if gait.stances else _NO_STEPS,
-                _events(gait),
+                _scroll_box(plot_steps(gait)) if gait.stances else _NO_STEPS,
+                _events_html(gait),
                 "<h2>Joint angles</h2>",
-                _scrolled(plot_cycles(gait) if gait.cycles else plot_angles(gait)),
-                _ranges(gait),
+                _scroll_box(plot_cycles(gait) if gait.cycles else plot_angles(gait)),
+                _ranges_html(gait),
                 "<h2>Residuals</h2>",
                 "" if self.residuals else _NO_RESIDUALS,
                 *(
-                    f'<p class="quiet">{escape(one.name)}</p>{_scrolled(plot_residuals(one))}'
+                    f'<p class="quiet">{escape(one.name)}</p>{_scroll_box(plot_residuals(one))}'
                     for one in self.residuals
                 ),
-                *(f"<h2>{head}</h2>\n{_listed(lines)}" for head, lines in told if lines),
-                _folded("What was read and decided", _listed(self.decisions))
+                *(f"<h2>{head}</h2>\n{_html_list(lines)}" for head, lines in told if lines),
+                _html_details("What was read and decided", _html_list(self.decisions))
                 if self.decisions
                 else "",
                 "<h2>How this was told</h2>",
-                _methods(gait),
+                _methods_html(gait),
             ]
         body = "\n".join(part for part in parts if part)
         return (
@@ -116,7 +118,7 @@ class LaboratoryReport:
         )
 
     def table(self) -> str:
-        """The text of the table: comma-separated values, a row per number."""
+        """The report's table as comma-separated values, a row per number."""
         return table_of(self.gait)
 
     def save(
@@ -126,7 +128,7 @@ class LaboratoryReport:
         overwrite: bool = False,
         report: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write the page, and beside it the table, whose name ends in .csv instead.
+        """Write the page, and the table next to it with the ending .csv.
 
         Args:
             path: page to write.
@@ -146,7 +148,7 @@ class LaboratoryReport:
                 file.write_text(visible(text), encoding="utf-8")
 
     def __repr__(self) -> str:
-        """The most important figures in at most ten lines."""
+        """The most important gait parameters in at most ten lines."""
         gait = self.gait
         first = (
             f"LaboratoryReport: {self.title}, {len(gait.cycles_of('left'))} left and "
@@ -161,20 +163,20 @@ class LaboratoryReport:
 
 
 def outputs_of(page: Path) -> tuple[Output, Output]:
-    """The page and the table beside it, whose name ends in .csv instead."""
+    """The page, and the table next to it with the ending .csv, as outputs."""
     return Output(page), Output(page.with_suffix(".csv"))
 
 
-def _box(inside: str) -> str:
-    """The box with the findings that matter for the interpretation."""
+def _warning_box(inside: str) -> str:
+    """HTML of a highlighted box for findings that matter for the interpretation."""
     return f'<div class="warnings">{inside}</div>'
 
 
-def _listed(sentences: Iterable[str]) -> str:
+def _html_list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in sentences)}</ul>"
 
 
-def _figures(gait: Gait) -> str:
+def _figures_html(gait: Gait) -> str:
     if len(gait.cycles) == 0:
         return (
             "<p>There is no complete cycle of gait: no foot strikes the ground twice with its "
@@ -185,7 +187,7 @@ def _figures(gait: Gait) -> str:
     rows = [
         [
             f"{name} ({unit})",
-            *(_cell(cells.get((name, side))) for side in ("both", *SIDES)),
+            *(_figure_as_text(cells.get((name, side))) for side in ("both", *SIDES)),
         ]
         for name, unit in names
     ]
@@ -199,10 +201,10 @@ def _figures(gait: Gait) -> str:
         '<p class="quiet">Mean ± standard deviation over the cycles, and how many there are. '
         "Double support below zero means that both feet are off the ground.</p>"
     )
-    return _table(head, rows) + caption + (_box(turning) if turns else "")
+    return _html_table(head, rows) + caption + (_warning_box(turning) if turns else "")
 
 
-def _cell(figure: GaitFigure | None) -> str:
+def _figure_as_text(figure: GaitFigure | None) -> str:
     if figure is None:
         return "–"
     digits = _DECIMALS[figure.unit]
@@ -210,7 +212,7 @@ def _cell(figure: GaitFigure | None) -> str:
     return f"{figure.mean:.{digits}f}{spread} ({figure.count})"
 
 
-def _events(gait: Gait) -> str:
+def _events_html(gait: Gait) -> str:
     if len(gait.cycles) == 0:
         return ""
     head = [
@@ -232,11 +234,11 @@ def _events(gait: Gait) -> str:
         ]
         for cycle in gait.cycles
     ]  # fmt: skip
-    return _folded(f"All {len(rows)} cycles", _table(head, rows))
+    return _html_details(f"All {len(rows)} cycles", _html_table(head, rows))
 
 
-def _ranges(gait: Gait) -> str:
-    """Least and largest value of the mean curves."""
+def _ranges_html(gait: Gait) -> str:
+    """HTML table of the least and largest value of each mean curve."""
     if len(gait.cycles) == 0:
         return ""
     rows: list[list[str]] = []
@@ -251,27 +253,27 @@ def _ranges(gait: Gait) -> str:
             row += [f"{value:.1f}" for value in (mean.min(), mean.max(), np.ptp(mean))]
         rows.append(row)
     head = [f"{side} {what}" for side in SIDES for what in ("least", "largest", "range")]
-    return _folded("Ranges of the mean curves", _table(["degrees", *head], rows))
+    return _html_details("Ranges of the mean curves", _html_table(["degrees", *head], rows))
 
 
-def _folded(summary: str, inside: str) -> str:
+def _html_details(summary: str, inside: str) -> str:
     return f"<details><summary>{summary}</summary>{inside}</details>"
 
 
-def _scrolled(inside: str) -> str:
-    """A drawing or table that scrolls sideways where it is wider than the page, as on phones."""
+def _scroll_box(inside: str) -> str:
+    """HTML around a drawing or table that scrolls sideways if the page is narrow."""
     return f'<div class="scroll">{inside}</div>'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
     lines = "".join(
         f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
-    return _scrolled(f"<table><thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table>")
+    return _scroll_box(f"<table><thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table>")
 
 
-def _methods(gait: Gait) -> str:
+def _methods_html(gait: Gait) -> str:
     told = [
         "Steps are found where a heel is farthest ahead of the pelvis, and toes farthest behind, "
         "in the direction that the pelvis faces (Zeni et al. 2008). The foot strikes where its "
@@ -293,4 +295,4 @@ def _methods(gait: Gait) -> str:
             f"The person walks on a treadmill, whose belt runs at {gait.belt:.2f} m/s; lengths "
             "and speeds are relative to the belt."
         )
-    return _listed(told)
+    return _html_list(told)

@@ -1,4 +1,4 @@
-"""Plots of a laboratory report as SVG, drawn by matplotlib, which is imported only here."""
+"""Draws the plots of a laboratory report as SVG with matplotlib."""
 
 import io
 import re
@@ -18,7 +18,7 @@ from recon.gait.feet import SIDES
 
 @dataclass(frozen=True)
 class PointResiduals:
-    """Residuals of one source of data by the point that they belong to."""
+    """Residuals of one sensor by point, in its unit."""
 
     name: str
     """The observation, as its report names it."""
@@ -59,7 +59,7 @@ def matplotlib() -> Any:
 
 
 def plot_steps(gait: Gait) -> str:
-    """Stances of both feet along time: bars from strike to off."""
+    """Plot the stances of both feet over time as bars from strike to toe-off."""
     figure = _figure(1.7)
     axes = figure.subplots()
     first, last = float(gait.times[0]), float(gait.times[-1])
@@ -83,8 +83,8 @@ def plot_steps(gait: Gait) -> str:
 
 
 def plot_cycles(gait: Gait) -> str:
-    """Joint angles over the cycle: every cycle, mean and bands of both sides."""
-    figure = _panels(gait, _over_cycle, "cycle (%)")
+    """Plot joint angles over the cycle: every cycle, means and standard deviations."""
+    figure = _panels_of_angles(gait, _draw_over_cycle, "cycle (%)")
     drawn = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes]
     marks = {word: mark for panel in reversed(drawn) for mark, word in panel}
     figure.legend(
@@ -94,12 +94,12 @@ def plot_cycles(gait: Gait) -> str:
 
 
 def plot_angles(gait: Gait) -> str:
-    """Joint angles along time, for motions without cycles of gait."""
-    return _svg(_panels(gait, _along_time, "time (s)"), "angles")
+    """Plot joint angles over time, for motions without cycles of gait."""
+    return _svg(_panels_of_angles(gait, _draw_over_time, "time (s)"), "angles")
 
 
 def plot_residuals(found: PointResiduals) -> str:
-    """Residuals of one source of data, the largest first."""
+    """Plot the residuals of one sensor, the largest first."""
     rows = sorted(found.values.items(), key=lambda row: -row[1])[:MAX_POINTS]
     figure = _figure(2.6)
     axes = figure.subplots()
@@ -111,29 +111,31 @@ def plot_residuals(found: PointResiduals) -> str:
     return _svg(figure, f"residuals of {found.name}")
 
 
-def _panels(gait: Gait, panel: Callable[[Any, Gait, GaitCurve], None], across: str) -> Any:
-    """A panel for each angle, three in a row."""
+def _panels_of_angles(
+    gait: Gait, draw_panel: Callable[[Any, Gait, GaitCurve], None], x_label: str
+) -> Any:
+    """A figure with a panel for each angle, three in a row."""
     figure = _figure(10.0)
     grid = figure.subplots((len(CURVES) + 2) // 3, 3, sharex=True)
     for axes, curve in zip(grid.flat, CURVES, strict=True):
-        panel(axes, gait, curve)
+        draw_panel(axes, gait, curve)
     for axes in grid[-1]:
-        axes.set_xlabel(across)
+        axes.set_xlabel(x_label)
     for axes in grid[:, 0]:
         axes.set_ylabel("degrees")
     return figure
 
 
-def _along_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
+def _draw_over_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
     for side in SIDES if curve.sided else SIDES[:1]:
         colour = COLOURS[side] if curve.sided else "black"
         axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
-    # positive is the direction that the angle is named after, on both sides of the body
+    # "+" marks the positive direction of angles of the trunk
     title = curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
     axes.set_title(title, loc="left")
 
 
-def _over_cycle(axes: Any, gait: Gait, curve: GaitCurve) -> None:
+def _draw_over_cycle(axes: Any, gait: Gait, curve: GaitCurve) -> None:
     percent = np.arange(PERCENT)
     title = curve.title
     for side in SIDES:
@@ -162,15 +164,15 @@ def _over_cycle(axes: Any, gait: Gait, curve: GaitCurve) -> None:
 
 
 def _figure(height: float) -> Any:
-    """An empty figure as wide as a page, inches."""
+    """An empty figure as wide as a page; height in inches."""
     figures = import_module("matplotlib.figure")
     return figures.Figure(figsize=(9.0, height), layout="constrained")
 
 
 def _svg(figure: Any, name: str) -> str:
-    """The text of a drawing as an element of a page; the same drawing is the same text."""
+    """A figure as an SVG element for a page; equal figures give equal text."""
     text = io.StringIO()
-    # the salt enters the ids inside an SVG, which must differ between drawings of one page
+    # ids inside the SVGs of one page must differ, which the salt ensures
     with matplotlib().rc_context({"svg.hashsalt": name}):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
     svg = text.getvalue()

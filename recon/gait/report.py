@@ -31,7 +31,7 @@ def report(
     mapping: str | Path | None = None,
     body: BodyLike = None,
 ) -> LaboratoryReport:
-    """Analyse gait.
+    """Analyse the gait of a recording or motion.
 
     Events, cycles, joint angles, spatio-temporal parameters, and how reliable they are.
 
@@ -58,9 +58,9 @@ def report(
         source = convert(source, unit=unit, up=up, hand=hand, mapping=mapping, body=model)
     elif (unit, up, hand, mapping) != (None, None, None, None):
         raise FormatError(
-            f"{name}: unit, up, hand and mapping are of recordings; a motion has metres and z up"
+            f"{name}: unit, up, hand and mapping are options for recordings, not for motions"
         )
-    said = _report_beside(source)
+    said = _report_of_source(source)
     try:
         file = motion_given(source, model).file
     except FormatError as error:
@@ -68,11 +68,11 @@ def report(
             f"{error}; a report is made of recordings and motions: `recon fit` makes a motion of "
             "observations"
         ) from error
-    return _report(name, file, model, said)
+    return _laboratory_report(name, file, model, said)
 
 
-def _report_beside(source: MotionLike) -> Mapping[str, Any]:
-    """The report of a conversion or a fit; empty where there is none."""
+def _report_of_source(source: MotionLike) -> Mapping[str, Any]:
+    """The stored report of a conversion or fit; empty if there is none."""
     if isinstance(source, MotionResult):
         return source.report()
     if not isinstance(source, Path | str):
@@ -86,7 +86,7 @@ def _report_beside(source: MotionLike) -> Mapping[str, Any]:
     return {"warnings": [{"code": "report", "message": message}]}
 
 
-def _report(
+def _laboratory_report(
     name: str, file: MotionFile, body: BodyModel, said: Mapping[str, Any]
 ) -> LaboratoryReport:
     motion = file.motion
@@ -112,7 +112,7 @@ def _report(
             **({} if belt is None else {"treadmill": f"{float(belt.norm()):.2f} m/s"}),
         },
         gait=gait,
-        residuals=_residuals(said),
+        residuals=_residuals_of_report(said),
         warnings=tuple(_messages(said, "warnings")),
         repairs=tuple(_messages(said, "repairs")),
         notes=tuple(_messages(said, "diagnosis")),
@@ -121,7 +121,7 @@ def _report(
 
 
 def _messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
-    """The sentences of findings; residuals are drawn instead."""
+    """Messages of findings of one kind, without residuals, which are drawn."""
     return [
         str(one["message"])
         for one in said.get(kind, ())
@@ -129,8 +129,8 @@ def _messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
     ]
 
 
-def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
-    """Residuals by point, of a conversion or of every observation of a fit."""
+def _residuals_of_report(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
+    """Residuals by point, from the report of a conversion or of a fit's sensors."""
     found: list[PointResiduals] = []
     if isinstance(converted := said.get("residuals_mm"), Mapping):
         values = {name: float(value) for name, value in converted.items()}
@@ -149,7 +149,7 @@ def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """The written files, and the lines to print about them."""
+    """A report that was written, and the lines to print about it."""
 
     place: Path
     """The page."""
@@ -167,7 +167,7 @@ def report_file(
     mapping: Path | None = None,
     overwrite: bool = False,
 ) -> WrittenReport:
-    """Gait events, joint angles over the cycle, cadence, lengths and speed as one page.
+    """Write a page with gait events, joint angles over the cycle, cadence, lengths and speed.
 
     Of a recording (.c3d, .trc, .bvh, .amc, .mat) or a motion file. The page needs no network; the
     table beside it (.csv) has all its numbers. It needs matplotlib: pip install

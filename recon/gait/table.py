@@ -1,4 +1,4 @@
-"""The table of a laboratory report, one number per row."""
+"""Writes the table of a laboratory report, one number per row."""
 
 import csv
 import io
@@ -16,27 +16,27 @@ Row = tuple[str | int | float | None, ...]
 
 
 def table_of(gait: Gait) -> str:
-    """The text of the table: figures, then events, then every cycle and its angles."""
+    """The table as text: gait parameters, events, then every cycle and its angles."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)
-    for rows in (_figures(gait), _events(gait), _cycles(gait), _angles(gait)):
-        writer.writerows([_cell(value) for value in row] for row in rows)
+    for rows in (_figure_rows(gait), _event_rows(gait), _cycle_rows(gait), _angle_rows(gait)):
+        writer.writerows([_cell_text(value) for value in row] for row in rows)
     return text.getvalue()
 
 
-def _cell(value: str | int | float | None) -> str:
+def _cell_text(value: str | int | float | None) -> str:
     if value is None:
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _figures(gait: Gait) -> Iterator[Row]:
+def _figure_rows(gait: Gait) -> Iterator[Row]:
     for one in gait.figures:
         yield "figure", one.name, one.side, None, None, None, one.mean, one.std, one.unit
 
 
-def _events(gait: Gait) -> Iterator[Row]:
+def _event_rows(gait: Gait) -> Iterator[Row]:
     for one in gait.stances:
         for name, frame in (("foot strike", one.strike), ("foot off", one.off)):
             if frame is not None:
@@ -44,7 +44,7 @@ def _events(gait: Gait) -> Iterator[Row]:
                 yield "event", name, one.side, None, None, time, None, None, None
 
 
-def _cycles(gait: Gait) -> Iterator[Row]:
+def _cycle_rows(gait: Gait) -> Iterator[Row]:
     numbered = [(side, *row) for side in SIDES for row in enumerate(gait.cycles_of(side), 1)]
     for side, number, cycle in numbered:
         values = [(name, unit, factor, value(cycle)) for name, unit, factor, value in FIGURES]
@@ -53,7 +53,7 @@ def _cycles(gait: Gait) -> Iterator[Row]:
             yield "cycle", name, side, number, None, cycle.strike, told, None, unit
 
 
-def _angles(gait: Gait) -> Iterator[Row]:
+def _angle_rows(gait: Gait) -> Iterator[Row]:
     for curve in CURVES:
         for side in SIDES:
             curves, std = gait.curves(curve, side), gait.curve_std(curve, side)

@@ -8,7 +8,7 @@ from recon.formats.outputs import Output
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
-    # recon.view loads torch, which other verbs must not wait for
+    # imported here, since it loads torch, which other commands do not need
     from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)

@@ -1,4 +1,4 @@
-"""The conversion of one recording to our body, with its residuals, findings and decisions."""
+"""Converts recorded skeletons to motions of our body, with residuals, findings and notes."""
 
 import dataclasses
 import math
@@ -34,7 +34,7 @@ _FINGERS = ("finger", "thumb", "index", "mid", "ring", "pinky")
 
 @dataclass(frozen=True)
 class Conversion:
-    """A recording fitted with the body model, on the ground z = 0, at the wanted frame rate."""
+    """The body model's motion of a recording, on the ground z = 0, at the wanted frame rate."""
 
     motion: Motion
     joints: Float[Tensor, "time 22 3"]
@@ -68,7 +68,7 @@ class Conversion:
         return {name: [one.report() for one in found] for name, found in lists.items()}
 
     def file(self, body: BodyModel, *, contacts: bool = True) -> MotionFile:
-        """The motion with joints and, unless they are not to be trusted, contacts."""
+        """The motion as a file's contents, with joints and, if asked for, contacts."""
         return MotionFile(
             motion=self.motion,
             body=body.name,
@@ -80,7 +80,7 @@ class Conversion:
         )
 
     def save(self, path: str | Path, body: BodyModel, *, contacts: bool = True) -> None:
-        """Write `file` as an AMASS file."""
+        """Write the motion as an AMASS file."""
         save_motion(path, self.file(body, contacts=contacts))
 
 
@@ -91,7 +91,7 @@ def convert_skeletons(
     *,
     keep_frame: bool = False,
 ) -> list[Conversion]:
-    """Recordings of one calibrated skeleton and one rate, as a batch of independent clips.
+    """Convert recordings of one calibrated skeleton and one frame rate, as a batch of clips.
 
     With `keep_frame` they stay where the recording has them instead of standing on z = 0.
     """
@@ -99,12 +99,12 @@ def convert_skeletons(
     solved = solve(recordings, subject, body)
     names = tuple(JOINTS[joint] for joint in subject.skeleton.joints)
     return [
-        _finish(recording, found, names, body, soles, keep_frame)
+        _conversion_of(recording, found, names, body, soles, keep_frame)
         for recording, found in zip(recordings, solved, strict=True)
     ]
 
 
-def _finish(
+def _conversion_of(
     recording: SkeletonRecording,
     solved: Solved,
     names: tuple[str, ...],
@@ -112,8 +112,8 @@ def _finish(
     soles: Soles,
     keep_frame: bool,
 ) -> Conversion:
-    jumps = glitches(recording)
-    found = floored(
+    jumps = jump_frames(recording)
+    found = on_ground(
         solved.motion,
         dict(zip(names, (1000 * solved.residuals).tolist(), strict=True)),
         recording.decisions,
@@ -129,7 +129,7 @@ def _finish(
     return dataclasses.replace(found, report={**found.report, "slip_source_mps": slip})
 
 
-def floored(
+def on_ground(
     motion: Motion,
     residuals: Mapping[str, float],
     decisions: tuple[str, ...],
@@ -140,7 +140,7 @@ def floored(
     observed: Bool[Tensor, "time 22"] | None = None,
     keep_frame: bool = False,
 ) -> Conversion:
-    """A converted motion stood on the ground z = 0, with contact labels and a report.
+    """A fitted motion as a `Conversion`: moved onto the ground z = 0, with contact labels.
 
     The ground is the plane of the soles that stand (`recon.body.soles.Stance`): a tilted one is
     levelled, and the motion is lowered to it. With `keep_frame`, and where no foot is ever
@@ -173,7 +173,7 @@ def floored(
     values = list(residuals.values())
     plane = (0.0, 0.0, 1.0, 0.0)
     if keep_frame:
-        plane = _plane_before(given, motion, body)
+        plane = _ground_in_given_frame(given, motion, body)
         notes = [f"the recording's frame was kept, z up; the soles stand at {plane[3]:.3f} m"]
     judged = (
         rate_finding(motion, body, observed),
@@ -210,10 +210,10 @@ def floored(
     )
 
 
-def _plane_before(
+def _ground_in_given_frame(
     given: Motion, moved: Motion, body: BodyModel
 ) -> tuple[float, float, float, float]:
-    """The plane z = 0 of a motion that was moved rigidly, in the frame in which it was given."""
+    """The ground z = 0 of a moved motion, as a plane in the frame of the motion as given."""
     here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
     turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
     normal = turn[2]  # the vector that the rotation maps to z
@@ -223,7 +223,7 @@ def _plane_before(
 
 
 def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
-    """A conversion at another rate; contacts are those of the nearest recorded frame."""
+    """A conversion at another frame rate, with the contacts of the nearest recorded frames."""
     motion = found.motion.resample(fps)
     place = (motion.times - found.motion.start_time) * found.motion.fps
     nearest = place.round().long().clamp(max=found.motion.frames - 1)
@@ -239,8 +239,8 @@ def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
     )
 
 
-def glitches(recording: SkeletonRecording) -> tuple[int, ...]:
-    """Frames after which a joint jumps: it would have to be faster than 20 m/s.
+def jump_frames(recording: SkeletonRecording) -> tuple[int, ...]:
+    """Frames after which a joint jumps, that is, moves faster than 20 m/s.
 
     Joints below the wrists and tips of bones are not asked.
     """

@@ -1,4 +1,4 @@
-"""Correspondences of the joints of recorded skeletons to ours: known ones, or from a file."""
+"""Finds our joints in recorded skeletons, by known names or by a user's file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from recon.mocap.reader import (
     NEEDED,
     SkeletonTable,
     known_skeletons,
-    plain,
+    plain_joint_name,
     skeleton_among,
 )
 from recon.mocap.recording import SkeletonRecording
@@ -28,7 +28,7 @@ from recon.mocap.trees import joints_by_tree
 
 @dataclass(frozen=True)
 class SkeletonMap:
-    """Our joints in a recorded skeleton; feet come last, so that they are one run of rows."""
+    """Which joint of a recorded skeleton is which of ours; ankles and toes come last."""
 
     name: str
     positions: tuple[tuple[int, str], ...]
@@ -38,22 +38,22 @@ class SkeletonMap:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Our joints whose positions are known."""
+        """Our joints whose positions the recording has."""
         return tuple(joint for joint, _ in self.positions)
 
     @property
     def bones(self) -> tuple[int, ...]:
-        """Our joints whose bones' orientations are known."""
+        """Our joints whose bones' orientations the recording has."""
         return tuple(joint for joint, _ in self.orientations)
 
     @property
     def feet(self) -> tuple[int, int]:
-        """First and last + 1 of the rows of `positions` that are ankles and toes."""
+        """Range of the rows of `positions` that are ankles and toes."""
         return sum(joint not in FEET for joint in self.joints), len(self.joints)
 
 
 def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -> SkeletonMap:
-    """The joints of a recording that are ours.
+    """Find our joints among the joints of a recording.
 
     Args:
         recording: of any skeleton.
@@ -65,9 +65,9 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
         FileNotFoundError: when there is no such mapping file.
         ValueError: when the skeleton is not known, or the file names joints that do not exist.
     """
-    theirs = {plain(name): name for name in recording.joint_names}
+    their_names = {plain_joint_name(name): name for name in recording.joint_names}
     if mapping is not None:
-        return _user_map(Path(mapping), theirs, recording)
+        return _user_map(Path(mapping), their_names, recording)
     try:
         name = skeleton_among(recording.joint_names, recording.name)
     except FormatError:
@@ -75,11 +75,15 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
         if joints is None:
             raise
         said = ", ".join(f"{ours} = {joint}" for ours, joint in joints.items())
-        return _build(f"told by the tree of its joints ({said})", {"joints": joints}, theirs)
-    return _build(name, known_skeletons()[name], theirs)
+        return _skeleton_map(
+            f"told by the tree of its joints ({said})", {"joints": joints}, their_names
+        )
+    return _skeleton_map(name, known_skeletons()[name], their_names)
 
 
-def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecording) -> SkeletonMap:
+def _user_map(
+    path: Path, their_names: Mapping[str, str], recording: SkeletonRecording
+) -> SkeletonMap:
     if not path.is_file():
         raise FileNotFoundError(f"no skeleton mapping at {path}; expected a TOML file")
     table = read_toml(path)
@@ -91,27 +95,27 @@ def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecordin
     for part in table.values():
         for ours, joint in part.items():
             joint_index(ours)
-            if not isinstance(joint, str) or plain(joint) not in theirs:
+            if not isinstance(joint, str) or plain_joint_name(joint) not in their_names:
                 raise ReconError(
                     f"{path}: {ours} = {joint!r}, but {recording.name} has "
                     f"{', '.join(recording.joint_names)}"
                 )
-    found = _build(path.stem, cast(SkeletonTable, table), theirs)
+    found = _skeleton_map(path.stem, cast(SkeletonTable, table), their_names)
     if missing := [n for n in NEEDED if joint_index(n) not in found.joints]:
         raise ReconError(f"{path}: positions of {', '.join(missing)} are needed for a full body")
     return found
 
 
-def _build(name: str, table: SkeletonTable, theirs: Mapping[str, str]) -> SkeletonMap:
+def _skeleton_map(name: str, table: SkeletonTable, their_names: Mapping[str, str]) -> SkeletonMap:
     both = dict(table.get("joints", {}))
     positions = both | dict(table.get("positions", {}))
     orientations = both | dict(table.get("orientations", {}))
 
-    def ordered(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
+    def joints_feet_last(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
         numbers = sorted(map(joint_index, part), key=lambda j: (j in FEET, j))
-        return tuple((j, theirs[plain(part[JOINTS[j]])]) for j in numbers)
+        return tuple((j, their_names[plain_joint_name(part[JOINTS[j]])]) for j in numbers)
 
-    return SkeletonMap(name, ordered(positions), ordered(orientations))
+    return SkeletonMap(name, joints_feet_last(positions), joints_feet_last(orientations))
 
 
 _WORST_BONE = 40.0
@@ -129,7 +133,7 @@ _CHILD = {
 def alignments_from_rest(
     recording: SkeletonRecording, skeleton: SkeletonMap, body: BodyModel
 ) -> Float[Tensor, "bones 3 3"] | None:
-    """Alignment of every mapped bone, or None where the zero pose is no T-pose.
+    """Rotation from every mapped bone to ours; None if the recorded zero pose is no T-pose.
 
     At zero rotations every recorded bone has orientation I in the file's axes. Our body is laid
     on it (Q, orthogonal Procrustes of the joints) and each limb swung to the recorded direction

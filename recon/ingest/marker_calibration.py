@@ -1,4 +1,4 @@
-"""The shape of a body and the offsets of its markers, found with the poses of some frames."""
+"""Calibrates a body to its markers: shape, marker offsets, and the poses of some frames."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ _DAMPING = 1e-2
 
 @dataclass(frozen=True)
 class Calibrated(TensorStruct):
-    """Poses of frames with their shared shape and marker offsets."""
+    """The poses of some frames, with the shape and marker offsets that they share."""
 
     poses: Poses
     shape: Float[Tensor, " shape"]
@@ -35,7 +35,7 @@ class Calibrated(TensorStruct):
 
 @dataclass(frozen=True)
 class SubjectEnergies(Problem[Calibrated]):
-    """Joint energies of poses, shape and marker offsets.
+    """Energies of poses, shape and marker offsets together.
 
     They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
     the squared distances of offsets from expected ones, each with a weight.
@@ -58,7 +58,7 @@ class SubjectEnergies(Problem[Calibrated]):
     """Whether offsets are moved; the shape always is."""
 
     def of(self, shape: Tensor, offsets: Tensor) -> PoseEnergies:
-        """The energies of the poses of a body with this shape and these offsets."""
+        """The energies of poses of a body whose shape and marker offsets are known."""
         under = self.under
         return replace(
             self.poses,
@@ -68,15 +68,15 @@ class SubjectEnergies(Problem[Calibrated]):
         )
 
     def frames(self, index: Int[Tensor, " frames"]) -> "SubjectEnergies":
-        """The energies of some frames."""
+        """The same energies for some of the frames."""
         return replace(self, poses=self.poses.frames(index))
 
     def value(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
-        """The whole energy."""
-        value, _ = self.of(x.shape, x.offsets).look(x.poses, self._frames)
-        return self._whole(x, value).expand(len(rows), 1)
+        """The total energy of poses, shape and marker offsets."""
+        value, _ = self.of(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
+        return self._total_energy(x, value).expand(len(rows), 1)
 
-    def _whole(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
+    def _total_energy(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
         away = (x.offsets - self.nominal).square().sum(-1)
         common = self.stature * x.shape.square().sum() + 0.5 * self.stiffness @ away
         return value.double().sum() + len(value) * common.double()
@@ -84,7 +84,7 @@ class SubjectEnergies(Problem[Calibrated]):
     def moved(
         self, x: Calibrated, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Calibrated:
-        """The state after steps of the poses, of the shape and of the offsets."""
+        """The poses, shape and marker offsets after a step of each."""
         del rows
         count, poses, offsets = len(x.shape), len(self._frames), x.offsets
         moved = 3 * len(offsets) if self.with_offsets else 0
@@ -96,9 +96,9 @@ class SubjectEnergies(Problem[Calibrated]):
         return Calibrated(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
 
     def model(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """The energy about a state, with a border of the shape and the offsets."""
+        """Quadratic model of the energy, in which shape and offsets border the poses' blocks."""
         energies, poses = self.of(x.shape, x.offsets), x.poses
-        value, gradient = energies.look(poses, self._frames)
+        value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
         grown = energies.markers.by_shape(poses, self.body)
@@ -132,7 +132,7 @@ class SubjectEnergies(Problem[Calibrated]):
             slope = torch.cat((slope, drawn.flatten()))
         inner = energies.curvature(poses, self._frames)[:, None]
         return Quadratic(
-            self._whole(x, value).expand(len(rows), 1),
+            self._total_energy(x, value).expand(len(rows), 1),
             torch.cat((gradient.flatten(), slope))[None],
             [Banded(inner, border, corner)],
         )
@@ -148,7 +148,7 @@ def calibrated(
     rotations: Float[Tensor, "frames 22 3 3"],
     sigma: float,
 ) -> Calibrated:
-    """Poses, shape and offsets from rough poses of the average body.
+    """Find poses, shape and marker offsets, starting at rough poses of the average body.
 
     Args:
         energies: of all frames.
@@ -162,13 +162,13 @@ def calibrated(
     robust = replace(energies, poses=replace(energies.poses, sigma=sigma), with_offsets=True)
     average = plain.of(shape, energies.nominal)
     rough = LevenbergMarquardt(tolerance=_ROUGH, damping=_DAMPING)
-    poses = minimise_frames(average, average.begun(translation, rotations), rough).state
+    poses = minimise_frames(average, average.poses_of(translation, rotations), rough).state
     few = torch.arange(0, len(translation), _EVERY)
     state = Calibrated(poses[few], shape, energies.nominal)
     state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
     state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
     of_subject = robust.of(state.shape, state.offsets)
-    began = of_subject.begun(poses.translation, poses.rotations)
+    began = of_subject.poses_of(poses.translation, poses.rotations)
     poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
     state = Calibrated(poses, state.shape, state.offsets)
     return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

@@ -1,4 +1,4 @@
-"""A recording of markers as a motion of our body: checked, fitted, and checked again."""
+"""Converts a recording of markers to a motion of our body, with checks before and after."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
-from recon.ingest.conversion import Conversion, floored
+from recon.ingest.conversion import Conversion, on_ground
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     pair_finding,
@@ -25,7 +25,7 @@ from recon.ingest.marker_findings import (
     marker_findings,
     marker_residuals,
 )
-from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_places
+from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_positions
 from recon.ingest.marker_frames import jump_findings
 from recon.ingest.marker_gaps import gap_findings, trimmed
 from recon.ingest.marker_sets import (
@@ -54,7 +54,7 @@ def convert_markers(
     keep_frame: bool = False,
     hand: Hand | None = None,
 ) -> Conversion:
-    """A recording of markers on a body, its legs or its trunk as a motion of our body.
+    """Convert a recording of markers on a body, its legs or its trunk to our body's motion.
 
     Labels that change over between markers are put right first, and labels that do not fit any
     body after a first fit. Frames before the first and after the last with enough markers are
@@ -75,12 +75,14 @@ def convert_markers(
     with one_thread():
         markers = full_body_markers(recording, body, mapping)
         recording = right_handed_markers(recording, markers, hand)
-        return _converted(fitted_markers(recording, body, markers), markers, body, keep_frame)
+        return _conversion_of_fit(
+            fitted_markers(recording, body, markers), markers, body, keep_frame
+        )
 
 
 @dataclass(frozen=True)
 class FittedMarkers:
-    """Markers with corrected labels, and the body fitted to them."""
+    """A recording with corrected labels, and the body's motion fitted to its markers."""
 
     recording: MarkerRecording
     """The known markers under labels that fit, from the first to the last frame that places a
@@ -125,65 +127,68 @@ def fitted_markers(
     kind = "keypoints" if markers.inside else "markers"
     used = f"{len(markers.labels) - len(lost)} {kind} used{left}"
     said = (*recording.decisions, *markers.decisions, used, *cut)
-    return FittedMarkers(chosen, fit, tuple(repairs), _left_out(lost), said)
+    return FittedMarkers(chosen, fit, tuple(repairs), _left_out_finding(lost), said)
 
 
 def _far_markers(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
-    """Markers that are far from their fitted positions in most of their frames."""
+    """Mask of markers that are far from their fitted positions in most of their frames."""
     far = (marker_distances(fit, recording) > FAR) & recording.visible
     return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
 
 
-def _left_out(lost: list[str]) -> tuple[Finding, ...]:
-    if not lost:
+def _left_out_finding(labels: list[str]) -> tuple[Finding, ...]:
+    if not labels:
         return ()
     said = (
-        f"{listed(lost)}: left out, for most frames have them more than {100 * FAR:.0f} cm from "
+        f"{listed(labels)}: left out, for most frames have them more than {100 * FAR:.0f} cm from "
         "their places on the body; look for virtual points, exchanged labels and ghosts, or say "
         "where they sit with --mapping"
     )
-    return (Finding("outliers", said, tuple(lost), value=float(len(lost))),)
+    return (Finding("outliers", said, tuple(labels), value=float(len(labels))),)
 
 
-def _converted(
+def _conversion_of_fit(
     found: FittedMarkers, markers: MarkerSet, body: BodyModel, keep_frame: bool
 ) -> Conversion:
     fit, chosen = found.fit, found.recording
-    mended, jumps = jump_findings(fit.unmade, fit.mended)
+    repaired, jumps = jump_findings(fit.unsupported, fit.repaired)
     warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
     warnings += marker_findings(fit, chosen, markers)
-    converted = floored(
+    converted = on_ground(
         fit.motion,
         marker_residuals(fit, chosen),
         found.decisions,
         body,
         Soles.of(body),
-        n_glitch=int(fit.unmade.any(-1).sum()),
+        n_glitch=int(fit.unsupported.any(-1).sum()),
         observed=fit.observed,
         keep_frame=keep_frame,
     )
     return dataclasses.replace(
         converted,
-        diagnosis=(*converted.diagnosis, *_by_time(fit, chosen)),
-        repairs=(*converted.repairs, *found.repairs, *mended),
+        diagnosis=(*converted.diagnosis, *_residual_findings(fit, chosen)),
+        repairs=(*converted.repairs, *found.repairs, *repaired),
         warnings=(*converted.warnings, *warnings),
     )
 
 
 def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
-    """Mean distance of visible markers from their places, metres."""
+    """Mean distance of visible markers from their fitted positions, metres."""
     return float(marker_distances(fit, recording)[recording.visible].mean())
 
 
 def _with_better_labels(
     recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
 ) -> tuple[MarkerRecording, Finding] | None:
-    """The recording with corrected labels that fit a body better, and a note; None if none do."""
+    """The recording with labels that fit a body better, and a finding; None if there are none."""
     labels = recording.marker_names
     pairs = exchanged_throughout(
-        labels, recording.positions, recording.visible, nominal_places(fit, markers, body).numpy()
+        labels,
+        recording.positions,
+        recording.visible,
+        nominal_positions(fit, markers, body).numpy(),
     )
     sides = side_pairs(list(labels))
     choices = [
@@ -204,7 +209,7 @@ def _with_better_labels(
 
 
 def _evenly_spaced(recording: MarkerRecording) -> MarkerRecording:
-    """A number of frames, evenly spread over the recording."""
+    """A recording of a few frames, evenly spread over the given one."""
     index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
     return dataclasses.replace(
         recording, positions=recording.positions[index], visible=recording.visible[index]
@@ -219,8 +224,8 @@ def _sides_finding() -> Finding:
     )
 
 
-def _by_time(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
-    """The mean residual of every second."""
+def _residual_findings(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
+    """A finding where the mean residual of some seconds is unusually high."""
     away = marker_distances(fit, recording)
     step = max(1, round(recording.fps))
     found: list[Finding] = []

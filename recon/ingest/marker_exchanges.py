@@ -1,4 +1,4 @@
-"""Pairs of markers with exchanged labels, from some frame on or throughout.
+"""Finds pairs of markers whose labels are exchanged, from some frame on or throughout.
 
 A label that changes over shows twice: two markers jump to each other's places within a frame, and
 the markers lie where the body has the other one.
@@ -25,14 +25,14 @@ _BETTER = 0.5
 
 
 def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
-    """The recording with exchanges of labels undone, and the findings about them.
+    """The recording with exchanged labels put right, and the findings about them.
 
     Between two exchanges of the same pair the shorter part is taken for the wrong one; of one
     exchange, the shorter of the parts before and after it.
     """
     positions, visible = recording.positions.copy(), recording.visible.copy()
     wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]] = {}
-    for a, b in _candidates(recording):
+    for a, b in _pairs_that_jump(recording):
         flips = _frames_of_exchange(positions[:, [a, b]], visible[:, [a, b]])
         if not flips.any() or flips.sum() > max(2, len(flips) // 8):
             continue
@@ -47,8 +47,8 @@ def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Fin
     return repaired, _stretch_findings(recording.marker_names, wrong)
 
 
-def _candidates(recording: MarkerRecording) -> list[tuple[int, int]]:
-    """Pairs of markers that step far in the same frame."""
+def _pairs_that_jump(recording: MarkerRecording) -> list[tuple[int, int]]:
+    """Pairs of markers that both move far between the same two frames."""
     both = recording.visible[1:] & recording.visible[:-1]
     steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=-1) * both
     jumps = steps > _APART
@@ -60,7 +60,7 @@ def _candidates(recording: MarkerRecording) -> list[tuple[int, int]]:
 def _frames_of_exchange(
     x: Float[np.ndarray, "time 2 3"], visible: Bool[np.ndarray, "time 2"]
 ) -> Bool[np.ndarray, " time"]:
-    """Frames to which two markers go by exchanging places."""
+    """Mask of frames at which two markers jump to each other's position."""
     seen = np.all(visible, axis=1)
     seen = np.concatenate(([False], seen[1:] & seen[:-1]))
     before = np.concatenate((x[:1], x[:-1]))
@@ -100,22 +100,22 @@ def exchanged_throughout(
     labels: Sequence[str],
     positions: Float[np.ndarray, "time markers 3"],
     visible: Bool[np.ndarray, "time markers"],
-    places: Float[np.ndarray, "time markers 3"],
+    fitted_positions: Float[np.ndarray, "time markers 3"],
 ) -> list[tuple[int, int]]:
-    """Pairs of markers that lie in each other's place on the body throughout.
+    """Pairs of markers that lie at each other's position on the body in all frames.
 
     Args:
         labels: of the markers.
         positions: of the markers, metres.
         visible: whether each is seen.
-        places: where the body has markers of these labels, without offsets of their own.
+        fitted_positions: where the body has markers of these labels, without offsets of their own.
     """
     count = len(labels)
     away = np.full((count, count), np.nan)
     for a in range(count):
         seen = visible[:, a]
         if seen.any():
-            there = positions[seen, a][:, None] - places[seen]
+            there = positions[seen, a][:, None] - fitted_positions[seen]
             away[a] = np.median(np.linalg.norm(there, axis=-1), axis=0)
     own = np.diag(away)
     pairs = [
@@ -135,7 +135,7 @@ def exchanged_throughout(
 def with_exchanged(
     recording: MarkerRecording, pairs: Sequence[tuple[int, int]]
 ) -> MarkerRecording:
-    """The recording with the markers of these pairs under each other's label."""
+    """The recording with the labels of these pairs of markers exchanged."""
     order = list(range(len(recording.marker_names)))
     for a, b in pairs:
         order[a], order[b] = b, a
@@ -174,7 +174,7 @@ def mirrored(label: str) -> str | None:
 
 
 def pair_finding(labels: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Finding:
-    """The finding about labels that were exchanged throughout."""
+    """The finding that the labels of these pairs were exchanged in all frames."""
     names = tuple(labels[k] for pair in pairs for k in pair)
     what = listed([f"{labels[a]} with {labels[b]}" for a, b in pairs])
     return Finding(

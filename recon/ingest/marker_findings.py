@@ -26,7 +26,7 @@ _MOVED = 0.15
 
 
 def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str, float]:
-    """Mean distance of every marker that is ever visible from its place, millimetres."""
+    """Mean distance of every visible marker from its fitted position, millimetres."""
     away, seen = marker_distances(fit, recording), recording.visible
     frames = seen.sum(0)
     mean = (away * seen).sum(0) / frames.clip(min=1)
@@ -40,9 +40,9 @@ def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str,
 def marker_findings(
     fit: MarkerFit, recording: MarkerRecording, markers: MarkerSet
 ) -> list[Finding]:
-    """Markers that stand still, leave their places, or sit elsewhere than their names say."""
+    """Findings about markers that stand still, come off, or sit elsewhere than their names say."""
     away, seen = marker_distances(fit, recording), recording.visible
-    constant = _constant(fit, recording)
+    constant = _standing_markers(fit, recording)
     far = (away > FAR) & seen
     often = far.sum(0) > _OFTEN * seen.sum(0).clip(min=1)
     offset = (fit.offsets - markers.nominal).norm(dim=-1).numpy()
@@ -50,16 +50,16 @@ def marker_findings(
     found: list[Finding] = []
     labels = recording.marker_names
 
-    def names(flags: np.ndarray) -> tuple[str, ...]:
+    def flagged(flags: np.ndarray) -> tuple[str, ...]:
         return tuple(label for label, flag in zip(labels, flags, strict=True) if flag)
 
     if constant.any():
         found.append(
             Finding(
                 "constant point",
-                f"{listed(names(constant))} stay in one place in the room while the body moves; "
+                f"{listed(flagged(constant))} stay in one place in the room while the body moves; "
                 "they hardly count, but delete or relabel them",
-                names(constant),
+                flagged(constant),
                 value=float(constant.sum()),
             )
         )
@@ -68,12 +68,12 @@ def marker_findings(
         found.append(
             Finding(
                 "outliers",
-                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their places on "
-                f"the body in up to {100 * _share(far, seen, wild):.0f} % of their frames: look "
+                f"{listed(flagged(wild))} are more than {100 * FAR:.0f} cm from their place "
+                f"it in up to {100 * _most_far(far, seen, wild):.0f} % of their frames: look "
                 "for exchanged labels, ghosts and loose markers",
-                names(wild),
+                flagged(wild),
                 stretches(np.any(far[:, wild], axis=1)),
-                _share(far, seen, wild),
+                _most_far(far, seen, wild),
             )
         )
     elsewhere = (offset > limit) & ~wild & ~constant & seen.any(0)
@@ -82,9 +82,9 @@ def marker_findings(
         found.append(
             Finding(
                 "offset point",
-                f"{listed(names(elsewhere))} sit up to {100 * most:.0f} cm from where their names "
-                "say: check the labels, or say where they sit with --mapping",
-                names(elsewhere),
+                f"{listed(flagged(elsewhere))} sit up to {100 * most:.0f} cm from where their "
+                "names say: check the labels, or say where they sit with --mapping",
+                flagged(elsewhere),
                 value=most,
             )
         )
@@ -101,12 +101,12 @@ def marker_findings(
     return found
 
 
-def _share(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
+def _most_far(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
     return float((far[:, chosen].sum(0) / seen[:, chosen].sum(0).clip(min=1)).max())
 
 
-def _constant(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
-    """Markers that stay within millimetres while their place on the body moves."""
+def _standing_markers(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
+    """Mask of markers that stay within millimetres while the body under them moves."""
     still = np.zeros(len(recording.marker_names), dtype=bool)
     for marker in range(len(still)):
         seen = recording.visible[:, marker]
@@ -120,5 +120,5 @@ def _constant(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
 def marker_distances(
     fit: MarkerFit, recording: MarkerRecording
 ) -> Float[np.ndarray, "time markers"]:
-    """Distance of every marker from its place on the body, metres; visible or not."""
+    """Distance of every marker from its fitted position, metres, whether visible or not."""
     return np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)

@@ -19,13 +19,13 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.ingest.marker_calibration import Calibrated, SubjectEnergies, calibrated
-from recon.ingest.marker_frames import mended_frames, solved_apart, solved_in_turn
+from recon.ingest.marker_frames import repaired_frames, solved_apart, solved_together
 from recon.ingest.marker_gaps import (
-    between,
-    bridged,
+    interpolated,
     observed_joints,
     placed_frames,
     turned_joints,
+    with_gaps_filled,
 )
 from recon.ingest.marker_neighbours import frames_about_gaps, joined_in_time
 from recon.ingest.marker_poses import (
@@ -65,7 +65,7 @@ GROUND_WEIGHT = 20.0
 
 @dataclass(frozen=True)
 class MarkerFit:
-    """A body moved to meet markers."""
+    """The motion of a body fitted to markers, with the markers' offsets from the skin."""
 
     motion: Motion
     offsets: Float[Tensor, "markers 3"]
@@ -75,14 +75,14 @@ class MarkerFit:
     offset."""
     observed: Bool[Tensor, "time 22"]
     """Joints whose place a fitted marker shows; all others are inferred."""
-    mended: Bool[Tensor, " time"]
+    repaired: Bool[Tensor, " time"]
     """Frames that were solved again because the body left its markers there."""
-    unmade: Bool[Tensor, "steps 22"]
+    unsupported: Bool[Tensor, "steps 22"]
     """Steps to the next frame in which a joint still moves and no marker about it does."""
 
 
 def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> MarkerFit:
-    """Shape and offsets from some frames, then the pose of all frames.
+    """Fit shape and marker offsets to some frames, then the poses of all frames.
 
     Args:
         recording: of exactly these markers, in their order.
@@ -101,15 +101,15 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
                 f"{recording.name}: no frame shows enough markers of one body to place it; there "
                 f"are {int(visible.sum(-1).max())} of {len(markers.labels)} at most"
             )
-        chosen = _well_seen(visible, shown)
+        chosen = _frames_with_most_markers(visible, shown)
         subject = _energies(recording, markers, body)
-        found = _calibrated(subject.frames(chosen), bones)
+        found = _calibrated_to_frames(subject.frames(chosen), bones)
         offsets, poses = found.offsets, found.poses
         motion = Motion.create(poses.translation, poses.rotations, found.shape, recording.fps)
         energies = subject.of(found.shape, offsets)
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
-        motion = solved_apart(energies, keys, between(motion, chosen, keys))
+        motion = solved_apart(energies, keys, interpolated(motion, chosen, keys))
         about = frames_about_gaps(visible, recording.fps) & shown
         if bool(about.any()):
             points = partial(SkinPoints.of, body, found.shape, subject.vertices)
@@ -117,25 +117,25 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
                 energies, points, offsets, bones, motion, keys, about
             )
         energies = energies.frames(placed)
-        motion = solved_in_turn(energies, between(motion, keys, placed))
-        motion, changed, unmade = mended_frames(
+        motion = solved_together(energies, interpolated(motion, keys, placed))
+        motion, changed, unsupported = repaired_frames(
             energies, bones, lambda motion: body.pose(motion).joints, motion
         )
-        motion = bridged(motion, placed, turned_joints(visible, bones))
+        motion = with_gaps_filled(motion, placed, turned_joints(visible, bones))
         motion = motion.replace(start_time=recording.start_time)
-        predicted = _predicted(motion, offsets, subject.vertices, body)
+        predicted = _marker_positions(motion, offsets, subject.vertices, body)
     return MarkerFit(
         motion,
         offsets,
         predicted,
         observed=observed_joints(visible, markers.vertices, body),
-        mended=_spread(changed, placed, recording.frames),
-        unmade=_spread(unmade, placed[1:] - 1, recording.frames - 1),
+        repaired=_among_all_frames(changed, placed, recording.frames),
+        unsupported=_among_all_frames(unsupported, placed[1:] - 1, recording.frames - 1),
     )
 
 
 def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> SubjectEnergies:
-    """The energies of all frames, at 30 Hz, of a subject whose shape and offsets are not known."""
+    """Energies of all frames of a subject whose shape and marker offsets are still unknown."""
     visible, vertices = torch.from_numpy(recording.visible), torch.tensor(markers.vertices)
     positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)
     rate, average = REFERENCE_FPS / recording.fps, positions.new_zeros(body.shape_size)
@@ -157,7 +157,7 @@ def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -
     return SubjectEnergies(
         body=body,
         vertices=vertices,
-        under=Soles.of(body).points.flatten() if stands_on_zero(recording) else None,
+        under=Soles.of(body).points.flatten() if ground_is_zero(recording) else None,
         nominal=markers.nominal,
         stiffness=torch.where(loose, LOOSE_WEIGHT, BONY_WEIGHT),
         stature=SHAPE_WEIGHT,
@@ -166,8 +166,8 @@ def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -
     )
 
 
-def _calibrated(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
-    """Shape, offsets and poses of some frames, which count as 30 a second, without order."""
+def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
+    """Shape, marker offsets and poses of some frames, taken as independent of each other."""
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)
     start = rigid_start(
@@ -178,15 +178,15 @@ def _calibrated(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
     return calibrated(replace(some, poses=poses), start.translation, rotations, OUTLIER)
 
 
-def nominal_places(
+def nominal_positions(
     fit: MarkerFit, markers: MarkerSet, body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
-    """Positions of markers placed exactly at their landmarks on a fitted body, metres."""
+    """Positions that markers exactly at their landmarks would have on a fitted body, metres."""
     with torch.no_grad():
-        return _predicted(fit.motion, markers.nominal, torch.tensor(markers.vertices), body)
+        return _marker_positions(fit.motion, markers.nominal, torch.tensor(markers.vertices), body)
 
 
-def _predicted(
+def _marker_positions(
     motion: Motion, offsets: Tensor, vertices: Int[Tensor, " markers"], body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
     points = SkinPoints.of(body, motion.shape, vertices, offsets)
@@ -194,17 +194,19 @@ def _predicted(
     return points.places(Poses.of(motion.translation, motion.rotations, rest)).mT
 
 
-def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) -> Tensor:
-    """Flags of some rows among all rows; false elsewhere."""
-    everything = torch.zeros(count, *some.shape[1:], dtype=torch.bool)
-    everything[index] = some
+def _among_all_frames(
+    values: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int
+) -> Tensor:
+    """Flags of `count` rows: those given, at the rows `index`, and false elsewhere."""
+    everything = torch.zeros(count, *values.shape[1:], dtype=torch.bool)
+    everything[index] = values
     return everything
 
 
-def _well_seen(
+def _frames_with_most_markers(
     visible: Bool[Tensor, "time markers"], placed: Bool[Tensor, " time"]
 ) -> Int[Tensor, " chosen"]:
-    """Frames evenly over the recording, among those that show most markers.
+    """Frames spread over the recording, among those that show most markers.
 
     Frames that show fewer are taken where a marker would be seen in hardly any frame otherwise:
     its offset is found from these frames alone.
@@ -221,8 +223,8 @@ def _well_seen(
     return chosen
 
 
-def stands_on_zero(recording: MarkerRecording) -> bool:
-    """Whether z = 0 is the ground: the lowest markers are as high as markers on feet are."""
+def ground_is_zero(recording: MarkerRecording) -> bool:
+    """Whether z = 0 is the ground: the lowest markers are as high as markers on a foot."""
     low = np.where(recording.visible, recording.positions[..., 2], np.inf).min(-1)
     low = low[np.isfinite(low)]
     return len(low) > 0 and _FOOT_MARKER[0] < float(np.quantile(low, 0.1)) < _FOOT_MARKER[1]

@@ -1,4 +1,4 @@
-"""Solves the poses of a known subject: key frames, then all frames, then wrong ones again.
+"""Solves the poses of a calibrated subject: key frames, all frames, then bad ones again.
 
 Frames are found one by one, from the poses of key frames. Where markers leave their places for a
 moment, or a limb turns fast, a frame may end with a foot or a hand turned over, which the robust
@@ -18,7 +18,7 @@ from torch import Tensor
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.ingest.marker_gaps import between, chosen, widened, with_poses
+from recon.ingest.marker_gaps import frames_of, interpolated, widened, with_poses
 from recon.ingest.marker_poses import PoseEnergies
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
@@ -53,7 +53,7 @@ _STIFFER = (1e2, 1e3, 1e4)
 
 
 def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-    """Poses of single frames without ties, from a rough guess.
+    """Solve frames independently of each other, from a rough guess.
 
     Args:
         energies: of all frames.
@@ -65,32 +65,32 @@ def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: 
 
 
 def solved_near(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
-    """Poses of some frames, roughly, from a good guess."""
-    begun = energies.begun(start.translation, start.rotations)
-    found = minimise_frames(energies, begun, _settings(energies, tolerance)).state
+    """Solve some frames to a coarse tolerance, from a good guess."""
+    poses_of = energies.poses_of(start.translation, start.rotations)
+    found = minimise_frames(energies, poses_of, _solver_settings(energies, tolerance)).state
     return Motion.create(found.translation, found.rotations, start.shape, start.fps)
 
 
-def solved_in_turn(energies: PoseEnergies, start: Motion) -> Motion:
-    """Poses of all frames, tied to each other, from a good guess.
+def solved_together(energies: PoseEnergies, start: Motion) -> Motion:
+    """Solve all frames, each tied to its neighbours in time, from a good guess.
 
     Long recordings are solved part by part; the frames before and after a part hold it.
     """
     stride = max(1, round(start.fps / _SHARED_RATE))
-    settings = replace(_settings(energies, _EXACT), stride=stride)
+    settings = replace(_solver_settings(energies, _EXACT), stride=stride)
     motion = start
     for part in torch.arange(start.frames).split(_CHUNK):
-        motion = _solved(energies, part, motion, settings)
+        motion = _with_frames_solved(energies, part, motion, settings)
     return motion
 
 
-def mended_frames(
+def repaired_frames(
     energies: PoseEnergies,
     bones: tuple[int, ...],
     joints: Callable[[Motion], Float[Tensor, "frames 22 3"]],
     motion: Motion,
 ) -> tuple[Motion, Bool[Tensor, " frames"], Bool[Tensor, "steps 22"]]:
-    """Solve frames again in which the body is far from its markers; returns which were solved.
+    """Solve the frames again in which the body is far from its markers.
 
     Args:
         energies: of all frames.
@@ -101,60 +101,60 @@ def mended_frames(
     positions, visible = energies.positions.mT, energies.visible > 0
 
     def residuals(motion: Motion) -> Float[Tensor, "frames markers"]:
-        poses = energies.begun(motion.translation, motion.rotations)
+        poses = energies.poses_of(motion.translation, motion.rotations)
         away = energies.markers.places(poses).mT - positions
         return away.norm(dim=-1).where(visible, 0.0)
 
     limit = max(UNMADE, _NOISE * float(residuals(motion)[visible].mean()))
 
-    def unmade(motion: Motion) -> Bool[Tensor, "steps 22"]:
-        return unmade_steps(joints(motion), positions, visible, bones, limit)
+    def unsupported(motion: Motion) -> Bool[Tensor, "steps 22"]:
+        return unsupported_steps(joints(motion), positions, visible, bones, limit)
 
-    def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+    def solved_again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
         # first without a robust kernel, which would ignore the markers of wrongly turned limbs
         plain = replace(energies, sigma=None)
-        start = _solved(plain, frames, start, _settings(energies, _NEAR))
-        return _solved(energies, frames, start, _settings(energies, _EXACT))
+        start = _with_frames_solved(plain, frames, start, _solver_settings(energies, _NEAR))
+        return _with_frames_solved(energies, frames, start, _solver_settings(energies, _EXACT))
 
-    def stiffer(
+    def solved_with_stiffer_joints(
         frames: Int[Tensor, " frames"], start: Motion, turning: Float[Tensor, " 22"]
     ) -> Motion:
         stiff = replace(energies, turning=energies.turning * turning)
-        return _solved(stiff, frames, start, _settings(energies, _EXACT))
+        return _with_frames_solved(stiff, frames, start, _solver_settings(energies, _EXACT))
 
-    motion, changed = mended(motion, unmade, residuals, again)
-    motion, spread = eased(motion, unmade, stiffer)
-    return motion, changed | spread, unmade(motion)
+    motion, changed = with_doubtful_frames_solved(motion, unsupported, residuals, solved_again)
+    motion, spread = with_jumps_spread(motion, unsupported, solved_with_stiffer_joints)
+    return motion, changed | spread, unsupported(motion)
 
 
-def _solved(
+def _with_frames_solved(
     energies: PoseEnergies,
     frames: Int[Tensor, " frames"],
     start: Motion,
     settings: LevenbergMarquardt,
 ) -> Motion:
-    """A motion with the poses of some frames solved; their neighbours hold them."""
+    """A motion with some frames solved anew, held by the neighbouring frames."""
     around = torch.unique(torch.cat((frames - 1, frames, frames + 1)))
     around = around[(around >= 0) & (around < start.frames)]
     inside = torch.searchsorted(around, frames)
-    poses = energies.begun(start.translation[around], start.rotations[around])
+    poses = energies.poses_of(start.translation[around], start.rotations[around])
     found = minimise_frames(energies.frames(around), poses, settings, inside).state[inside]
     return with_poses(start, frames, found)
 
 
-def _settings(energies: PoseEnergies, tolerance: float) -> LevenbergMarquardt:
+def _solver_settings(energies: PoseEnergies, tolerance: float) -> LevenbergMarquardt:
     floor = 0.5 * energies.weight * energies.visible.shape[-1] * _UNSEEN**2
     return LevenbergMarquardt(tolerance=tolerance, floor=floor)
 
 
-def unmade_steps(
+def unsupported_steps(
     joints: Float[Tensor, "time 22 3"],
     positions: Float[Tensor, "time markers 3"],
     visible: Bool[Tensor, "time markers"],
     bones: tuple[int, ...],
     limit: float = UNMADE,
 ) -> Bool[Tensor, "steps 22"]:
-    """Steps between frames in which a joint moves although no marker near it does.
+    """Mask of steps between frames in which a joint moves although no marker near it does.
 
     A joint is asked where a marker on its bone, on its parent's or on one of its children's is
     visible at both ends of the step. `limit` is in metres.
@@ -172,62 +172,62 @@ def unmade_steps(
     return both.any(-1) & (moved > made + limit + _SHARE * made)
 
 
-def mended(
+def with_doubtful_frames_solved(
     motion: Motion,
-    unmade: Callable[[Motion], Bool[Tensor, "steps 22"]],
+    unsupported: Callable[[Motion], Bool[Tensor, "steps 22"]],
     residuals: Callable[[Motion], Float[Tensor, "time markers"]],
     solve: Callable[[Int[Tensor, " frames"], Motion], Motion],
 ) -> tuple[Motion, Bool[Tensor, " time"]]:
-    """The motion with wrong frames solved again, and which frames those are.
+    """The motion with doubtful frames solved again, and a mask of the frames that changed.
 
     A new solution is kept, stretch by stretch, where markers fit no worse and fewer steps of
-    the body are unmade by its markers.
+    the body lack movement of its markers.
 
     Args:
         motion: of all frames.
-        unmade: steps of a motion that the markers do not make.
+        unsupported: finds steps of joints near which no marker moves.
         residuals: distance of every marker from its place on the body in a motion, metres; zero
             where not visible.
         solve: solves frames, given by their numbers, of a motion.
     """
     changed = failed = torch.zeros(motion.frames, dtype=torch.bool)
     for _ in range(_ROUNDS):
-        jumps, far = unmade(motion), residuals(motion)
+        jumps, far = unsupported(motion), residuals(motion)
         suspects = _doubtful_frames(jumps, far, motion.fps)
         # frames that another solve did not improve are not solved again
-        suspects = _stretches_where(suspects, partial(_not_all, failed))
+        suspects = _stretches_where(suspects, partial(_not_all_failed, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
         tried = solve(*_interpolated_over(motion, suspects))
-        fits = partial(_fits_better, jumps, unmade(tried), far, residuals(tried))
+        fits = partial(_fits_better, jumps, unsupported(tried), far, residuals(tried))
         better = _stretches_where(suspects, fits)
         if not better.any():
             break
         failed = failed | (suspects & ~better)
         changed = changed | better
         taken = better.nonzero()[:, 0]
-        motion = with_poses(motion, taken, chosen(tried, taken))
+        motion = with_poses(motion, taken, frames_of(tried, taken))
     return motion, changed
 
 
-def eased(
+def with_jumps_spread(
     motion: Motion,
-    unmade: Callable[[Motion], Bool[Tensor, "steps 22"]],
+    unsupported: Callable[[Motion], Bool[Tensor, "steps 22"]],
     solve: Callable[[Int[Tensor, " frames"], Motion, Float[Tensor, " 22"]], Motion],
 ) -> tuple[Motion, Bool[Tensor, " time"]]:
-    """The motion with steps that remain spread over the frames around them, and which those are.
+    """The motion with remaining jumps spread over frames around them, and a mask of these.
 
     Markers that change places, or filled gaps that cross, leave two poses that are good each and
     far from each other. The limb goes from one to the other in the time that markers take.
 
     Args:
         motion: of all frames.
-        unmade: steps of a motion that the markers do not make.
+        unsupported: finds steps of joints near which no marker moves.
         solve: solves frames with the weights of all joints' turns from frame to frame multiplied.
     """
     changed = torch.zeros(motion.frames, dtype=torch.bool)
-    for stiffer in _STIFFER:
-        jumps = unmade(motion)
+    for solved_with_stiffer_joints in _STIFFER:
+        jumps = unsupported(motion)
         around = _doubtful_frames(
             jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps
         )
@@ -235,58 +235,60 @@ def eased(
             break
         turning = torch.ones(len(JOINTS))
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
-            # a joint moves fast when its parent or its grandparent turns fast
+            # a joint jumps because its parent or grandparent turns, so these are made stiffer
             parent = max(PARENTS[joint], 0)
-            turning[[parent, max(PARENTS[parent], 0)]] = stiffer
+            turning[[parent, max(PARENTS[parent], 0)]] = solved_with_stiffer_joints
         tried = solve(*_interpolated_over(motion, around), turning)
-        better = _stretches_where(around, partial(_fewer_steps, jumps, unmade(tried)))
+        better = _stretches_where(
+            around, partial(_fewer_unsupported_steps, jumps, unsupported(tried))
+        )
         changed |= better
         taken = better.nonzero()[:, 0]
-        motion = with_poses(motion, taken, chosen(tried, taken))
+        motion = with_poses(motion, taken, frames_of(tried, taken))
     return motion, changed
 
 
 def _interpolated_over(
     motion: Motion, flags: Bool[Tensor, " time"]
 ) -> tuple[Int[Tensor, " frames"], Motion]:
-    """Numbers of the flagged frames, and the motion in which the others join over them."""
+    """Numbers of the flagged frames, and the motion interpolated over them."""
     frames, kept = flags.nonzero()[:, 0], (~flags).nonzero()[:, 0]
-    return frames, with_poses(motion, frames, between(chosen(motion, kept), kept, frames))
+    return frames, with_poses(motion, frames, interpolated(frames_of(motion, kept), kept, frames))
 
 
 def _stretches_where(
-    flags: Bool[Tensor, " time"], holds: Callable[[slice, slice], bool]
+    flags: Bool[Tensor, " time"], test: Callable[[slice, slice], bool]
 ) -> Bool[Tensor, " time"]:
-    """Stretches of flagged frames whose frames, and steps to and from them, pass a test."""
+    """Flags only in those runs of flagged frames that pass a test of their frames and steps."""
     kept = torch.zeros_like(flags)
     for first, last in stretches(flags.numpy()):
         inside = slice(first, last + 1)
-        kept[inside] = holds(inside, slice(max(0, first - 1), last + 1))
+        kept[inside] = test(inside, slice(max(0, first - 1), last + 1))
     return kept
 
 
-def _not_all(failed: Bool[Tensor, " time"], inside: slice, _: slice) -> bool:
+def _not_all_failed(failed: Bool[Tensor, " time"], inside: slice, _: slice) -> bool:
     return not bool(failed[inside].all())
 
 
-def _fewer_steps(before: Tensor, after: Tensor, _: slice, steps: slice) -> bool:
+def _fewer_unsupported_steps(before: Tensor, after: Tensor, _: slice, steps: slice) -> bool:
     return int(after[steps].sum()) < int(before[steps].sum())
 
 
 def _fits_better(
     before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
 ) -> bool:
-    """Whether a solution is better: markers fit no worse, and fewer steps lack marker motion."""
+    """Whether a new solution is better: markers no farther, fewer steps without marker motion."""
     old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
     same = int(after[steps].sum()) == int(before[steps].sum())
-    better = _fewer_steps(before, after, inside, steps) or (same and new < 0.9 * old)
+    better = _fewer_unsupported_steps(before, after, inside, steps) or (same and new < 0.9 * old)
     return new <= 1.02 * old + 1e-6 and better
 
 
 def jump_findings(
-    unmade: Bool[Tensor, "steps 22"], changed: Bool[Tensor, " time"]
+    unsupported: Bool[Tensor, "steps 22"], changed: Bool[Tensor, " time"]
 ) -> tuple[list[Finding], list[Finding]]:
-    """Findings about repaired jumps, and about jumps that the user should look at."""
+    """Findings about repaired jumps, and about jumps that remain."""
     repairs: list[Finding] = []
     warnings: list[Finding] = []
     frames = changed.numpy()
@@ -301,10 +303,10 @@ def jump_findings(
                 float(frames.sum()),
             )
         )
-    steps = unmade.any(-1).numpy()
+    steps = unsupported.any(-1).numpy()
     if steps.any():
         joints = tuple(
-            name for name, hit in zip(JOINTS, unmade.any(0).tolist(), strict=True) if hit
+            name for name, hit in zip(JOINTS, unsupported.any(0).tolist(), strict=True) if hit
         )
         after = np.concatenate(([False], steps))
         warnings.append(
@@ -323,7 +325,7 @@ def jump_findings(
 def _doubtful_frames(
     jumps: Bool[Tensor, "steps 22"], far: Float[Tensor, "time markers"], fps: float
 ) -> Bool[Tensor, " time"]:
-    """Frames beside a step without marker motion, or with a marker unusually far away."""
+    """Frames next to a step without marker motion, or with a marker unusually far away."""
     steps = jumps.any(-1)
     away = far > _FAR
     away &= away.float().mean(0) < _OFTEN

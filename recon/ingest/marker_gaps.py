@@ -1,4 +1,4 @@
-"""Gaps: frames and limbs without markers, filled from neighbouring frames.
+"""Fills frames and limbs without markers from neighbouring frames.
 
 Frames before the first and after the last that place a body are left out, not invented. A limb
 without markers keeps the pose in which it was last seen and goes over into the one in which it is
@@ -39,7 +39,7 @@ _SHORT = 0.25
 def placed_frames(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, " time"]:
-    """Frames whose markers are enough to place a body."""
+    """Mask of frames whose markers suffice to find where the body is."""
     torso = torch.tensor([bone in TORSO for bone in bones])
     enough = (visible & torso).sum(-1) >= _TORSO_MARKERS
     return enough | (visible.sum(-1) > _SHARE * visible.shape[-1])
@@ -48,7 +48,7 @@ def placed_frames(
 def trimmed(
     recording: MarkerRecording, bones: tuple[int, ...]
 ) -> tuple[MarkerRecording, tuple[str, ...]]:
-    """The recording between the first and last frame with enough markers, and a note of the cut.
+    """The recording from the first to the last frame with enough markers, and a note.
 
     Args:
         recording: whose clock goes on.
@@ -98,46 +98,46 @@ def turned_joints(
     return (visible[:, None] & shows).any(-1)
 
 
-def bridged(
+def with_gaps_filled(
     motion: Motion,
     known: Int[Tensor, " known"],
-    turned: Bool[Tensor, "time 22"],
+    seen_joints: Bool[Tensor, "time 22"],
 ) -> Motion:
-    """All frames from those that are known, joint by joint where joints were not seen.
+    """All frames of a motion, interpolated from known frames, for each joint where it was unseen.
 
     Args:
         motion: poses of the known frames.
         known: their numbers among all frames, ascending.
-        turned: over all frames, joints whose rotation the markers show.
+        seen_joints: over all frames, joints whose rotation the markers show.
     """
-    everything = torch.arange(len(turned))
-    whole = between(motion, known, everything)
+    everything = torch.arange(len(seen_joints))
+    whole = interpolated(motion, known, everything)
     rotations = whole.rotations.clone()
-    here = torch.zeros(len(turned), dtype=torch.bool)
+    here = torch.zeros(len(seen_joints), dtype=torch.bool)
     here[known] = True
     for joint in range(1, len(JOINTS)):
-        shown = (turned[:, joint] & here).nonzero()[:, 0]
-        if 0 < len(shown) < len(turned):
-            sparse = chosen(whole, shown)
-            rotations[:, joint] = between(sparse, shown, everything).rotations[:, joint]
+        shown = (seen_joints[:, joint] & here).nonzero()[:, 0]
+        if 0 < len(shown) < len(seen_joints):
+            sparse = frames_of(whole, shown)
+            rotations[:, joint] = interpolated(sparse, shown, everything).rotations[:, joint]
     return whole.replace(rotations=rotations)
 
 
-def chosen(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
-    """Some frames of a motion, one after the other."""
+def frames_of(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
+    """A motion of some frames of the given one, one after the other."""
     return Motion.create(
         motion.translation[frames], motion.rotations[frames], motion.shape, motion.fps
     )
 
 
-def between(
-    motion: Motion, known: Int[Tensor, " known"], wanted: Int[Tensor, " wanted"]
+def interpolated(
+    motion: Motion, known_frames: Int[Tensor, " known"], wanted_frames: Int[Tensor, " wanted"]
 ) -> Motion:
-    """Poses of frames between known frames, evenly; beyond them the nearest known one."""
-    after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
-    before = (after - (known[after] > wanted).long()).clamp(min=0)
-    gap = (known[after] - known[before]).clamp(min=1)
-    fraction = ((wanted - known[before]) / gap).clamp(0, 1)
+    """Poses interpolated between known frames; beyond them those of the nearest known frame."""
+    after = torch.searchsorted(known_frames, wanted_frames).clamp(max=len(known_frames) - 1)
+    before = (after - (known_frames[after] > wanted_frames).long()).clamp(min=0)
+    gap = (known_frames[after] - known_frames[before]).clamp(min=1)
+    fraction = ((wanted_frames - known_frames[before]) / gap).clamp(0, 1)
     a, b = motion.rotations[before], motion.rotations[after]
     return Motion.create(
         translation=motion.translation[before].lerp(motion.translation[after], fraction[:, None]),
@@ -156,7 +156,7 @@ def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | P
 
 
 def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
-    """Flagged frames and so many before and after each."""
+    """The flags, true also for a number of frames before and after each flagged one."""
     wide = torch.nn.functional.max_pool1d(
         flags[None, None].float(), 2 * frames + 1, stride=1, padding=frames
     )
@@ -187,7 +187,7 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
         unseen = ~observed[:, rows].all(-1).numpy() & ~empty
         never = bool(unseen[~empty].all())
         for first, last in () if never else stretches(unseen):
-            # short gaps are left out: interpolation in time fills them well
+            # interpolation fills short gaps well enough not to mention them
             unseen[first : last + 1] = last - first + 1 > _SHORT * fps
         if not unseen.any():
             continue

@@ -1,4 +1,4 @@
-"""Smoothing across gaps: poses of frames with hidden markers, constrained by their neighbours.
+"""Solves frames with hidden markers together with their neighbours in time.
 
 Every joint's rotation is a Gaussian process in time (Matérn 3/2) about its mean. What the markers
 of a frame say of a joint is a datum with its information: a frame in which the joint's markers are
@@ -17,12 +17,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.body.derivatives import logarithm_by
+from recon.body.derivatives import inverse_right_jacobian
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.ingest.marker_frames import solved_near
-from recon.ingest.marker_gaps import between, widened, with_poses
+from recon.ingest.marker_gaps import interpolated, widened, with_poses
 from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.method.protocols import REFERENCE_FPS
 
@@ -54,7 +54,7 @@ _AT_ONCE = 500
 
 
 def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool[Tensor, " time"]:
-    """Frames in which a marker is hidden that others show, and those shortly before and after."""
+    """Mask of frames with a marker hidden that other frames show, and of frames near them."""
     hidden = (~visible & visible.any(0)).any(-1)
     return widened(hidden, max(1, round(_AROUND * fps)))
 
@@ -66,9 +66,9 @@ def joined_in_time(
     bones: tuple[int, ...],
     motion: Motion,
     keys: Int[Tensor, " keys"],
-    about: Bool[Tensor, " time"],
+    near_gaps: Bool[Tensor, " time"],
 ) -> tuple[PoseEnergies, Tensor, Motion, Int[Tensor, " frames"]]:
-    """Poses in and around gaps, each from its frame's markers and the neighbouring frames.
+    """Solve frames in and around gaps by their markers and the neighbouring frames.
 
     Returns the energies of all frames, drawn to the poses that neighbours in time suggest about
     gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.
@@ -80,16 +80,16 @@ def joined_in_time(
         bones: the bone that moves each marker most.
         motion: poses of key frames.
         keys: numbers of the key frames, ascending.
-        about: frames in and about gaps that place a body.
+        near_gaps: frames in and about gaps that place a body.
     """
     stride = max(1, round(motion.fps / _SAMPLED))
-    asked = about.nonzero()[:, 0]
+    asked = near_gaps.nonzero()[:, 0]
     asked = asked[asked % stride == 0]
     if len(asked) == 0:
         return energies, offsets, motion, keys
     some, step = energies.frames(asked), stride / motion.fps
     moments = (asked - asked[0]) // stride
-    found = solved_near(some, between(motion, keys, asked))
+    found = solved_near(some, interpolated(motion, keys, asked))
     hidden = (some.visible == 0) & (some.visible > 0).any(0)
     for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
         some = _tied_energies(some, found, moments, step)
@@ -101,25 +101,25 @@ def joined_in_time(
             break
     some = _tied_energies(some, found, moments, step)
     suggested = found.replace(rotations=torch.cat((found.rotations[:, :1], some.natural), 1))
-    everywhere = between(suggested, asked, torch.arange(len(about))).rotations[:, 1:]
+    everywhere = interpolated(suggested, asked, torch.arange(len(near_gaps))).rotations[:, 1:]
     everything = replace(
         energies,
         markers=some.markers,
-        natural=everywhere.where(about[:, None, None, None], energies.natural),
-        pull=some.pull[:1].where(about, energies.pull),
+        natural=everywhere.where(near_gaps[:, None, None, None], energies.natural),
+        pull=some.pull[:1].where(near_gaps, energies.pull),
     )
-    frames = torch.cat((keys[~about[keys]], asked)).unique()
+    frames = torch.cat((keys[~near_gaps[keys]], asked)).unique()
     rows = torch.searchsorted(frames, asked)
-    start = with_poses(between(motion, keys, frames), rows, found)
+    start = with_poses(interpolated(motion, keys, frames), rows, found)
     return everything, offsets, start, frames
 
 
 def _tied_energies(
     energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
 ) -> PoseEnergies:
-    """The energies with ties to the poses that neighbouring frames suggest."""
+    """The energies with a pull to the rotations that neighbouring frames suggest."""
     natural = _smoothed_rotations(
-        energies, energies.begun(motion.translation, motion.rotations), moments, step
+        energies, energies.poses_of(motion.translation, motion.rotations), moments, step
     )
     return replace(energies, natural=natural, pull=natural.new_full((len(natural),), _PULL))
 
@@ -127,8 +127,8 @@ def _tied_energies(
 def _offset_changes(
     energies: PoseEnergies, motion: Motion, bones: tuple[int, ...]
 ) -> Float[Tensor, "markers 3"]:
-    """Changes of the offsets of markers, towards where they are seen; zero if they never are."""
-    poses = energies.begun(motion.translation, motion.rotations)
+    """Changes of marker offsets towards where the markers are seen; zero for unseen markers."""
+    poses = energies.poses_of(motion.translation, motion.rotations)
     force, weight = energies.forces(poses)
     turns = poses.orientations[:, list(bones)]
     away = (turns.mT @ force.mT[..., None])[..., 0].sum(0)
@@ -138,7 +138,7 @@ def _offset_changes(
 def _smoothed_rotations(
     energies: PoseEnergies, poses: Poses, moments: Int[Tensor, " frames"], step: float
 ) -> Float[Tensor, "frames 21 3 3"]:
-    """Rotations of all body joints by the markers of every frame and its neighbours in time.
+    """Rotations of all body joints, smoothed over time by how well markers determine them.
 
     Args:
         energies: of the poses, which have been minimised.
@@ -147,18 +147,18 @@ def _smoothed_rotations(
         step: seconds.
     """
     count = step * REFERENCE_FPS / energies.weight
-    known = _information(energies, poses) * (count / _MARKER**2)
+    known = _inverse_covariances(energies, poses) * (count / _MARKER**2)
     natural = natural_pose().to(known)
     away = so3.log(natural.mT @ poses.rotations[:, 1:].to(known))
     told = (known @ away[..., None])[..., 0]
     prior = _MEAN * torch.eye(3).to(known)
     mean = torch.linalg.solve(known.sum(0) + prior, told.sum(0)[..., None])[..., 0]
-    turn = mean + _smoothed(known, away - mean, moments, step)
+    turn = mean + _smoothed_over_time(known, away - mean, moments, step)
     return (natural @ so3.exp(turn)).to(poses.rotations)
 
 
-def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
-    """Information (inverse covariance) of markers about every joint's rotation, m² / radian².
+def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
+    """Inverse covariance of every joint's rotation, given the markers; m² / radian².
 
     The other joints are free: two joints that only turn against each other unseen are not known.
     """
@@ -167,7 +167,7 @@ def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 
     turns = poses.orientations[:, 1:].double()
     variance = turns.mT @ blocks @ turns
     away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
-    jacobian = logarithm_by(away)
+    jacobian = inverse_right_jacobian(away)
     pull = (energies.weight * energies.pull.double())[:, None, None, None]
     share, axes = torch.linalg.eigh(pull * jacobian @ variance @ jacobian.mT)
     share = share.clamp(_LEAST, 1 - _LEAST)[..., None, :]
@@ -177,7 +177,7 @@ def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 
 def _variances(
     energies: PoseEnergies, poses: Poses, rows: Int[Tensor, " rows"]
 ) -> Float[Tensor, "rows 21 3 3"]:
-    """Inverse curvatures by the turns of every joint about the axes of the world."""
+    """Inverse Hessian blocks for the rotation of every joint about the axes of the world."""
     curvature = energies.curvature(poses, rows).double()
     curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
     inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
@@ -186,18 +186,18 @@ def _variances(
     return blocks.permute(0, 3, 1, 2)[:, 1:]
 
 
-def _smoothed(
+def _smoothed_over_time(
     known: Float[Tensor, "frames 21 3 3"],
     values: Float[Tensor, "frames 21 3"],
     moments: Int[Tensor, " frames"],
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
-    """Means of processes about zero, given values with their information at some moments."""
-    from scipy.linalg import solveh_banded  # imported here: only recordings with gaps need it
+    """Posterior means of random processes, given values and their inverse covariances."""
+    from scipy.linalg import solveh_banded  # needed only for gaps
 
     at = moments.numpy()
     time = int(at[-1]) + 1
-    process = _precision(time, step)
+    process = _precision_band(time, step)
     told = (known @ values[..., None])[..., 0].numpy()
     found = np.zeros((len(at), len(JOINTS) - 1, 3))
     for joint in range(found.shape[1]):
@@ -211,8 +211,8 @@ def _smoothed(
     return torch.from_numpy(found)
 
 
-def _precision(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
-    """Lower band of the precision matrix of three processes, moment by moment.
+def _precision_band(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
+    """Lower band of the precision matrix of three random processes over time.
 
     The energy of a Matérn 3/2 process is ∫ (κ⁴ x² + 2 κ² x'² + x''²) dt / (4 κ³ σ²).
     """

@@ -1,4 +1,4 @@
-"""A recording of markers as an observation for a fit under a prior.
+"""Makes a marker sensor of a recording, for fits under a prior.
 
 The body that meets the markers, as a conversion finds it, tells where each marker sits on the
 skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.
@@ -20,7 +20,7 @@ from recon.core.units import Hand
 from recon.diagnosis.findings import listed
 from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
 from recon.ingest.marker_findings import marker_distances
-from recon.ingest.marker_fit import stands_on_zero
+from recon.ingest.marker_fit import ground_is_zero
 from recon.ingest.marker_sets import full_body_markers, right_handed_markers
 from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
@@ -33,7 +33,7 @@ def seen_markers(
     robust: float | None = None,
     hand: Hand | None = None,
 ) -> tuple[Markers3D, tuple[str, ...]]:
-    """The known markers of a recording as an observation, and the decisions made.
+    """The known markers of a recording as a sensor, and notes on how they were read.
 
     Their offsets from the skin are those of the body that meets them best, and their standard
     deviations its residuals, at least a centimetre: below that, the body errs more than markers.
@@ -55,7 +55,7 @@ def seen_markers(
         found = fitted_markers(recording, body, markers)
     shown, fit = found.recording, found.fit
     offsets = fit.offsets
-    grounded = bool(fit.observed[:, list(FEET)].any()) and stands_on_zero(shown)
+    grounded = bool(fit.observed[:, list(FEET)].any()) and ground_is_zero(shown)
     seen = Markers3D(
         torch.from_numpy(shown.positions).float()[None],
         torch.from_numpy(shown.visible)[None],
@@ -64,7 +64,7 @@ def seen_markers(
         shown.start_time,
         squared if robust is None else partial(geman_mcclure, sigma=robust),
         ground_known=grounded,
-        std=_deviations(found),
+        std=_standard_deviations(found),
         offsets=offsets,
         labels=shown.marker_names,
     )
@@ -82,8 +82,8 @@ def seen_markers(
     return seen, (*found.decisions, ground, *bare, *changed)
 
 
-def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
-    """Standard deviation of the coordinates of every marker about its place, metres."""
+def _standard_deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
+    """Standard deviation of each marker's coordinates about its fitted position, metres."""
     seen = found.recording.visible
     square = np.where(seen, np.square(marker_distances(found.fit, found.recording)), 0.0).sum(
         0

@@ -15,10 +15,10 @@ from recon.body.levers import (
     COORDINATES,
     Levers,
     ShapeLevers,
-    affine,
-    gathered,
+    bone_affines,
+    flat_world_vectors,
+    sums_over_descendants,
     turned,
-    world_turns,
 )
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -28,7 +28,7 @@ from recon.ingest.tied_frames import TiedFrames
 
 @dataclass(frozen=True)
 class Poses(TensorStruct):
-    """Poses of frames, with what follows from them."""
+    """Poses of frames, with the bone orientations and joint positions that follow from them."""
 
     translation: Float[Tensor, "frames 3"]
     rotations: Float[Tensor, "frames 22 3 3"]
@@ -44,9 +44,9 @@ class Poses(TensorStruct):
         rotations: Float[Tensor, "frames 22 3 3"],
         rest: Float[Tensor, "22 3"],
     ) -> "Poses":
-        """Poses of a body with joints at these places at rest, metres."""
+        """Poses of a body whose joints at rest are at `rest`, metres."""
         orientations, joints = forward_kinematics(rotations, rest)
-        placed = affine(orientations, joints + translation[:, None])
+        placed = bone_affines(orientations, joints + translation[:, None])
         return cls(translation, rotations, orientations, placed)
 
     def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
@@ -57,7 +57,7 @@ class Poses(TensorStruct):
 
 @dataclass(frozen=True)
 class Correctives(TensorStruct):
-    """Displacements of skin that depend on the pose, as bodies of the SMPL family have them."""
+    """Pose-dependent displacements of the skin (pose blend shapes of SMPL bodies)."""
 
     directions: Float[Tensor, "189 columns"]
     """Displacements of all unposed points, metres, by the entries of all body rotations."""
@@ -65,39 +65,39 @@ class Correctives(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel, vertices: Int[Tensor, " points"]) -> "Correctives | None":
-        """Correctives of some vertices; None for a body that has none."""
+        """The blend shapes of some vertices; None for a body without pose blend shapes."""
         if body.pose_directions is None:
             return None
         return cls(body.pose_directions[:, vertices].flatten(1), body.weights[vertices])
 
     def moved(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
-        """The displacements, world, metres."""
-        return (self._turns(poses) @ self._unposed(poses)[..., None])[..., 0].mT
+        """Displacements of the points in a pose; world axes, metres."""
+        return (self._blended_rotations(poses) @ self._in_bone_frames(poses)[..., None])[..., 0].mT
 
     def pull(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Derivatives of Σ forces · displacements by the coordinates of a step."""
-        loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._unposed(poses))
+        loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._in_bone_frames(poses))
         bones = poses.orientations.transpose(1, 2)
-        turns = gathered(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
-        local = (self._turns(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
+        turns = sums_over_descendants(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
+        local = (self._blended_rotations(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
         slopes = (local @ self.directions.mT).unflatten(-1, (-1, 3, 3))
         bent = 2 * so3.axis_sine(poses.rotations[:, 1:].mT @ slopes)
-        turns = turns + world_turns(pad(bent, (0, 0, 1, 0)), poses.orientations)
+        turns = turns + flat_world_vectors(pad(bent, (0, 0, 1, 0)), poses.orientations)
         return pad(turns, (3, 0))
 
-    def _unposed(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
+    def _in_bone_frames(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
         body = poses.rotations[:, 1:] - torch.eye(3).to(poses.rotations)
         return (body.flatten(1) @ self.directions).unflatten(-1, (-1, 3))
 
-    def _turns(self, poses: Poses) -> Float[Tensor, "frames points 3 3"]:
+    def _blended_rotations(self, poses: Poses) -> Float[Tensor, "frames points 3 3"]:
         return torch.einsum("vj,tjab->tvab", self.weights, poses.orientations)
 
 
 @dataclass(frozen=True)
 class SkinPoints(TensorStruct):
-    """Points at constant offsets from vertices of a body of known shape.
+    """Points, such as markers, at constant offsets from vertices of a body of known shape.
 
     Correctives are part of the places and of `pull`, and left out of second derivatives.
     """
@@ -114,7 +114,7 @@ class SkinPoints(TensorStruct):
         vertices: Int[Tensor, " points"],
         offsets: Float[Tensor, "points 3"] | None = None,
     ) -> "SkinPoints":
-        """Vertices, with offsets in the frames of the bones that move them most, metres."""
+        """Points at vertices plus offsets in the frames of their main bones, metres."""
         eye = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(eye), body.weights.shape[-1])
         carried = CarriedPoints.create(body, shape, none, eye, vertices)
@@ -125,7 +125,7 @@ class SkinPoints(TensorStruct):
         return cls(carried, Levers.of(carried), Correctives.of(body, vertices))
 
     def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
-        """The points, world, metres."""
+        """Positions of the points in a pose; world, metres."""
         places = self.levers.places(poses.bones)
         return places if self.correctives is None else places + self.correctives.moved(poses)
 
@@ -133,11 +133,11 @@ class SkinPoints(TensorStruct):
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
         """Derivatives of Σ forces · points by the coordinates of a step."""
-        pull = self.levers.pull(poses.bones, forces)
+        pull = self.levers.gradient_of(poses.bones, forces)
         return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
 
     def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:
-        """Derivatives of the points by the coefficients of the shape, metres."""
+        """Derivatives of the points by the shape coefficients, metres."""
         return ShapeLevers.of(self.carried, body).by_shape(poses.bones)
 
 
@@ -152,7 +152,7 @@ def natural_pose() -> Float[Tensor, "21 3 3"]:
 
 
 def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
-    """Poses with the same root rotations, and all other joints at rest."""
+    """Poses with the same root rotation, and all other joints in the natural pose."""
     pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)
     return torch.cat((rotations[..., :1, :, :], pose), -3)
 
@@ -191,11 +191,11 @@ class PoseEnergies(TiedFrames[Poses]):
 
     @property
     def stiffness(self) -> Float[Tensor, " 69"]:
-        """Second derivatives of a tie: turns are tied, translations are not."""
+        """Second derivatives of a tie between frames: of rotations only, not of translations."""
         return torch.cat((self.turning.new_zeros(3), self.turning.repeat(3)))
 
     def frames(self, index: Int[Tensor, " frames"]) -> "PoseEnergies":
-        """The energies of some frames, ascending; only those that are linked stay tied."""
+        """The energies of some frames in ascending order; ties between linked ones are kept."""
         apart = (~self.linked).cumsum(0)
         run = pad(apart, (1, 0))[index]
         linked = (index.diff() == 1) & (run.diff() == 0)
@@ -204,33 +204,33 @@ class PoseEnergies(TiedFrames[Poses]):
             positions=self.positions[index],
             visible=self.visible[index],
             linked=linked,
-            natural=_some(self.natural, index),
-            pull=_some(self.pull, index),
+            natural=_values_of_rows(self.natural, index),
+            pull=_values_of_rows(self.pull, index),
         )
 
     def untied(self) -> "PoseEnergies":
-        """The energies of frames that are independent of each other."""
+        """The same energies without ties between frames."""
         return replace(self, linked=torch.zeros_like(self.linked))
 
-    def begun(
+    def poses_of(
         self, translation: Float[Tensor, "frames 3"], rotations: Float[Tensor, "frames 22 3 3"]
     ) -> Poses:
-        """Poses of this body."""
+        """The poses of this body with a translation and joint rotations."""
         return Poses.of(translation, rotations, self.rest)
 
-    def look(
+    def energies_and_gradients(
         self, state: Poses, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 69"]]:
-        """Energies of some frames without ties, and their gradients."""
-        some = _rows(state, rows)
+        """Energies of some frames, without ties, and their gradients."""
+        some = _poses_of_rows(state, rows)
         value, slope, away = self._residuals(some, rows)
         gradient = self.markers.pull(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
-        natural, pull = _some(self.natural, rows), _some(self.pull, rows)
+        natural, pull = _values_of_rows(self.natural, rows), _values_of_rows(self.pull, rows)
         value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
         bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
-        gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
+        gradient[:, 3:] += pull[:, None] * flat_world_vectors(bent, some.orientations)
         if self.soles is not None:
             depth, weight = self.depths(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
@@ -240,26 +240,28 @@ class PoseEnergies(TiedFrames[Poses]):
         return self.weight * value, self.weight * gradient
 
     def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
-        """Gauss-Newton Hessians of these energies."""
-        some = _rows(state, rows)
+        """Gauss-Newton Hessians of the energies of some frames."""
+        some = _poses_of_rows(state, rows)
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
         diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
-        diagonal[..., 1:] += _some(self.pull, rows)[:, None, None]
+        diagonal[..., 1:] += _values_of_rows(self.pull, rows)[:, None, None]
         if self.soles is not None:
             _, weight = self.depths(some)
             touching = weight.any(-1).nonzero()[:, 0]
-            self.soles.levers.add_rising(out, touching, some.bones[touching], weight[touching])
+            self.soles.levers.add_height_hessian(
+                out, touching, some.bones[touching], weight[touching]
+            )
         return self.weight * out
 
-    def alike(
+    def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
-        """Which frames show the same markers."""
+        """Mask of the pairs of frames in which the same markers are visible."""
         return (self.visible[some] == self.visible[others]).all(-1)
 
     def tied(self, state: Poses) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
-        """Energies of the turns from frame to frame, and their gradients by steps."""
+        """Energies of the rotations from frame to frame, and their gradients."""
         rotations = state.rotations
         gradient = rotations.new_zeros(len(rotations), COORDINATES)
         weight = self.turning * self.linked[:, None]
@@ -268,12 +270,12 @@ class PoseEnergies(TiedFrames[Poses]):
         value = (weight / 4 * rotations.diff(dim=0).square().sum((2, 3))).sum(-1)
         bent = weight[..., None] * so3.axis_sine(rotations[:-1].mT @ rotations[1:])
         ends = pad(bent, (0, 0, 0, 0, 1, 1))
-        gradient[:, 3:] = world_turns(ends[:-1] - ends[1:], state.orientations)
+        gradient[:, 3:] = flat_world_vectors(ends[:-1] - ends[1:], state.orientations)
         return value, gradient
 
     def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
-        """The state after steps of some frames."""
-        found = _rows(state, rows).moved(steps, self.rest)
+        """All poses after a step of some of the frames."""
+        found = _poses_of_rows(state, rows).moved(steps, self.rest)
         if len(rows) == len(state.translation):
             return found
         fresh = iter(found.tensors().values())
@@ -282,7 +284,7 @@ class PoseEnergies(TiedFrames[Poses]):
     def forces(
         self, state: Poses
     ) -> tuple[Float[Tensor, "frames 3 markers"], Float[Tensor, "frames markers"]]:
-        """Derivatives of the energies by the places of markers, and the weights of residuals."""
+        """Derivatives of the energies by marker positions, and the weights of residuals."""
         _, slope, away = self._residuals(state, torch.arange(len(state.translation)))
         slope = self.weight * slope
         return away * slope[:, None], slope
@@ -296,9 +298,9 @@ class PoseEnergies(TiedFrames[Poses]):
         return height, (self.ground / height.shape[-1]) * (height < 0).to(height)
 
     def _residuals(self, some: Poses, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The kernel of squared distances of markers, its slope, and predicted minus observed."""
-        away = self.markers.places(some) - _some(self.positions, rows)
-        seen, size = _some(self.visible, rows), away.square().sum(1)
+        """Robust kernel of squared distances, its derivative, and predicted minus observed."""
+        away = self.markers.places(some) - _values_of_rows(self.positions, rows)
+        seen, size = _values_of_rows(self.visible, rows), away.square().sum(1)
         if self.sigma is None:
             return size * seen, seen, away
         scale = self.sigma**2
@@ -306,11 +308,11 @@ class PoseEnergies(TiedFrames[Poses]):
         return share * size * seen, share.square() * seen, away
 
 
-def _rows(state: Poses, rows: Tensor) -> Poses:
-    # indexing would copy: skip it when all frames are asked for
+def _poses_of_rows(state: Poses, rows: Tensor) -> Poses:
+    # avoid the copy that indexing makes when all frames are asked for
     return state if len(rows) == len(state.translation) else state[rows]
 
 
-def _some(values: Tensor, rows: Tensor) -> Tensor:
+def _values_of_rows(values: Tensor, rows: Tensor) -> Tensor:
     # a single value is shared by all frames
     return values if len(values) in (1, len(rows)) else values[rows]

@@ -1,4 +1,4 @@
-"""Places on the body of the markers of a recording, and the parts of the body that they cover."""
+"""Finds where on the body the markers of a recording sit, and which parts they cover."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ _TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "p
 def keypoint_places(
     labels: Sequence[str], body: BodyModel
 ) -> tuple[tuple[int, ...], Float[Tensor, "points 3"]]:
-    """A vertex that moves rigidly with each keypoint's bone, and the keypoint's place from it.
+    """For each keypoint a vertex that moves with its bone, and the keypoint's offset from it.
 
     The places are those of the average body at rest, metres.
     """
@@ -82,7 +82,7 @@ _BONES_ABOVE, _ON_TORSO = 3, 3
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """Markers whose place on the body is known."""
+    """Markers whose vertices on the body are known."""
 
     labels: tuple[str, ...]
     vertices: tuple[int, ...]
@@ -105,7 +105,7 @@ class MarkerSet:
 def full_body_markers(
     recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
 ) -> MarkerSet:
-    """The known markers of a recording that are ever visible: of a body, its legs or its trunk.
+    """The visible markers of a recording whose vertices on the body are known.
 
     Args:
         recording: with labels of any protocol; of several subjects the one seen most is taken.
@@ -129,10 +129,10 @@ def full_body_markers(
         for marker, label in enumerate(recording.marker_names)
         if recording.visible[:, marker].any()
     ]
-    # OpenCap's files hold keypoints and, beside them, markers that a network derived from them
+    # OpenCap's files hold keypoints and also markers that a network computed from them
     study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
     if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
-        return _keypoints(seen, body)
+        return _marker_set_of_keypoints(seen, body)
     seen, decisions = _of_one_subject(recording, seen)
     vertices: dict[str, int] = {}
     loose: dict[str, bool] = {}
@@ -182,7 +182,7 @@ def right_handed_markers(
 def _of_one_subject(
     recording: MarkerRecording, seen: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
-    """The labels of one subject and of none, where labels name several (Ann:LASI, Bob:LASI)."""
+    """Labels of the subject seen most, where labels name several (Ann:LASI, Bob:LASI)."""
     shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
     counts: dict[str, int] = {}
     for label in seen:
@@ -200,7 +200,7 @@ def _of_one_subject(
     )
 
 
-def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
+def _marker_set_of_keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
     meant = zip(labels, meant_keypoints(labels), strict=True)
     known = tuple(label for label, name in meant if name in PLACES)
     vertices, nominal = keypoint_places(known, body)
@@ -223,7 +223,7 @@ def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
 def _bare_parts(
     name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
 ) -> tuple[str, ...]:
-    """Parts of the body without a marker.
+    """Names of the parts of the body without a marker.
 
     Raises:
         ValueError: when the others are neither two legs with their pelvis nor a trunk.
@@ -252,7 +252,7 @@ def _bare_parts(
 
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
-    """A marker's centre off the skin, along the normal of the rest body, metres."""
+    """Offset of a marker's centre from the skin, along the rest body's normal, metres."""
     corners = body.template[body.faces]
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = torch.zeros_like(body.template)

@@ -1,4 +1,4 @@
-"""Conversion of a single recording of any kind."""
+"""Converts a single recording of any kind to a motion of our body."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ def convert(
     fps: float | None = None,
     keep_frame: bool = False,
 ) -> Conversion:
-    """Any full-body recording, of joints or of markers, as a motion of our body.
+    """Convert a full-body recording of joints or markers to a motion of our body.
 
     Args:
         recording: a file (.bvh, .amc, .c3d, .trc, ...) or what its reader made of it.

@@ -1,4 +1,4 @@
-"""The skeleton fit: poses of all frames, with the calibrated shape and offsets held."""
+"""Fits our body to a recorded skeleton: poses of all frames, with calibrated shape held."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ SOLVE_ITERATIONS = 90
 
 @dataclass(frozen=True)
 class Solved:
-    """One recording on our body."""
+    """The motion of our body fitted to one recording."""
 
     motion: Motion
     residuals: Float[Tensor, " points"]
@@ -41,14 +41,14 @@ class Solved:
 def solve(
     recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
 ) -> list[Solved]:
-    """Motions of recordings with one frame rate, as a batch of independent clips.
+    """Fit recordings with one frame rate as a batch of independent clips.
 
     Every frame begins with the recorded orientations, aligned to our bones, and is moved until
     joints meet theirs: no term couples frames, so nothing is smoothed or delayed.
     """
     frames = [Frames.of(r, subject.skeleton) for r in recordings]
     motion = pad(
-        [_start(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
+        [_first_guess(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
     )
     points = subject.skeleton.joints
     seen = Joints3D(
@@ -86,8 +86,8 @@ def solve(
     ]
 
 
-def _start(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
-    """Recorded orientations; bones without a record keep their place in their parent."""
+def _first_guess(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
+    """First guess: recorded orientations; bones without one keep their rest rotation."""
     targets = frames.orientations @ subject.alignments
     recorded = {bone: targets[:, row] for row, bone in enumerate(subject.skeleton.bones)}
     identity = torch.eye(3).expand(len(targets), 3, 3)

@@ -1,4 +1,4 @@
-"""Calibration of a recorded skeleton to our body: shape, joint offsets, bone alignments."""
+"""Calibrates our body to a recorded skeleton: shape, joint offsets, bone alignments."""
 
 import logging
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from recon.solver.lbfgs import LBFGS
 
 @dataclass(frozen=True)
 class BoneOrientations(TensorStruct):
-    """How far the bones are turned away from recorded orientations."""
+    """Energy of the angles between bones and their recorded orientations."""
 
     orientations: Float[Tensor, "*batch time bones 3 3"]
     """Rotation of each bone from its rest pose to the world."""
@@ -61,7 +61,7 @@ class FlatSoles(TensorStruct):
     """Vertices under the balls of the feet."""
 
     def __getitem__(self, index: Tensor) -> "FlatSoles":
-        """Some clips of the batch; the vertices are common to all."""
+        """The energy of some clips of the batch."""
         return self.replace(standing=self.standing[index])
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
@@ -88,7 +88,7 @@ FEET_WEIGHT = 6.0
 
 @dataclass(frozen=True)
 class CalibrationWeights:
-    """Multipliers of the calibration's energies; joints count as ½ Σ distance² in metres²."""
+    """Weights of the calibration's energies relative to ½ Σ distance² of joints, metres²."""
 
     shape: float = 6e-5
     """Per frame: a coefficient of one costs as much as 2 mm at all joints."""
@@ -117,7 +117,7 @@ class SubjectModel(TensorStruct):
 
 @dataclass(frozen=True)
 class Frames(TensorStruct):
-    """Frames of recordings as the mapped joints see them, in our order."""
+    """Positions and orientations of the mapped joints of recordings, in our order."""
 
     positions: Float[Tensor, "time points 3"]
     orientations: Float[Tensor, "time bones 3 3"]
@@ -145,7 +145,7 @@ def calibrate(
     body: BodyModel,
     weights: CalibrationWeights | None = None,
 ) -> SubjectModel:
-    """Shape, offsets and alignments of one skeleton from frames of all its recordings.
+    """Find shape, offsets and alignments of one skeleton from frames of all its recordings.
 
     Frames of different poses make one clip without any temporal term. Where the skeleton's zero
     pose is a T-pose it gives the first alignments; otherwise turns about bones start as near to
@@ -169,7 +169,7 @@ def calibrate(
     if rest is None:
         hold: tuple[Term, ...] = (Term("rest pose", terms.rest_pose, weights.rest),)
     else:
-        hold = _hold(frames, rest, skeleton, weights.bones)
+        hold = _orientation_terms(frames, rest, skeleton, weights.bones)
     data = joint_terms(seen)
     shape = Term("shape", terms.shape, weights.shape)
     first = (
@@ -196,7 +196,7 @@ def calibrate(
                 Term("offsets", terms.offsets, weights.offsets * count),
                 Term("feet offsets", feet_offsets, weights.feet_offsets * count),
                 Term("soles", flat, weights.soles),
-                *_hold(frames, aligned, skeleton, weights.bones),
+                *_orientation_terms(frames, aligned, skeleton, weights.bones),
             ),
             _BODY | {"scene.offsets"},
             LBFGS(max_iterations=100),
@@ -212,7 +212,7 @@ def calibrate(
 
 
 def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
-    """All joints, and ankles and toes once more with their extra weight."""
+    """Terms of all joints, and of ankles and toes once more with their extra weight."""
     first, last = sum(j not in FEET for j in seen.joints), len(seen.joints)
     rows = None if seen.offset_rows is None else (first, last)
     feet = seen.replace(
@@ -224,10 +224,10 @@ def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
     return Term("joints", seen, 1.0), Term("feet", feet, FEET_WEIGHT - 1)
 
 
-def _hold(
+def _orientation_terms(
     frames: Frames, alignments: Tensor, skeleton: SkeletonMap, weight: float
 ) -> tuple[Term, ...]:
-    """Terms that keep bones as recorded, with a weak rest pose for bones without a record."""
+    """Terms that hold bones at recorded orientations, and other bones weakly at rest."""
     targets = (frames.orientations @ alignments)[None]
     return (
         Term("bones", BoneOrientations(targets, skeleton.bones), weight),
@@ -238,13 +238,13 @@ def _hold(
 def _mean_alignments(
     frames: Frames, ours: Float[Tensor, "time 22 3 3"], skeleton: SkeletonMap
 ) -> Float[Tensor, "bones 3 3"]:
-    """Chordal mean, over frames, of the rotations from recorded orientations to ours."""
+    """Chordal mean over frames of the rotations from recorded bones to ours."""
     between = frames.orientations.transpose(-1, -2) @ ours[:, list(skeleton.bones)]
     return so3.nearest(between.double().mean(0)).to(ours)
 
 
 def _diverse_frames(recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap) -> Frames:
-    """Frames whose poses differ most, by farthest point sampling; each over the origin."""
+    """Frames whose poses differ most (farthest point sampling), each moved over the origin."""
     total = sum(r.frames for r in recordings)
     step = max(1, total // _CANDIDATES)
     parts = [Frames.of(r, skeleton).map(lambda t: t[::step]) for r in recordings]

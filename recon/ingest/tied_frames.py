@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt's damped Gauss-Newton steps, for sequences of frames with weak ties.
+"""Levenberg-Marquardt for sequences of frames that are weakly tied to their neighbours.
 
 Every frame has variables and an energy of its own; ties between neighbours are springs. All
 frames step at once, by the solution of one banded system, but each frame has its own damping, is
@@ -33,7 +33,7 @@ _CHUNK_FRAMES = 128
 
 
 class TiedFrames(ABC, Generic[S]):
-    """A sequence of frames whose energies are minimised."""
+    """The energies of a sequence of frames, and of ties between neighbouring frames."""
 
     linked: Bool[Tensor, " between"]
     """Whether a frame is tied to the next one."""
@@ -44,24 +44,24 @@ class TiedFrames(ABC, Generic[S]):
         """Second derivatives of a tie by the variables of one of its frames."""
 
     @abstractmethod
-    def look(
+    def energies_and_gradients(
         self, state: S, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows n"]]:
-        """Energies of some frames without ties, and their gradients by a step of each frame."""
+        """Energies of some frames without ties, and their gradients by each frame's variables."""
 
     @abstractmethod
     def curvature(self, state: S, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """Their Gauss-Newton Hessians, positive semidefinite, without ties."""
+        """Gauss-Newton Hessians of some frames without ties; positive semidefinite."""
 
     @abstractmethod
-    def alike(
+    def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
-        """Which pairs of frames have the same kind of data, so that they can share a curvature."""
+        """Mask of pairs of frames with the same kind of data, which can share a Hessian."""
 
     @abstractmethod
     def tied(self, state: S) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
-        """Energies of the ties from frame to frame, and their gradients by steps."""
+        """Energies of the ties between neighbouring frames, and their gradients."""
 
     @abstractmethod
     def moved(self, state: S, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> S:
@@ -105,7 +105,7 @@ class Minimised(Generic[S]):
 
     @property
     def total(self) -> float:
-        """The whole energy."""
+        """Sum of the energies of all frames and ties."""
         return float(self.value.double().sum() + self.between.double().sum())
 
 
@@ -115,7 +115,7 @@ def minimise_frames(
     settings: LevenbergMarquardt,
     rows: Int[Tensor, " rows"] | None = None,
 ) -> Minimised[S]:
-    """Minimise the energies of frames and of their ties; their sum never rises but by rounding.
+    """Minimise the energies of frames and of ties between them; their sum never rises.
 
     Args:
         energies: of the frames.
@@ -126,7 +126,7 @@ def minimise_frames(
     count = len(energies.linked) + 1
     every = torch.arange(count)
     rows = every if rows is None else rows
-    value, gradient = energies.look(state, every)
+    value, gradient = energies.energies_and_gradients(state, every)
     between, pull = energies.tied(state)
     curvatures = _Curvatures.none(gradient)
     damping = torch.full_like(value, settings.damping)
@@ -135,7 +135,7 @@ def minimise_frames(
     moves = torch.zeros(count, dtype=torch.bool)
     moves[rows] = True
     converged = ~moves
-    curvatures.renew(energies, state, rows, damping, settings.stride)
+    curvatures.recompute(energies, state, rows, damping, settings.stride)
     iterations = 0
     while len(rows) > 0 and iterations < settings.max_iterations:
         iterations += 1
@@ -149,20 +149,20 @@ def minimise_frames(
             iterations=settings.inner_iterations,
         )
         promise = 0.5 * (down * steps).sum(-1)
-        scale = (value[rows] + _beside(between)[rows]).clamp(min=settings.floor)
+        scale = (value[rows] + _half_of_adjacent_ties(between)[rows]).clamp(min=settings.floor)
         tried = energies.moved(state, rows, steps)
-        values, slopes = energies.look(tried, rows)
+        values, slopes = energies.energies_and_gradients(tried, rows)
         ends, pulls = energies.tied(tried)
-        # predicted effect of a step on the ties, so that a frame's step is accepted by its
+        # predicted change of the ties, so that a frame's step is judged by its
         # own effect and not by the effect of its neighbours' steps
-        drawn = pull[rows] + energies.stiffness * steps - 0.5 * ties.drawn(steps)
-        change = values - value[rows] + (drawn * steps).sum(-1)
+        times_vector = pull[rows] + energies.stiffness * steps - 0.5 * ties.times_vector(steps)
+        change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
         rising = (change > rounding * scale).nonzero()[:, 0]
         size = curvatures.size(rows[rising], steps[rising])
         good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
-            # bad frames do not step, so the ties of the good ones must be computed again
+            # rejected frames stay where they are, which changes the ties of their neighbours
             tried = energies.moved(state, rows[good], steps[good])
             ends, pulls = energies.tied(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()
@@ -180,15 +180,17 @@ def minimise_frames(
         damping[bad] = (_RAISE * damping[bad]).clamp(min=_FIRST_RAISE, max=_MAX_DAMPING)
         damping[eased] = _LOWER * damping[eased]
         worn = rows[worn]
-        rows = moves & _or_beside(~converged & (damping < _MAX_DAMPING), energies.linked)
+        rows = moves & _with_tied_neighbours(
+            ~converged & (damping < _MAX_DAMPING), energies.linked
+        )
         rows = rows.nonzero()[:, 0]
-        curvatures.renew(energies, state, worn[torch.isin(worn, rows)], damping, 1)
+        curvatures.recompute(energies, state, worn[torch.isin(worn, rows)], damping, 1)
     return Minimised(state, value, between, converged, iterations, curvatures.count)
 
 
 @dataclass
 class _Curvatures:
-    """Cholesky factors of the damped curvatures of frames, with what ties add."""
+    """Cholesky factors of the frames' damped Hessians, ties included."""
 
     factors: Float[Tensor, "frames n n"]
     owner: Int[Tensor, " frames"]
@@ -203,16 +205,16 @@ class _Curvatures:
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
     def of(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """The factors that some frames use."""
+        """The Cholesky factors of some frames."""
         return self.factors[self.owner[rows]]
 
     def size(
         self, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Float[Tensor, " rows"]:
-        """Half of the steps' squared lengths in the curvatures of their frames."""
+        """Half of each step's squared length in the metric of its frame's Hessian."""
         return 0.5 * (self.of(rows).mT @ steps[..., None]).square().sum((1, 2))
 
-    def renew(
+    def recompute(
         self,
         energies: TiedFrames[S],
         state: S,
@@ -220,9 +222,9 @@ class _Curvatures:
         damping: Float[Tensor, " frames"],
         stride: int,
     ) -> None:
-        """Recompute the factors of some frames; up to `stride` frames share one where allowed."""
+        """Recompute the factors of some frames; up to `stride` similar frames share one."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
-        self.owner[rows] = middle.where(energies.alike(rows, middle), rows)
+        self.owner[rows] = middle.where(energies.share_data_kind(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
             curvature = energies.curvature(state, some)
             diagonal = curvature.diagonal(dim1=1, dim2=2)
@@ -232,33 +234,33 @@ class _Curvatures:
             self.count += len(some)
 
 
-def _or_beside(
-    some: Bool[Tensor, " frames"], linked: Bool[Tensor, " between"]
+def _with_tied_neighbours(
+    flags: Bool[Tensor, " frames"], linked: Bool[Tensor, " between"]
 ) -> Bool[Tensor, " frames"]:
-    """Frames that are flagged or tied to one that is."""
-    found = some.clone()
-    found[1:] |= some[:-1] & linked
-    found[:-1] |= some[1:] & linked
+    """The flags, true also for frames tied to a flagged one."""
+    found = flags.clone()
+    found[1:] |= flags[:-1] & linked
+    found[:-1] |= flags[1:] & linked
     return found
 
 
-def _beside(between: Float[Tensor, " between"]) -> Float[Tensor, " frames"]:
-    """Half of the energies of the ties to both sides of every frame."""
+def _half_of_adjacent_ties(between: Float[Tensor, " between"]) -> Float[Tensor, " frames"]:
+    """Half of the energies of the ties on both sides of every frame."""
     ends = torch.nn.functional.pad(0.5 * between, (1, 1))
     return ends[1:] + ends[:-1]
 
 
 @dataclass(frozen=True)
 class Ties:
-    """Springs between neighbouring frames: blocks -l_i T beside the diagonal ones."""
+    """Off-diagonal blocks -l_i T of the Hessian, from springs between neighbouring frames."""
 
     stiffness: Float[Tensor, " n"]
     """Diagonal of T."""
     linked: Bool[Tensor, " between"]
     """l_i: whether block i is tied to block i + 1; one fewer than there are blocks."""
 
-    def drawn(self, x: Float[Tensor, "blocks n"]) -> Float[Tensor, "blocks n"]:
-        """T (l_i x_(i+1) + l_(i-1) x_(i-1))."""
+    def times_vector(self, x: Float[Tensor, "blocks n"]) -> Float[Tensor, "blocks n"]:
+        """The springs' product with a vector: T (l_i x_(i+1) + l_(i-1) x_(i-1))."""
         out = torch.zeros_like(x)
         if len(x) > 1:
             linked = self.linked[:, None]
@@ -275,7 +277,7 @@ def solve_tied(
     tolerance: float,
     iterations: int,
 ) -> Float[Tensor, "blocks n"]:
-    """Conjugate gradients, with the blocks alone as preconditioner.
+    """Solve the system of blocks and ties by conjugate gradients, preconditioned by blocks.
 
     The product of a block with a direction follows from the recurrence of the directions, so that
     only the factors are needed.
@@ -287,23 +289,23 @@ def solve_tied(
         tolerance: of the residual's norm in the inverse of the blocks, relative to the first one.
         iterations: at most so many; without any the ties are left out.
     """
-    x = _solved(factors, right)
+    x = _solved_blocks(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
-    # start at the solution without ties; its residual is the force of the ties
-    residual = ties.drawn(x)
+    # the residual of the solution without ties is the force of the ties
+    residual = ties.times_vector(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)
     before = 1.0
     for _ in range(iterations):
-        z = _solved(factors, residual)
+        z = _solved_blocks(factors, residual)
         size = float((residual * z).sum())
         if not size > target:
             break
         share = size / before
         direction = z + share * direction
         product = residual + share * product
-        bent = product - ties.drawn(direction)
+        bent = product - ties.times_vector(direction)
         curvature = float((direction * bent).sum())
         if not curvature > 0:
             break
@@ -314,7 +316,7 @@ def solve_tied(
     return x
 
 
-def _solved(
+def _solved_blocks(
     factors: Float[Tensor, "blocks n n"], right: Float[Tensor, "blocks n"]
 ) -> Float[Tensor, "blocks n"]:
     # two triangular solves: several times faster than cholesky_solve for single columns

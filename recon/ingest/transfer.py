@@ -1,4 +1,4 @@
-"""Transfer of a motion to another body model, with matching surfaces."""
+"""Transfers a motion to another body model by matching their surfaces."""
 
 from dataclasses import dataclass
 
@@ -51,7 +51,7 @@ _LIMBS = tuple(
 
 @dataclass(frozen=True)
 class Aligned:
-    """A body in the shape and pose of another one at rest."""
+    """Shape and pose in which one body model matches another one at rest."""
 
     shape: Float[Tensor, " shape"]
     turns: Float[Tensor, "22 3"]
@@ -60,7 +60,7 @@ class Aligned:
     """Metres."""
 
     def motion(self) -> Motion:
-        """One frame in this shape and pose."""
+        """A motion of one frame with this shape and pose."""
         rotations = so3.exp(self.turns)[None]
         return Motion.create(self.translation[None], rotations, self.shape, 30.0)
 
@@ -74,7 +74,7 @@ class Aligned:
 def align(
     body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel, count: int | None = None
 ) -> Aligned:
-    """The shape and pose in which the target's surface lies nearest to a body at rest.
+    """Find shape and pose in which the target's surface is nearest to a body at rest.
 
     Gauss-Newton over translation, turns and shape: first on the joints of the limbs, then on the
     distances of points of either surface to the other, across it above all. Both bodies are in
@@ -87,7 +87,7 @@ def align(
         count: coefficients of its shape, the first ones; None is all.
     """
     rest = body.rest_vertices(shape).numpy()
-    met = _Met(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
+    met = _Surface(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
     shapes = target.shape_size if count is None else count
     state = torch.zeros(_TURNS.stop + shapes, dtype=torch.float64)
     joints = body.rest_joints(shape)[list(_LIMBS)]
@@ -99,7 +99,7 @@ def align(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Vertices of the moving body and where they should be."""
+    """Vertices of the moved body, with residuals to the points that they should meet."""
 
     vertices: Int[Tensor, " pairs"]
     residuals: Float[Tensor, "pairs 3"]
@@ -110,8 +110,8 @@ class _Pairs:
 
 
 @dataclass(frozen=True)
-class _Met:
-    """The surface to be matched."""
+class _Surface:
+    """A surface that another one is aligned with."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -120,9 +120,9 @@ class _Met:
     def pairs(
         self, here: Float[np.ndarray, "others 3"], faces: Int[np.ndarray, "faces 3"]
     ) -> _Pairs:
-        """Nearest points of some vertices of either surface on the other."""
+        """Pair vertices of either surface with the nearest points of the other one."""
         own = vertex_normals(here, faces)
-        some, ours = _thinned(len(here)), _thinned(len(self.vertices))
+        some, ours = _every_few(len(here)), _every_few(len(self.vertices))
         near = closest_points(here[some], self.vertices, self.faces)
         facing = np.einsum("pc,pcd->pd", near.shares, self.normals[near.triangles])
         facing /= np.linalg.norm(facing, axis=-1, keepdims=True).clip(min=1e-9)
@@ -137,12 +137,12 @@ class _Met:
         return _Pairs(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
 
-def _thinned(count: int) -> Int[np.ndarray, " some"]:
+def _every_few(count: int) -> Int[np.ndarray, " some"]:
     return np.arange(0, count, max(1, count // _POINTS))
 
 
-def _posed(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
-    """The target in several states, one frame each."""
+def _posed_with_states(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
+    """The target body posed with several states, one frame each."""
     turns = states[:, _TURNS].unflatten(-1, (len(JOINTS), 3))
     motion = Motion.create(
         states[:, None, :3], so3.exp(turns)[:, None], states[:, _TURNS.stop :], 30.0
@@ -150,12 +150,12 @@ def _posed(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
     return target.pose(motion)
 
 
-def _slopes(
+def _points_and_derivatives(
     target: BodyModel, state: Float[Tensor, " n"], vertices: Int[Tensor, " points"] | None
 ) -> tuple[Float[Tensor, "points 3"], Float[Tensor, "points 3 n"]]:
-    """Vertices of the target, or the joints of its limbs, and their derivatives."""
+    """Vertices of the target, or its limbs' joints, and their derivatives by the state."""
     states = torch.cat((state[None], state + _STEP * torch.eye(len(state)).to(state)))
-    posed = _posed(target, states)
+    posed = _posed_with_states(target, states)
     if vertices is None:
         points = posed.joints[:, 0, list(_LIMBS)]
     else:
@@ -166,16 +166,16 @@ def _slopes(
 
 @dataclass(frozen=True)
 class _Alignment(Problem[Tensor]):
-    """½ Σ w |away|² of joints from where they should be, or of pairs of points found anew.
+    """½ Σ w |distance|² of joints from given positions, or of vertices from another surface.
 
     Turns and shape are drawn to zero.
     """
 
     target: BodyModel
-    meets: Float[Tensor, "limbs 3"] | _Met
+    goal: Float[Tensor, "limbs 3"] | _Surface
 
     def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """The normal equations about a state."""
+        """Quadratic model of the distances about a state."""
         slopes, away, weights = self._residuals(x)
         count = len(x) - _TURNS.stop
         pull = torch.cat((
@@ -196,14 +196,14 @@ class _Alignment(Problem[Tensor]):
 
     def _residuals(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Jacobian, residuals and their weights."""
-        if isinstance(self.meets, Tensor):
-            here, slopes = _slopes(self.target, x, None)
-            away = (here - self.meets).flatten()
+        if isinstance(self.goal, Tensor):
+            here, slopes = _points_and_derivatives(self.target, x, None)
+            away = (here - self.goal).flatten()
             return slopes.flatten(0, 1), away, torch.full_like(away, _JOINTS_WEIGH)
         every = torch.arange(len(self.target.template))
-        here = _posed(self.target, x[None]).points(every)[0, 0].numpy()
-        pairs = self.meets.pairs(here, self.target.faces.numpy())
-        _, slopes = _slopes(self.target, x, pairs.vertices)
+        here = _posed_with_states(self.target, x[None]).points(every)[0, 0].numpy()
+        pairs = self.goal.pairs(here, self.target.faces.numpy())
+        _, slopes = _points_and_derivatives(self.target, x, pairs.vertices)
         across = torch.einsum("rd,rdk->rk", pairs.directions, slopes)
         along = _ALONG**2 * pairs.weights.repeat_interleave(3)
         return (
@@ -247,16 +247,16 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
         ReconError: when the motion has a batch axis.
     """
     if motion.translation.ndim != 2:
-        raise ReconError("expected one clip without a batch axis; bring over motion[k]")
+        raise ReconError("expected one clip without a batch axis; transfer motion[k]")
     dtype = motion.translation.dtype
     motion = motion.to(dtype=torch.float64)
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
     rest = align(body, motion.shape, target)
-    moved = _begun_at_rest(motion, body, target, rest)
-    return Transferred(moved.to(dtype=dtype), _distances(motion, body, moved, target))
+    moved = _first_guess(motion, body, target, rest)
+    return Transferred(moved.to(dtype=dtype), _surface_distances(motion, body, moved, target))
 
 
-def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned) -> Motion:
+def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned) -> Motion:
     vertices = torch.arange(0, len(target.template), max(1, len(target.template) // POINTS))
     there = target.pose(rest.motion()).points(vertices)[0].numpy()
     surface = body.rest_vertices(motion.shape).numpy()
@@ -267,7 +267,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
     asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
     positions = torch.einsum("pc,tpcd->tdp", shares, asked)
     local, translation = carried(motion, body, target, rest)
-    # vertices far from the other body's rest surface belong to parts that only one body has
+    # vertices far from the other body's surface at rest belong to parts that only one has
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
         rest=target.rest_joints(rest.shape),
@@ -292,7 +292,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
 def carried(
     motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
-    """Bone rotations of the first body applied to the other, from the pose where both agree."""
+    """Bone rotations and root of one body applied to the other, from the pose where both agree."""
     posed = body.pose(motion)
     world = posed.orientations @ rest.orientations
     local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)
@@ -302,7 +302,7 @@ def carried(
     return local, place - pelvis
 
 
-def _distances(
+def _surface_distances(
     motion: Motion, body: BodyModel, moved: Motion, target: BodyModel
 ) -> Float[np.ndarray, "frames vertices"]:
     frames = np.unique(np.linspace(0, motion.frames - 1, _JUDGED).round().astype(int))

@@ -1,1 +1,1 @@
-"""3D keypoints as producers write them; `reader` chooses the format by a file's content."""
+"""Reads 3D keypoints of many programs; `reader` recognises the format."""

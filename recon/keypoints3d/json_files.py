@@ -1,4 +1,4 @@
-"""3D keypoints as JSON: MediaPipe's world landmarks, Azure Kinect bodies, lists with names."""
+"""Reads 3D keypoints in JSON: MediaPipe's, Azure Kinect's, and lists with names."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,8 +11,8 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
 from recon.detections.json_files import LANDMARKS, landmarks, people_of_landmarks
 from recon.formats.json_files import as_floats, as_identity, listed_frames, read_json
-from recon.keypoints3d.people_files import frames_of, of_people, read_people
-from recon.keypoints3d.records import Person, Points3D, followed, taken
+from recon.keypoints3d.people_files import listed_in_time, points_of_one_person, read_people
+from recon.keypoints3d.records import Person, Points3D, chosen_person, tracks_of_people
 
 _WORLD = ("pose_world_landmarks", "world_landmarks", "poseWorldLandmarks", "worldLandmarks")
 _IMAGE = ("pose_landmarks", "poseLandmarks", "landmarks")
@@ -24,7 +24,7 @@ _MICROSECONDS = 1e-6
 
 
 def read_json_points(path: Path, person: int | None = None) -> Points3D:
-    """3D keypoints of one person.
+    """Read the 3D keypoints of one person.
 
     Args:
         path: of the file.
@@ -38,7 +38,7 @@ def read_json_points(path: Path, person: int | None = None) -> Points3D:
     reader = _reader_of(value)
     if reader is not None:
         return reader(value, name, person)
-    found = read_people(frames_of(value, name), name, person)
+    found = read_people(listed_in_time(value, name), name, person)
     if found is None:
         raise FormatError(
             f"{path}: expected MediaPipe's pose_world_landmarks, Azure Kinect's joint_names and "
@@ -52,12 +52,12 @@ def _reader_of(value: Any) -> Callable[[Any, str, int | None], Points3D] | None:
     entries = _entries(value)
     records = [one for one in entries if isinstance(one, dict)]
     if any(key in one for one in records for key in _WORLD):
-        return _world
+        return _read_mediapipe
     if not isinstance(value, dict):
         return None
     if any(isinstance(one.get("bodies"), list) for one in records):
-        return _azure
-    return _named if _names(value) and entries and isinstance(entries[0], list) else None
+        return _read_azure_kinect
+    return _read_named if _names(value) and entries and isinstance(entries[0], list) else None
 
 
 def _entries(value: Any) -> list[Any]:
@@ -71,8 +71,8 @@ def _names(value: dict[str, Any]) -> tuple[str, ...]:
     return next((tuple(one) for one in lists if all(isinstance(n, str) for n in one)), ())
 
 
-def _world(value: Any, name: str, person: int | None) -> Points3D:
-    """Metres relative to the middle of the hips; x right, y down, z away from the camera."""
+def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
+    """Read MediaPipe's world landmarks: metres from the middle of the hips, y down, z away."""
     frames = listed_frames(_entries(value), name)
     first, last = frames[0][0], frames[-1][0]
     FRAMES.check(last - first + 1, name)
@@ -80,14 +80,14 @@ def _world(value: Any, name: str, person: int | None) -> Points3D:
     image = [_people(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
-        known = [  # the place in the image, which hip-relative landmarks lack
+        known = [  # hip-relative landmarks are followed by where they are in the image
             [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
             for a, b in zip(found, image, strict=True)
         ]
-    tracks = followed(known)
+    tracks = tracks_of_people(known)
     if not tracks:
         raise FormatError(f"{name}: expected world landmarks, but all frames are empty")
-    chosen, said = taken([len(one) for one in tracks], len(frames), person, name)
+    chosen, said = chosen_person([len(one) for one in tracks], len(frames), person, name)
     positions = np.full((last - first + 1, LANDMARKS, 3), np.nan)
     for k, place in tracks[chosen].items():
         positions[frames[k][0] - first] = found[k][place]
@@ -96,32 +96,32 @@ def _world(value: Any, name: str, person: int | None) -> Points3D:
 
 
 def _people(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
-    """Everybody's landmarks in one frame; NaN where not seen."""
+    """The landmarks of all people in one frame; NaN where not seen."""
     people = people_of_landmarks(entry, keys) if isinstance(entry, dict) else None
     found = [landmarks(one, "xyz", place) for one in people or []]
     return [np.where(one[:, 3:] < _SEEN, np.nan, one[:, :3]) for one in found]
 
 
-def _azure(value: Any, name: str, person: int | None) -> Points3D:
-    """Millimetres in the frame of the depth camera: x right, y down, z forward."""
+def _read_azure_kinect(value: Any, name: str, person: int | None) -> Points3D:
+    """Read Azure Kinect's joints: millimetres in the depth camera's frame, y down, z forward."""
     frames = [one for one in _entries(value) if isinstance(one, dict)]
     names = _names(value)
     people = [
-        (k, [(as_identity(one.get("body_id", 0), name), _joints(one, f"{name}, frame {k}"))
+        (k, [(as_identity(one.get("body_id", 0), name), _joints_of_body(one, f"{name}, frame {k}"))
              for one in frame.get("bodies") or [] if isinstance(one, dict)])
         for k, frame in enumerate(frames)
     ]  # fmt: skip
-    points = of_people(
+    points = points_of_one_person(
         people, name, person, names, layout=None if names else "azure32", unit="mm",
         decisions=("unit mm: Azure Kinect's",),
     )  # fmt: skip
     stamps = [frame.get("timestamp_usec") for frame in frames]
     if not all(isinstance(stamp, int | float) for stamp in stamps):
         return points
-    return points.timed(as_floats(stamps, name) * _MICROSECONDS)
+    return points.with_rate_of_times(as_floats(stamps, name) * _MICROSECONDS)
 
 
-def _joints(body: dict[str, Any], place: str) -> Person:
+def _joints_of_body(body: dict[str, Any], place: str) -> Person:
     found = as_floats(body.get("joint_positions"), place)
     if found.ndim != 2:
         raise FormatError(
@@ -131,8 +131,8 @@ def _joints(body: dict[str, Any], place: str) -> Person:
     return found
 
 
-def _named(value: Any, name: str, person: int | None) -> Points3D:
-    """Names beside x, y, z (and a confidence) of every point in every frame."""
+def _read_named(value: Any, name: str, person: int | None) -> Points3D:
+    """Read a list of names with x, y, z (and a confidence) of every point in every frame."""
     del person
     names, numbers = _names(value), as_floats(_entries(value), name)
     if numbers.ndim != 3 or numbers.shape[1] != len(names) or numbers.shape[2] not in (3, 4):
@@ -144,7 +144,7 @@ def _named(value: Any, name: str, person: int | None) -> Points3D:
         next((value[key] for key in keys if key in value), None)
         for keys in (("fps", "frame_rate"), ("unit", "units"))
     )
-    points = Points3D(name, numbers[..., :3], names).stated(
+    points = Points3D(name, numbers[..., :3], names).with_stated_rate(
         float(fps) if isinstance(fps, int | float) else None
     )
     return replace(points, unit=unit if isinstance(unit, str) else None)

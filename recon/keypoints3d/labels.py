@@ -1,11 +1,11 @@
-"""Labels of 3D keypoints as producers spell them, mapped to keypoints of our table."""
+"""Recognises keypoints by their labels, however programs spell these."""
 
 import re
 from collections.abc import Sequence
 
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
-from recon.detections.tables import normalised
+from recon.detections.tables import plain_part_name
 
 _PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")
 _ABBREVIATED = re.compile(
@@ -43,19 +43,19 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 
 
 def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
-    """The keypoint that every label means, or None.
+    """The keypoint that each label means; None for an unknown label.
 
     `head`, `neck`, `pelvis` and `foot` are joints in the body where other labels show that the
     points are a skeleton's joints, and a detector's keypoints elsewhere. Feet without ankles are
     ankles, as Human3.6M calls them.
     """
-    words = [_word(label) for label in labels]
+    words = [_plain_spelling(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
     ankles = "left_ankle" in words
-    found = [_meant(word, joints=joints, ankles=ankles) for word in words]
+    found = [_keypoint_of_word(word, joints=joints, ankles=ankles) for word in words]
     if "spine_base" not in words:
         return found
-    # Kinect v2 defines its head joint as the middle of the head
+    # the head joint of Kinect v2 is the middle of the head
     return ["head_centre" if one == f"head{JOINT}" else one for one in found]
 
 
@@ -69,14 +69,14 @@ def are_keypoints(labels: Sequence[str]) -> bool:
     return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
 
 
-def _word(label: str) -> str:
-    """A label in our spelling: LHip, HIP_LEFT, body_left_hip and lhip are left_hip."""
+def _plain_spelling(label: str) -> str:
+    """A label in recon's spelling: LHip, HIP_LEFT, body_left_hip and lhip become left_hip."""
     label = re.sub(r"^K4ABT_JOINT_", "", label.strip().rsplit(":", 1)[-1], flags=re.IGNORECASE)
     lowered = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
     if short := _ABBREVIATED.match(lowered):
         side = "left" if short[1] == "l" else "right"
         return _sided(side, short[2].replace("_", ""))
-    word = normalised(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
+    word = plain_part_name(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
     side, _, rest = word.partition("_")
     return _sided(side, rest) if side in ("left", "right") and rest else word
 
@@ -85,7 +85,7 @@ def _sided(side: str, name: str) -> str:
     return f"{side}_{_SAME_SIDED.get(name, name)}"
 
 
-def _meant(word: str, *, joints: bool, ankles: bool) -> str | None:
+def _keypoint_of_word(word: str, *, joints: bool, ankles: bool) -> str | None:
     side, _, rest = word.partition("_")
     if joints:
         joint = word.replace("spine_1", "spine1").replace("spine_2", "spine2")

@@ -1,4 +1,4 @@
-"""Names of points that come without names, where their number or their program tells them."""
+"""Names unnamed keypoints where their number or their program determines the layout."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from recon.core.layouts import LAYOUTS, pairs
 from recon.keypoints3d.records import Points3D
 
 
-def _hand(side: str) -> tuple[str, ...]:
+def _hand_keypoints(side: str) -> tuple[str, ...]:
     fingers = ("thumb", "index", "middle", "ring", "pinky")
     places = ("tip", "first_joint", "second_joint", "third_joint")
     return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
@@ -16,7 +16,7 @@ _FOOT = ("big_toe", "small_toe", "heel")
 MHR70 = (
     "nose", *pairs("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
     *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
-    *_hand("right"), "right_wrist", *_hand("left"), "left_wrist",
+    *_hand_keypoints("right"), "right_wrist", *_hand_keypoints("left"), "left_wrist",
     *pairs("olecranon", "cubital_fossa", "acromion"), "neck",
 )  # fmt: skip
 """Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
@@ -33,8 +33,8 @@ _BODIES = {133: 23, 136: 26}
 _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
 
 
-def labelled(points: Points3D) -> Points3D:
-    """The points with names where their number tells them, without those of faces and hands."""
+def with_names(points: Points3D) -> Points3D:
+    """The points, named where their number determines the layout; faces and hands left out."""
     count = points.positions.shape[1]
     if points.names or points.layout:
         return points

@@ -1,4 +1,4 @@
-"""3D keypoints of several people: JSON of EasyMocap, OpenPose, MMPose, ZED; NTU's .skeleton.
+"""Reads 3D keypoints of several people: EasyMocap, OpenPose, MMPose, ZED and NTU.
 
 A reader of one producer takes what a file says of a frame and gives everybody in it, or None where
 another producer wrote it.
@@ -16,7 +16,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.json_files import Frames, as_floats, as_identity, listed_frames
 from recon.formats.texts import decode, read_bytes
-from recon.keypoints3d.records import Person, Points3D, followed, taken
+from recon.keypoints3d.records import Person, Points3D, chosen_person, tracks_of_people
 
 _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""
@@ -26,7 +26,7 @@ People = list[tuple[int, Person]]
 
 
 def read_people(frames: Frames, name: str, person: int | None = None) -> Points3D | None:
-    """The keypoints of one person; None where no such producer wrote them.
+    """Read the keypoints of one person; None if none of these programs wrote the frames.
 
     Args:
         frames: what was written of every frame.
@@ -40,21 +40,21 @@ def read_people(frames: Frames, name: str, person: int | None = None) -> Points3
     if reader is None:
         return None
     found = [(k, reader(entry, f"{name}, frame {k}") or []) for k, entry in frames]
-    points = of_people(found, name, person)
+    points = points_of_one_person(found, name, person)
     times = _seconds([entry for _, entry in frames])
     if times is None:
         return points
-    return points.timed(np.linspace(0.0, times[-1], len(points.positions)))
+    return points.with_rate_of_times(np.linspace(0.0, times[-1], len(points.positions)))
 
 
-def of_people(
+def points_of_one_person(
     frames: Sequence[tuple[int, People]],
     name: str,
     person: int | None,
     names: tuple[str, ...] = (),
     **known: Any,
 ) -> Points3D:
-    """Somebody's points of all frames, by their numbers or, where there are none, by their places.
+    """The points of one person in all frames, followed by number or, without numbers, by place.
 
     Args:
         frames: numbers of frames, increasing, and everybody in them.
@@ -76,10 +76,10 @@ def of_people(
             for who, _ in often
         ]  # fmt: skip
     else:
-        tracks = followed([[points for _, points in people] for _, people in frames])
+        tracks = tracks_of_people([[points for _, points in people] for _, people in frames])
     if not tracks:
         raise FormatError(f"{name}: expected people, but all {len(frames)} frames are empty")
-    chosen, said = taken([len(one) for one in tracks], len(frames), person, name)
+    chosen, said = chosen_person([len(one) for one in tracks], len(frames), person, name)
     rows = {frames[k][0]: frames[k][1][place] for k, place in tracks[chosen].items()}
     (_, example), count = next(iter(rows.values())), frames[-1][0] - frames[0][0] + 1
     positions = np.full((count, len(names) or len(example), 3), np.nan)
@@ -94,8 +94,8 @@ def of_people(
     return Points3D(name, positions, names, decisions=said, **known)
 
 
-def frames_of(value: Any, name: str) -> Frames:
-    """What a file says of every frame; those of ZED count by their times.
+def listed_in_time(value: Any, name: str) -> Frames:
+    """The records of a file by frame number; ZED's frames are ordered by their times.
 
     Raises:
         ValueError: when only some state a number, or two the same.
@@ -117,7 +117,7 @@ def frames_of(value: Any, name: str) -> Frames:
 
 
 def _seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
-    """Times of ZED's frames from the first on; None where they do not rise or are none."""
+    """Times of ZED's frames, seconds from the first; None if missing or not rising."""
     stamps = [one.get("timestamp") if isinstance(one, dict) else None for one in entries]
     numbers = [float(one) for one in stamps if isinstance(one, int)]
     times = (np.array(numbers) - (numbers or [0.0])[0]) * _NANOSECONDS
@@ -125,42 +125,42 @@ def _seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
     return times if rising else None
 
 
-def _zed(entry: Any, place: str) -> People | None:
-    """`{"timestamp": ..., "body_list": [{"id": ..., "keypoint": [[x, y, z], ...]}]}`."""
+def _people_of_zed(entry: Any, place: str) -> People | None:
+    """Read `{"timestamp": ..., "body_list": [{"id": ..., "keypoint": [[x, y, z], ...]}]}`."""
     return _records(entry, "body_list", "keypoint", place)
 
 
-def _openpose(entry: Any, place: str) -> People | None:
-    """`{"people": [{"person_id": [-1], "pose_keypoints_3d": [x, y, z, c, ...]}]}`."""
+def _people_of_openpose(entry: Any, place: str) -> People | None:
+    """Read `{"people": [{"person_id": [-1], "pose_keypoints_3d": [x, y, z, c, ...]}]}`."""
     return _records(entry, "people", "pose_keypoints_3d", place)
 
 
-def _easymocap(entry: Any, place: str) -> People | None:
-    """`[{"id": ..., "keypoints3d": [[x, y, z, c], ...]}]`."""
+def _people_of_easymocap(entry: Any, place: str) -> People | None:
+    """Read `[{"id": ..., "keypoints3d": [[x, y, z, c], ...]}]`."""
     return _records({"": entry}, "", "keypoints3d", place)
 
 
-def _mmpose(entry: Any, place: str) -> People | None:
-    """`{"instances": [{"keypoints": [[x, y, z], ...]}]}`, or the list alone."""
+def _people_of_mmpose(entry: Any, place: str) -> People | None:
+    """Read `{"instances": [{"keypoints": [[x, y, z], ...]}]}`, or its list alone."""
     entry = entry if isinstance(entry, dict) else {"instances": entry}
     return _records(entry, "instances", "keypoints", place)
 
 
-def _records(entry: Any, people: str, points: str, place: str) -> People | None:
-    """Everybody under a key; None where nobody has points in space under the other."""
-    listed = entry.get(people) if isinstance(entry, dict) else None
+def _records(entry: Any, people_key: str, points_key: str, place: str) -> People | None:
+    """The people listed under one key; None if none has 3D points under the other key."""
+    listed = entry.get(people_key) if isinstance(entry, dict) else None
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         return None
     found = [
-        (as_identity(one.get("id", one.get("person_id")), place), _points(one[points], place))
+        (as_identity(one.get("id", one.get("person_id")), place), _points(one[points_key], place))
         for one in listed
-        if one.get(points)
+        if one.get(points_key)
     ]
     return found if found and all(x.shape[1] == 3 for _, x in found) else None
 
 
 def _points(value: Any, place: str) -> np.ndarray:
-    """x, y, z of every point; a fourth number is a confidence, and not positive where unseen."""
+    """Rows x, y, z; NaN where a fourth number, a confidence, is not positive."""
     numbers = as_floats(value, place)
     if numbers.ndim == 1:
         numbers = numbers.reshape(-1, 4) if numbers.size % 4 == 0 else numbers[:, None]
@@ -169,7 +169,12 @@ def _points(value: Any, place: str) -> np.ndarray:
     return np.where(numbers[:, 3:] > 0, numbers[:, :3], np.nan)
 
 
-_READERS: Sequence[Callable[[Any, str], People | None]] = (_zed, _openpose, _easymocap, _mmpose)
+_READERS: Sequence[Callable[[Any, str], People | None]] = (
+    _people_of_zed,
+    _people_of_openpose,
+    _people_of_easymocap,
+    _people_of_mmpose,
+)
 
 
 _FPS = 30.0
@@ -177,7 +182,7 @@ _FPS = 30.0
 
 
 def read_ntu_skeleton(path: Path, person: int | None = None) -> Points3D:
-    """The joints of one body, metres, in the axes of the sensor, y up.
+    """Read the joints of one body: metres, axes of the sensor, y up.
 
     A file has the number of frames; for every frame the number of bodies; for every body a line
     with its number first, the number of joints, and a line for every joint: x, y, z, seven more
@@ -209,8 +214,8 @@ def read_ntu_skeleton(path: Path, person: int | None = None) -> Points3D:
             f"{path}: expected NTU RGB+D's skeletons, but frame {len(frames)} is cut short or "
             f"damaged ({error!s:.100})"
         ) from error
-    points = of_people(
+    points = points_of_one_person(
         frames, path.name, person, layout="kinect25", unit="m",
         decisions=("NTU RGB+D: Kinect v2, metres",),
     )  # fmt: skip
-    return points.stated(_FPS)
+    return points.with_stated_rate(_FPS)

@@ -16,7 +16,7 @@ from recon.formats.producers import MARKERS, POINTS_3D, holds_sam3d_body, produc
 from recon.formats.text_tables import first_rows, numbers, read_rows
 from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
-from recon.keypoints3d.layouts import labelled
+from recon.keypoints3d.layouts import with_names
 from recon.keypoints3d.people_files import read_ntu_skeleton, read_people
 from recon.keypoints3d.records import Points3D
 from recon.keypoints3d.tables import (
@@ -33,7 +33,7 @@ _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
 
 def body_file(folder: Path) -> Path | None:
-    """The file of a session that holds the body's keypoints, or None where it is no session."""
+    """The file with the body's keypoints of a FreeMoCap session; None for other folders."""
     places = (folder / "output_data", folder)
     endings = [(stem, ending) for stem in _BODY for ending in (".npy", ".csv")]
     found = (sorted(place.glob(stem + ending)) for place in places for stem, ending in endings)
@@ -41,13 +41,13 @@ def body_file(folder: Path) -> Path | None:
 
 
 def time_stamps(folder: Path) -> Path | None:
-    """The table of a session that has the time stamps of its frames."""
+    """The table with the time stamps of a session's frames, if there is one."""
     places = (folder, folder / "output_data", folder.parent)
     return next((one for place in places for one in sorted(place.glob("*_by_frame.csv"))), None)
 
 
 def read_session(folder: Path) -> Points3D:
-    """The body's keypoints of a session, millimetres, with its rate where time stamps tell it.
+    """Read the body's keypoints of a FreeMoCap session, millimetres, and its frame rate.
 
     Raises:
         FileNotFoundError: when there is no such folder.
@@ -73,9 +73,9 @@ def read_session(folder: Path) -> Points3D:
     try:
         frames, times = numbers(rows, columns, stamps.name, most=len(header)).T
     except FormatError:
-        return points  # the caller then asks for the rate
+        return points  # without a frame rate, which the user must then give
     first = np.unique(frames, return_index=True)[1]
-    return points.timed(times[first], stamps.name)
+    return points.with_rate_of_times(times[first], stamps.name)
 
 
 _TABLES = (".csv", ".tsv", ".txt")
@@ -100,7 +100,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         if holds_detections(path):
             return False
         arrays = load_arrays(path)
-        # motion files also have `joints`, but those are results, not observations
+        # the `joints` of a motion file are results, not observations
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
         return not others and holds_points(arrays) is not None
     if ending in _TABLES and path.is_file() and not holds_markers(path):
@@ -135,13 +135,13 @@ def read_points_3d(
         ValueError: when it is damaged, of no known kind or holds nobody.
     """
     if holds_sam3d_body(path):
-        from recon.keypoints3d.sam3d_body import read_sam3d_body  # few files have this format
+        from recon.keypoints3d.sam3d_body import read_sam3d_body  # a rare format
 
         return read_sam3d_body(path, person).checked()
     if path.is_dir():
         alone = body_file(path) is None and holds_points_3d(path)
         found = read_people(read_frame_folder(path), path.name, person) if alone else None
-        return labelled(read_session(path) if found is None else found).checked()
+        return with_names(read_session(path) if found is None else found).checked()
     match path.suffix.lower():
         case ".npy":
             found = read_array(path)
@@ -160,11 +160,11 @@ def read_points_3d(
                 f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a "
                 "session folder"
             )
-    return labelled(found).checked()
+    return with_names(found).checked()
 
 
 def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecording:
-    """A recording of labelled points, in metres and z up.
+    """Read a recording of labelled points, in metres and z up.
 
     Raises:
         FileNotFoundError, ValueError: as `recon.mocap.reader.read_recording` does.
@@ -176,7 +176,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
 
 
 def from_recording(recording: MarkerRecording) -> Points3D:
-    """The points of a recording whose labels are keypoints (see `are_keypoints`).
+    """The points of a recording as keypoints, by their labels.
 
     Raises:
         ValueError: when the labels are those of markers.
@@ -198,8 +198,8 @@ def from_recording(recording: MarkerRecording) -> Points3D:
     ).checked()  # fmt: skip
 
 
-def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:
-    """The markers that OpenCap's augmenter computes, as markers on the skin; None for others.
+def opencap_markers(recording: MarkerRecording) -> PositionsFile | None:
+    """OpenCap's computed markers as markers on the skin; None for other recordings.
 
     Centres of hip joints among them are no markers and are left out.
     """
@@ -220,7 +220,7 @@ def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:
 
 
 def with_rate(points: Points3D, fps: float | None) -> Points3D:
-    """The points with the frame rate that the caller gave, if any.
+    """The points with the frame rate that the caller gave, else the file's.
 
     Raises:
         ValueError: when neither he nor the file tells one.

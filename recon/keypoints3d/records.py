@@ -1,4 +1,4 @@
-"""3D keypoints in a file's own unit, axes and names."""
+"""Records of 3D keypoints in a file's own unit, axes and names."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ _USUAL_RATES, _TICKS = (4.0, 500.0), (1e3, 1e6, 1e9)
 
 @dataclass(frozen=True)
 class Points3D:
-    """Points in space over time, as read, before their names, unit and axes are settled."""
+    """Points in space over time, as a file has them: its own names, unit and axes."""
 
     name: str
     positions: Float[np.ndarray, "time points 3"]
@@ -36,15 +36,17 @@ class Points3D:
     decisions: tuple[str, ...] = ()
     """What was read or guessed, one sentence each."""
 
-    def stated(self, fps: float | None) -> "Points3D":
-        """The points at the rate that the file states, if it does."""
+    def with_stated_rate(self, fps: float | None) -> "Points3D":
+        """The points with the frame rate that the file states, if any."""
         if fps is None:
             return self
         said = f"{fps:g} frames per second: stated by the file"
         return replace(self, fps=fps, decisions=(*self.decisions, said))
 
-    def timed(self, times: np.ndarray | None, source: str | None = None) -> "Points3D":
-        """The points at the rate that a column of times tells, if it does.
+    def with_rate_of_times(
+        self, times: np.ndarray | None, source: str | None = None
+    ) -> "Points3D":
+        """The points with the frame rate that follows from a column of times, if there is one.
 
         It tells none where it is a single time, or times that do not rise evenly. Times are
         milli-, micro- or nanoseconds where that makes a usual rate and seconds do not.
@@ -79,7 +81,7 @@ class Points3D:
         return replace(self, fps=fps, start_time=start, decisions=(*self.decisions, said))
 
     def checked(self) -> "Points3D":
-        """The points with missing ones as NaN; refused where there are none at all.
+        """The points with NaN for missing ones; an error if none is seen at all.
 
         Exact zeros in all three coordinates and infinity are missing points too, unless they are
         the same point in all frames: the origin of what is relative to it. So is another number
@@ -121,8 +123,8 @@ _APART = 0.35
 """Mean distance, in heights of the body, from which on a pose goes on in nobody's."""
 
 
-def followed(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
-    """For every person, their index in the lists of the frames, from the first frame on.
+def tracks_of_people(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
+    """For every person a mapping from frame to their index in that frame's list.
 
     A person goes on in that pose of the next frame which is nearest, all people together. Poses
     that are given about the hips say nothing of where somebody is; with what they are seen at in
@@ -146,10 +148,10 @@ def followed(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
     return people
 
 
-def taken(
+def chosen_person(
     counts: Sequence[int], frames: int, person: int | None, name: str
 ) -> tuple[int, tuple[str, ...]]:
-    """Choose one of several people; returns a note about the choice.
+    """Number of the chosen one of several people, and a note about the choice.
 
     Args:
         counts: frames in which each of them is seen.
@@ -174,7 +176,7 @@ def taken(
 
 
 def _distance(a: Person, b: Person) -> float:
-    """Mean distance of the landmarks that both have, in heights of the larger body."""
+    """Mean distance of the landmarks that both people show, in heights of the larger one."""
     both = np.isfinite(a).all(-1) & np.isfinite(b).all(-1)
     if not both.any():
         return np.inf

@@ -1,4 +1,4 @@
-"""Results of SAM 3D Body: 70 keypoints (MHR-70) and the place of every person in every image.
+"""Reads SAM 3D Body's results: 70 keypoints (MHR-70) and position of everybody per image.
 
 A result is a dictionary for every person of an image. Saved are lists of them for every frame
 (.pkl, .npy), an .npz for every frame, or frame and person, in a folder, and .npz of arrays.
@@ -18,7 +18,7 @@ from recon.formats.opening import DAMAGE, check_sizes
 from recon.formats.pickles import read_pickle
 from recon.formats.producers import SAM3D_POINTS
 from recon.keypoints3d.layouts import MHR70
-from recon.keypoints3d.records import Points3D, followed, taken
+from recon.keypoints3d.records import Points3D, chosen_person, tracks_of_people
 
 _POINTS, _PLACE, _PIXELS = SAM3D_POINTS, "pred_cam_t", "pred_keypoints_2d"
 _FOCAL = "focal_length"
@@ -52,7 +52,7 @@ Person = Mapping[str, np.ndarray]
 
 
 def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
-    """The keypoints of one person, in the frame of a camera that has one focal length.
+    """Read the keypoints of one person, in the frame of a camera with one focal length.
 
     The focal length f and the middle c of the image follow from u = f x/z + c where 2D keypoints
     are there. Depths are brought to the median of f, each frame is scaled to the median length of
@@ -73,20 +73,22 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     if not added:
         raise FormatError(f"{path}: expected people, but all {len(frames)} frames are empty")
     within = 2 * sum(added) > len(added)
-    placed = [[_placed(one, path, within) for one in people] for people in frames]
+    placed = [[_in_camera_frame(one, path, within) for one in people] for people in frames]
     middle = float(np.median([_depth(one) for people in placed for one in people]))
-    tracks = followed([[_in_image(one, middle) for one in people] for people in placed])
+    tracks = tracks_of_people([[_in_image(one, middle) for one in people] for people in placed])
     counts = [len(one) for one in tracks]
-    chosen, several = taken(counts, len(frames), person, path.name)
+    chosen, several = chosen_person(counts, len(frames), person, path.name)
     seen = tracks[chosen]
     people = [frames[k][place] for k, place in seen.items()]
     points = np.stack([placed[k][place] for k, place in seen.items()])
     said = ["layout mhr70: SAM 3D Body's, in the frame of the camera", *several]
     if within:
         said.append(f"{_PLACE} is in {_POINTS} already")
-    found = [_focal(one, at, path) for one, at in zip(people, points, strict=True)]
+    found = [_focal_and_centre(one, at, path) for one, at in zip(people, points, strict=True)]
     if None not in found:
-        points, decision = _of_one_camera(points, people, np.array(found, dtype=np.float64))
+        points, decision = _at_common_focal_length(
+            points, people, np.array(found, dtype=np.float64)
+        )
         said.append(decision)
     points, held = _without_jitter(points, np.array(list(seen)))
     said += held
@@ -100,13 +102,13 @@ def _depth(points: np.ndarray) -> float:
 
 
 def _in_image(points: np.ndarray, middle: float) -> np.ndarray:
-    """Points as the image shows them, in metres at a depth; their own depths count little."""
+    """Points on the image plane at one depth, in metres; differences in depth count little."""
     rays = points[:, :2] / points[:, 2:]
     return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
 
 
 def _checked(person: object, path: Path) -> Person:
-    """The arrays of a person that are read; each of the shape that SAM 3D Body gives it."""
+    """The arrays of a person that recon uses, after a check of their shapes."""
     if not isinstance(person, dict) or _POINTS not in person:
         raise FormatError(f"{path}: expected people with {_POINTS}, got {person!r:.80}")
     out = {}
@@ -126,8 +128,8 @@ def _checked(person: object, path: Path) -> Person:
     return out
 
 
-def _placed(person: Person, path: Path, within: bool) -> np.ndarray:
-    """The points with the person's place, metres in the frame of the camera."""
+def _in_camera_frame(person: Person, path: Path, within: bool) -> np.ndarray:
+    """The points plus the person's position, metres, in the camera's frame."""
     if not within and _PLACE not in person:
         raise FormatError(f"{path}: expected the person's place, {_PLACE}, beside {_POINTS}")
     points = person[_POINTS] if within else person[_POINTS] + person[_PLACE]
@@ -136,8 +138,10 @@ def _placed(person: Person, path: Path, within: bool) -> np.ndarray:
     return points
 
 
-def _focal(person: Person, points: np.ndarray, path: Path) -> tuple[float, float, float] | None:
-    """Focal length and middle of the image, pixels; NaN for a middle that nothing tells."""
+def _focal_and_centre(
+    person: Person, points: np.ndarray, path: Path
+) -> tuple[float, float, float] | None:
+    """Focal length and centre of the image, pixels; NaN for an unknown centre."""
     stated = person.get(_FOCAL)
     if _PIXELS not in person:
         return None if stated is None else (float(stated), np.nan, np.nan)
@@ -163,10 +167,10 @@ def _focal(person: Person, points: np.ndarray, path: Path) -> tuple[float, float
     return f, x, y
 
 
-def _of_one_camera(
+def _at_common_focal_length(
     points: np.ndarray, people: Sequence[Person], found: np.ndarray
 ) -> tuple[np.ndarray, str]:
-    """Points at the depths that belong to the median focal length, and what was found."""
+    """Points moved to the depths that the median focal length implies, and a note."""
     f, x, y = np.median(found, axis=0)
     depth = [one[_PLACE][2] if _PLACE in one else _depth(one[_POINTS]) for one in people]
     moved = points.copy()
@@ -181,7 +185,7 @@ def _of_one_camera(
 
 
 def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Points of one size, without jitter of the whole body along its ray; and what was done.
+    """Points scaled to one body size, without jitter of the body in depth, and notes.
 
     A body told too large is told too far away, as its image is what is seen: then a scale about
     the camera mends both. Where this makes depths less even, it is one about the hips. Jitter is
@@ -195,7 +199,7 @@ def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, l
     body = (points - hips[:, None]) * scale[:, None, None]
     every = np.arange(seen[0], seen[-1] + 1)
     depth = np.interp(every, seen, np.log(hips_now[:, 2]))
-    smooth = _smoothed(depth) if len(depth) >= _LEAST else depth
+    smooth = _smoothed_over_time(depth) if len(depth) >= _LEAST else depth
     said = [
         f"size held over the clip; it varied by {np.std(sizes) / np.mean(sizes):.1%}",
         f"jitter along the ray of {np.std(smooth - depth):.1%} of the depth was smoothed",
@@ -203,8 +207,8 @@ def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, l
     return body + (hips_now * np.exp(smooth - depth)[seen - seen[0], None])[:, None], said
 
 
-def _smoothed(values: np.ndarray) -> np.ndarray:
-    """Lines through the values around each frame, weighed by a Gaussian, at that frame.
+def _smoothed_over_time(values: np.ndarray) -> np.ndarray:
+    """Values smoothed over time by local linear regression with Gaussian weights.
 
     It is the widest that tells frames from the others as well as any, within one standard error
     of squared errors. At the ends, too, a line goes on.
@@ -227,13 +231,13 @@ def _smoothed(values: np.ndarray) -> np.ndarray:
 
 
 def _noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise in smooth values, by their third differences."""
+    """Standard deviation of white noise on smooth values, from third differences."""
     steps = np.diff(values, 3)
     return float(np.sqrt(np.mean(steps**2) / 20)) if len(steps) else 0.0
 
 
 def _frames(path: Path) -> list[list[Any]]:
-    """Everybody in every frame."""
+    """Read the records of all people in every frame."""
     if path.is_dir():
         return list(_of_folder(path))
     if path.suffix.lower() == ".npz":
@@ -257,7 +261,7 @@ def _people_of(frame: object) -> Sequence[Any]:
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays that are read; others, such as pickled masks, are not opened."""
+    """Read the arrays that recon uses; others, such as pickled masks, are not opened."""
     try:
         check_sizes(path, only=tuple(_SHAPES))
         with np.load(path, allow_pickle=False) as file:
@@ -267,7 +271,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _stacked(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
-    """People of arrays with none, one (frames) or two (frames, people) leading axes.
+    """Split arrays with leading axes (), (frames) or (frames, people) into people of frames.
 
     Somebody whose points are NaN or zero was not found.
     """
@@ -293,7 +297,7 @@ def _stacked(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
 
 
 def _of_folder(folder: Path) -> Iterator[list[Any]]:
-    """Frames by the numbers in the names of files; the last of two that change is the person."""
+    """Read a file per person and frame, numbered by name: frame first, then person."""
     files = sorted(folder.glob("*.npz"), key=lambda one: _numbers(one.stem))
     numbers = [_numbers(one.stem) for one in files]
     if len({len(one) for one in numbers}) > 1 or not numbers[0]:

@@ -1,4 +1,4 @@
-"""3D keypoints in tables (wide or long, .csv) and in arrays (.npy, .npz)."""
+"""Reads 3D keypoints from tables (.csv, wide or long) and arrays (.npy, .npz)."""
 
 import re
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.core.units import METRES, parse_unit
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
-from recon.formats.text_tables import each_once, numbers, read_rows
+from recon.formats.text_tables import numbers, read_rows, refuse_repeated_columns
 from recon.keypoints3d.records import Points3D
 
 _COORDINATE = re.compile(
@@ -45,7 +45,7 @@ def is_table_3d(header: Sequence[Sequence[str]]) -> bool:
 
 
 def read_table(path: Path) -> Points3D:
-    """Read a table, wide or long as its header says.
+    """Read a wide or long table of 3D keypoints.
 
     Wide ones have columns such as left_hip_x (DeepLabCut's and Anipose's header rows are joined to
     such), long ones a row for every frame and keypoint.
@@ -65,21 +65,21 @@ def read_table(path: Path) -> Points3D:
         )
     first = [cell.lower() for cell in rows[0]]
     if {"x", "y", "z"} <= set(first):
-        return _long(rows[1:], first, name)
+        return _read_long(rows[1:], first, name)
     if first[0] != "scorer":
-        return _wide(rows[1:], rows[0], name)
+        return _read_wide(rows[1:], rows[0], name)
     labels = {row[0].lower(): row[1:] for row in rows[:3]}
     if not {"bodyparts", "coords"} <= labels.keys():
         raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
     pairs = zip(labels["bodyparts"], labels["coords"], strict=False)
-    return _wide(rows[3:], ["", *(f"{part}_{axis}" for part, axis in pairs)], name)
+    return _read_wide(rows[3:], ["", *(f"{part}_{axis}" for part, axis in pairs)], name)
 
 
-def _wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
+def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     columns = _triples(header)
     if rows and {parse_unit(cell) for cell in rows[0] if cell} <= METRES.keys():
-        rows = rows[1:]  # a second header, of units
-    each_once([cell for cell in header if _COORDINATE.match(cell)], name)
+        rows = rows[1:]  # a second header row, with units
+    refuse_repeated_columns([cell for cell in header if _COORDINATE.match(cell)], name)
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
     needed = [k for axes in columns.values() for k in axes]
@@ -87,7 +87,7 @@ def _wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     lower = [cell.lower() for cell in header]
     frames, times = (_column(rows, lower, words, name) for words in (_FRAME, _TIME))
     if frames is None or not np.isfinite(frames).all() or len(frames) == 0:
-        return Points3D(name, values, tuple(columns)).timed(times)
+        return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
     steps = np.diff(frames)
     if not (steps > 0).all():
         raise FormatError(
@@ -95,7 +95,7 @@ def _wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
             f"after {frames[:-1][steps <= 0][0]:g}"
         )
     if (steps == steps[:1]).all():
-        return Points3D(name, values, tuple(columns)).timed(times)
+        return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
     index = (frames - frames[0]).astype(np.int64)
     FRAMES.check(index[-1] + 1, name, "column frame")
     SAMPLES.check((index[-1] + 1) * len(columns), name, "column frame")
@@ -105,7 +105,7 @@ def _wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     return Points3D(name, positions, tuple(columns), decisions=(said,))
 
 
-def _long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
+def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     frames = _column(rows, header, (*_FRAME, ""), name)
     if frames is None:
         raise FormatError(f"{name}: expected a column `frame` beside keypoint, x, y, z")
@@ -134,13 +134,15 @@ def _long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     points = Points3D(name, positions, tuple(place))
     times = _column(rows, header, _TIME, name)
     known, first = np.unique(index, return_index=True)
-    return points if times is None or len(known) < count else points.timed(times[first])
+    return (
+        points if times is None or len(known) < count else points.with_rate_of_times(times[first])
+    )
 
 
 def _column(
     rows: list[list[str]], header: list[str], words: Sequence[str], name: str
 ) -> np.ndarray | None:
-    """The numbers below the first of some words in a header; None where it has none of them.
+    """The numbers of the column named by the first of some words; None if there is none.
 
     Times of day and dates become seconds.
     """
@@ -148,11 +150,14 @@ def _column(
     if found is None:
         return None
     return numbers(
-        [[_seconds(cell) for cell in row[found : found + 1]] for row in rows], [0], name, most=1
+        [[_time_in_seconds(cell) for cell in row[found : found + 1]] for row in rows],
+        [0],
+        name,
+        most=1,
     )[:, 0]
 
 
-def _seconds(cell: str) -> str:
+def _time_in_seconds(cell: str) -> str:
     if match := _TIME_OF_DAY.fullmatch(cell):
         hours, minutes, seconds = map(float, match.groups())
         return str(3600 * hours + 60 * minutes + seconds)
@@ -163,7 +168,7 @@ def _seconds(cell: str) -> str:
 
 
 def _triples(header: Sequence[str]) -> dict[str, tuple[int, int, int]]:
-    """Columns of x, y and z of every point that has all three, by name."""
+    """Column numbers of x, y and z, keyed by the point's name."""
     found: dict[str, dict[str, int]] = {}
     for k, cell in enumerate(header):
         if match := _COORDINATE.match(cell) or _AXIS_FIRST.match(cell):
@@ -192,13 +197,13 @@ def read_array(path: Path) -> Points3D:
 
 
 def holds_points(arrays: dict[str, np.ndarray]) -> str | None:
-    """The key of the one array of shape (frames, points, 3) in an .npz file, or None."""
+    """The key of the only array of shape (frames, points, 3) of a file, or None."""
     keys = [key for key, value in arrays.items() if as_points(value) is not None]
     return keys[0] if len(keys) == 1 else None
 
 
 def read_arrays(path: Path) -> Points3D:
-    """Read an .npz or .pkl file that holds one such array, with its names and rate if there.
+    """Read an .npz or .pkl file with one array (frames, points, 3), perhaps names and rate.
 
     Of AIST++'s points those are taken that its authors optimised.
 
@@ -219,7 +224,9 @@ def read_arrays(path: Path) -> Points3D:
     labels = tuple(names.astype(str).tolist()) if named else ()
     rate = next((arrays[name] for name in _RATES if name in arrays), np.zeros(0))
     told = rate.size == 1 and rate.dtype.kind in "fiu"
-    return Points3D(path.name, found, labels).stated(float(rate.reshape(())) if told else None)
+    return Points3D(path.name, found, labels).with_stated_rate(
+        float(rate.reshape(())) if told else None
+    )
 
 
 def _arrays_of(path: Path) -> dict[str, np.ndarray]:
@@ -230,7 +237,7 @@ def _arrays_of(path: Path) -> dict[str, np.ndarray]:
 
 
 def as_points(array: np.ndarray) -> np.ndarray | None:
-    """The array as (frames, points, 3), or None where it is none of that kind."""
+    """The array reshaped to (frames, points, 3); None if it is not one of points."""
     if array.dtype.kind not in "fiu":
         return None
     while array.ndim > 3 and 1 in array.shape[:2]:

@@ -34,18 +34,18 @@ def stream_lines(
         if not line.strip():
             continue
         try:
-            points, time = _read(line)
+            points, time = _parsed_line(line)
             estimate = stream.push(points, time)
         except ReconError as error:
             complain(f"line {number}: {error}")
             continue
         if estimate is not None:
-            yield from _line_of(estimate)
+            yield from _json_lines(estimate)
     for estimate in stream.finish():
-        yield from _line_of(estimate)
+        yield from _json_lines(estimate)
 
 
-def _read(line: str) -> tuple[MomentLike, float | None]:
+def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
     """The points and the time of a line.
 
     Raises:
@@ -65,7 +65,7 @@ def _read(line: str) -> tuple[MomentLike, float | None]:
 
 
 def _is_sensor(value: Any) -> bool:
-    """Whether this is the moment of one sensor of several, a list of rows, rather than a row."""
+    """Whether a JSON value is a list of rows, of one of several sensors, rather than a row."""
     return isinstance(value, list) and any(one is None or isinstance(one, list) for one in value)
 
 
@@ -74,7 +74,7 @@ def _array(rows: Any) -> np.ndarray:
     return np.array([[np.nan] * 3 if row is None else row for row in rows], dtype=float)
 
 
-def _line_of(estimate: LiveEstimate) -> Iterator[str]:
+def _json_lines(estimate: LiveEstimate) -> Iterator[str]:
     for one in estimate.every:
         poses = so3.log(one.rotations.double())
         fields: dict[str, Any] = {

@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from observations.moments import Tracker, filled, followed, moments, without
+from observations.moments import Tracker, frame_from_array, moments, streamable, with_points_hidden
 from recon.core.arrays import Numbers, finite
 from recon.core.errors import ObservationError
 from recon.core.struct import TensorStruct
@@ -30,13 +30,13 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Door:
-    """The sensors of a stream, by a moment of each; what comes must be alike."""
+class StreamSensors:
+    """The sensors of a stream, each with one moment of data; later moments must be like it."""
 
-    sensors: tuple[Tracker, ...]
+    trackers: tuple[Tracker, ...]
 
     @classmethod
-    def of(cls, given: Any) -> "Door":
+    def of(cls, given: Any) -> "StreamSensors":
         """The sensors of observations of any length.
 
         Raises:
@@ -46,7 +46,7 @@ class Door:
         seen = _one_or_more(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
-        sensors = tuple(followed(one) for one in seen)
+        sensors = tuple(streamable(one) for one in seen)
         if len(rates := sorted({one.fps for one in sensors})) > 1:
             raise ObservationError(
                 f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
@@ -57,15 +57,15 @@ class Door:
     @property
     def fps(self) -> float:
         """Moments per second."""
-        return self.sensors[0].fps
+        return self.trackers[0].fps
 
     @property
-    def nothing(self) -> tuple[Tracker, ...]:
+    def empty_moment(self) -> tuple[Tracker, ...]:
         """A moment at which nothing was seen."""
-        return tuple(without(one) for one in self.sensors)
+        return tuple(with_points_hidden(one) for one in self.trackers)
 
     def moment(self, given: Any, time: float | None, next_time: float) -> Moment:
-        """What was pushed.
+        """The pushed data as one moment of all sensors.
 
         Args:
             given: a `MomentLike`.
@@ -80,14 +80,16 @@ class Door:
             or (isinstance(given, Sequence) and all(isinstance(g, TensorStruct) for g in given))
         )
         if arrays:
-            many = len(self.sensors) > 1
+            many = len(self.trackers) > 1
             rows: Any = given if many else [given]
-            self._counted(rows)
-            seen = tuple(filled(s, row) for s, row in zip(self.sensors, rows, strict=True))
+            self._check_count(rows)
+            seen = tuple(
+                frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)
+            )
             return Moment(next_time if time is None else finite(time, "time"), seen)
         rows = _one_or_more(given)
-        self._counted(rows)
-        seen = tuple(_alike(s, row) for s, row in zip(self.sensors, rows, strict=True))
+        self._check_count(rows)
+        seen = tuple(_checked_like(s, row) for s, row in zip(self.trackers, rows, strict=True))
         starts = [one.start_time for one in seen]
         if max(starts) - min(starts) > 0.5 / self.fps:
             raise ObservationError(
@@ -98,10 +100,10 @@ class Door:
             time = starts[0] if starts[0] != 0 else next_time
         return Moment(finite(time, "time"), seen)
 
-    def _counted(self, rows: Any) -> None:
-        if len(rows) != len(self.sensors):
+    def _check_count(self, rows: Any) -> None:
+        if len(rows) != len(self.trackers):
             raise ObservationError(
-                f"expected one moment of each of {len(self.sensors)} sensors, got {len(rows)}"
+                f"expected one moment of each of {len(self.trackers)} sensors, got {len(rows)}"
             )
 
 
@@ -109,13 +111,13 @@ def _one_or_more(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, TensorStruct) else tuple(given)
 
 
-def _alike(sensor: Tracker, given: Any) -> Tracker:
+def _checked_like(sensor: Tracker, given: Any) -> Tracker:
     """A moment, checked to be of this sensor."""
     if type(given) is not type(sensor):
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
         )
-    one = followed(given)
+    one = streamable(given)
     if one.moments != 1:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:
@@ -123,7 +125,7 @@ def _alike(sensor: Tracker, given: Any) -> Tracker:
     before, after = sensor.marks, one.marks
     if before != after:
         raise ObservationError(
-            f"the points changed: expected the {len(before)} points of before in their order, got "
+            f"the points changed: expected the {len(before)} former points in their order, got "
             f"{len(after)}; mark points that are not seen as missing, or begin another stream"
         )
     return sensor.derived(start_time=one.start_time, **one.by_frame(lambda tensor: tensor))

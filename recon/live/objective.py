@@ -17,7 +17,7 @@ from torch.nn.functional import pad
 from observations.moments import Tracker
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
-from recon.body.derivatives import CarriedPoints, turned_by
+from recon.body.derivatives import CarriedPoints, right_jacobian
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -71,7 +71,7 @@ class Window(TensorStruct):
         )
 
     def extended(self, damping: float) -> "Window":
-        """One frame more, in which the motion of the last two goes on, slowed by a factor."""
+        """The window with one more frame, extrapolated from the last two with damped velocity."""
         before, last = self[-2:-1], self[-1:]
         turn = so3.log(before.root.mT @ last.root)
         return Window(
@@ -94,11 +94,11 @@ class StepEnergies(Protocol):
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the density of poses and of smoothness beside them."""
+        """Weights of the density of poses and of smoothness."""
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """A record whose `energy` has a gradient by what the motion was made of."""
+        """A record whose `energy` is differentiable in the motion."""
         ...
 
     def add_curvature(
@@ -158,7 +158,7 @@ class Objective:
 
     @property
     def reach(self) -> int:
-        """Frames so far apart are in one energy: the frames before a window that are held."""
+        """Largest distance in frames within one energy, and frames held before a window."""
         return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property
@@ -197,12 +197,12 @@ class Objective:
         return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
 
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
-        """The model of the last frames, those with data; earlier ones are held where they are."""
+        """The second-order model over the last frames, which have data; earlier ones are held."""
         rotations, orientations, joints = self.posed(window)
         held, active = window.frames - seen[0].moments, seen[0].moments
         pose = window.pose[held:]
         steps = (pose @ self.density.basis.mT).unflatten(-1, (-1, 3))
-        turns = (turned_by(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
+        turns = (right_jacobian(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
         own = orientations[held:], joints[held:]
         weight = self.weights.pose * self.rate
         count = len(self.shape) if with_shape else 0
@@ -222,7 +222,7 @@ class Objective:
             gradient = gradient + (down @ columns)[:, 0]
             alone = alone + columns.mT @ pulled
             if with_shape:
-                by_shape = points.by_shape(rotations[held:], own[0], self.body).flatten(1, 2)
+                by_shape = points.by_shape(own[0], self.body).flatten(1, 2)
                 border = border + pulled.mT @ by_shape
                 flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
                 corner = corner + by_shape.mT @ flat
@@ -239,7 +239,7 @@ class Objective:
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
         if self.steps is not None:
-            judged, slope = self._judged(window, held)
+            judged, slope = self._prior_energy_and_gradient(window, held)
             value, gradient = value + judged.energy.detach(), gradient + slope
             motion = self.motion(window, rotations)[0]
             self.steps.add_curvature(motion, judged, hessian, of_joints)
@@ -257,7 +257,9 @@ class Objective:
             gradient_shape=gradient_shape,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
+    def _prior_energy_and_gradient(
+        self, window: Window, held: int
+    ) -> tuple[Any, Float[Tensor, "active 69"]]:
         """The prior's energy of the steps, and its gradient by the active frames' variables."""
         assert self.steps is not None
         with torch.enable_grad():

@@ -1,4 +1,4 @@
-"""Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
+"""Fixed-lag smoothing: a window of the newest frames, refined with every new frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from observations.moments import Tracker, joined, moments
+from observations.moments import Tracker, joined_in_time, moments
 from recon.body.derivatives import CarriedPoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
 from recon.solver.banded import Banded
@@ -70,7 +70,7 @@ _SLOWED = 0.9
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The window and what is known of the person, after a push."""
+    """The state after a push: the window, and the knowledge of the person's shape."""
 
     window: Window
     objective: Objective
@@ -84,7 +84,7 @@ class Smoothed:
 
     @property
     def active(self) -> int:
-        """Frames that are still moved."""
+        """Number of frames that are still optimised."""
         return self.seen[0].moments
 
     def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "Smoothed":
@@ -95,7 +95,7 @@ class Smoothed:
             most: active frames.
             learn_until: frames after which the shape is held.
         """
-        data = tuple(joined(a, b) for a, b in zip(self.seen, seen, strict=True))
+        data = tuple(joined_in_time(a, b) for a, b in zip(self.seen, seen, strict=True))
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(moments(one, count - most, count) for one in data)
@@ -111,7 +111,7 @@ class Smoothed:
         )
 
     def refined(self, steps: int) -> "Smoothed":
-        """After so many damped Gauss-Newton steps, or fewer where they gain nothing."""
+        """The window after at most `steps` damped Gauss-Newton steps."""
         refinement = _Refinement()
         options = replace(_OPTIONS, max_iterations=steps)
         found, _ = minimise(refinement, self, options)

@@ -14,7 +14,7 @@ from recon.core.arrays import positive
 from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded
-from recon.live.moments import Door, Moment, MomentLike
+from recon.live.moments import Moment, MomentLike, StreamSensors
 from recon.live.tracking import LiveEstimate, Person, Tracking
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS
@@ -87,7 +87,9 @@ class Stream:
         self._noise = known if isinstance(noise, Sequence) else known[0]
         held = None if shape is None else shape_given(shape, self._body)
         self._person = Person(held)
-        self._door = None if template is None else self._fitting(Door.of(template))
+        self._sensors = (
+            None if template is None else self._checked_sensors(StreamSensors.of(template))
+        )
         self._tracking: Tracking | None = None
         self._last: float | None = None
         self._other_clock: float | None = None
@@ -100,7 +102,7 @@ class Stream:
         return self._lag
 
     def push(self, seen: MomentLike, time: float | None = None) -> LiveEstimate | None:
-        """The newest estimate that is final, or None while there is none.
+        """Add a moment; returns the newest final estimate, or None while there is none.
 
         Args:
             seen: one moment: an observation, or one per sensor; or arrays, where the stream has a
@@ -118,107 +120,117 @@ class Stream:
     def finish(self) -> tuple[LiveEstimate, ...]:
         """The estimates of the moments that were pushed last; the stream then begins anew."""
         with torch.no_grad():
-            told = self._told(self._ended())
+            newest = self._newest_with_findings(self._end_tracking())
             self._given = None
-            return () if told is None else (*told.earlier, replace(told, earlier=()))
+            return () if newest is None else (*newest.earlier, replace(newest, earlier=()))
 
     def _pushed(self, seen: Any, time: float | None) -> LiveEstimate | None:
-        if self._door is None and not _is_observation(seen):
+        if self._sensors is None and not _is_observation(seen):
             raise ObservationError(
-                "arrays say nothing of their points: give Stream(template=...), an observation "
+                "arrays do not name their points: give Stream(template=...), an observation "
                 "with them, or push observations"
             )
         last = self._last
         try:
-            door = self._door or self._fitting(Door.of(seen))
-            moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
+            sensors = self._sensors or self._checked_sensors(StreamSensors.of(seen))
+            moment = sensors.moment(seen, time, 0.0 if last is None else last + 1 / sensors.fps)
         except ObservationError:
             raise
         except Exception as error:  # after bad input the stream continues with the next moment
             raise ObservationError(
-                f"no moment of the sensors of before: {error!s:.300}"
+                f"these are no data of the sensors so far: {error!s:.300}"
             ) from error
-        self._door = door
+        self._sensors = sensors
         if last is None:
             steps = 1
         elif abs(moment.time - last) > GONE_S:
-            return self._jumped(moment, last, door)
+            return self._after_clock_jump(moment, last, sensors)
         else:
-            steps = math.floor((moment.time - last) * door.fps + 0.5)
+            steps = math.floor((moment.time - last) * sensors.fps + 0.5)
         self._other_clock = None
         if steps < 1:
-            self._late(moment, -steps)
+            self._insert_late(moment, -steps)
             return None
         before = moment.time if last is None else last
         gap = moment.time - before
-        between = [Moment(before + gap * k / steps, door.nothing) for k in range(1, steps)]
+        between = [Moment(before + gap * k / steps, sensors.empty_moment) for k in range(1, steps)]
         if between:
-            self._tell("gap", f"{len(between)} moments before {moment.time:.3f} s are missing")
-        return self._followed([*between, moment], door)
+            self._add_finding(
+                "gap", f"{len(between)} moments before {moment.time:.3f} s are missing"
+            )
+        return self._push_in_sequence([*between, moment], sensors)
 
-    def _followed(self, moments: list[Moment], door: Door) -> LiveEstimate | None:
-        """The estimates that become final after frames that follow the last one."""
+    def _push_in_sequence(
+        self, moments: list[Moment], sensors: StreamSensors
+    ) -> LiveEstimate | None:
+        """The estimates that become final when consecutive moments follow the last one."""
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:
             if moments[-1].empty:
                 return None
-            tracking = self._tracking = self._anew(door)
+            tracking = self._tracking = self._new_tracking(sensors)
             moments = moments[-1:]
         done = tracking.push(moments, self._findings)
-        if tracking.unseen > GONE_S * door.fps:
-            self._tell("gap", f"at {self._last:.3f} s, nobody has been seen for {GONE_S:g} s")
-            done += self._ended(keep_clock=True)
-        return self._told(done)
+        if tracking.unseen > GONE_S * sensors.fps:
+            self._add_finding(
+                "gap", f"at {self._last:.3f} s, nobody has been seen for {GONE_S:g} s"
+            )
+            done += self._end_tracking(keep_clock=True)
+        return self._newest_with_findings(done)
 
-    def _late(self, moment: Moment, back: int) -> None:
-        """A moment at or before the last one."""
-        put_in = self._tracking is not None and self._tracking.insert(moment, back)
+    def _insert_late(self, moment: Moment, frames_back: int) -> None:
+        """Put a moment at or before the last one in its place, if that is still empty."""
+        put_in = self._tracking is not None and self._tracking.insert(moment, frames_back)
         late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
-        self._tell("frame order", f"the moment {moment.time:.3f} s came {late}")
+        self._add_finding("frame order", f"the moment {moment.time:.3f} s came {late}")
 
-    def _jumped(self, moment: Moment, last: float, door: Door) -> LiveEstimate | None:
+    def _after_clock_jump(
+        self, moment: Moment, last: float, sensors: StreamSensors
+    ) -> LiveEstimate | None:
         """A moment far from the last; one alone is taken for an error of its clock."""
         other = self._other_clock
         self._other_clock = moment.time
         if other is None or abs(moment.time - other) > GONE_S:
-            self._tell(
+            self._add_finding(
                 "jump",
                 f"the clock jumped from {last:.3f} s to {moment.time:.3f} s; the moment was left "
                 "out, and the next one tells whether time goes on there",
             )
             return None
-        told = self._told(self._ended())
+        newest = self._newest_with_findings(self._end_tracking())
         self._given = None
-        self._tell("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
-        after = self._followed([moment], door)
+        self._add_finding("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
+        after = self._push_in_sequence([moment], sensors)
         assert after is None, "a first motion takes several moments"
-        return told
+        return newest
 
-    def _fitting(self, door: Door) -> Door:
+    def _checked_sensors(self, sensors: StreamSensors) -> StreamSensors:
         """The sensors, checked to suit the prior and the given noise.
 
         Raises:
             ObservationError: when they have another rate or another number.
         """
-        if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _RATE_TOLERANCE:
+        if self._prior is not None and abs(sensors.fps / REFERENCE_FPS - 1) > _RATE_TOLERANCE:
             raise ObservationError(
-                f"a prior over steps knows those of 1/30 s: expected 30 moments a second, got "
-                f"{door.fps:g}; push moments of that rate, or take prior='pose'"
+                f"this prior knows steps of 1/30 s: expected 30 moments a second, got "
+                f"{sensors.fps:g}; push moments of that rate, or take prior='pose'"
             )
-        count = len(door.sensors)
+        count = len(sensors.trackers)
         if isinstance(self._noise, tuple) and len(self._noise) != count:
             raise ObservationError(
                 f"noise: expected one number for each of {count} sensors, got {len(self._noise)}"
             )
-        return door
+        return sensors
 
-    def _anew(self, door: Door) -> Tracking:
+    def _new_tracking(self, sensors: StreamSensors) -> Tracking:
         noise = self._noise
-        rows = noise if isinstance(noise, tuple) else (noise,) * len(door.sensors)
-        return Tracking(door, self._lag, rows, self._person, self._body, self._poses, self._prior)
+        rows = noise if isinstance(noise, tuple) else (noise,) * len(sensors.trackers)
+        return Tracking(
+            sensors, self._lag, rows, self._person, self._body, self._poses, self._prior
+        )
 
-    def _ended(self, keep_clock: bool = False) -> list[LiveEstimate]:
+    def _end_tracking(self, keep_clock: bool = False) -> list[LiveEstimate]:
         tracking, self._tracking = self._tracking, None
         if not keep_clock:
             self._last = self._other_clock = None
@@ -228,8 +240,8 @@ class Stream:
         self._person = tracking.known()
         return done
 
-    def _told(self, done: list[LiveEstimate]) -> LiveEstimate | None:
-        """The newest of some estimates, with the earlier ones and the findings."""
+    def _newest_with_findings(self, done: list[LiveEstimate]) -> LiveEstimate | None:
+        """The newest of the estimates, with the earlier ones and the findings attached."""
         given = self._given
         done = [one for one in done if given is None or one.time > given]
         if not done:
@@ -238,7 +250,7 @@ class Stream:
         findings, self._findings = tuple(self._findings), []
         return replace(done[-1], earlier=tuple(done[:-1]), findings=findings)
 
-    def _tell(self, code: Any, message: str) -> None:
+    def _add_finding(self, code: Any, message: str) -> None:
         self._findings.append(Finding(code, message))
 
 

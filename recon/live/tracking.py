@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined, with_moment, without
+from observations.moments import Tracker, joined_in_time, with_moment, with_points_hidden
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -20,7 +20,7 @@ from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
-from recon.live.moments import Door, Moment
+from recon.live.moments import Moment, StreamSensors
 from recon.live.objective import Objective, Window
 from recon.live.smoother import ShapeKnowledge, Smoothed
 from recon.method.priors import USUAL_NOISE, Prior
@@ -64,7 +64,7 @@ class LiveEstimate:
 
 
 class _FirstPoses(PosePrior):
-    """The pose prior, minimised for a short while."""
+    """The pose prior with few iterations."""
 
     def stages(
         self,
@@ -73,7 +73,7 @@ class _FirstPoses(PosePrior):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """The root first, then all."""
+        """Stages that move the root first, then all variables."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
             for stage in super().stages(data, noise, body, method)
@@ -90,7 +90,7 @@ class Person:
     """What frames have told of the shape; None where it is held."""
 
 
-def begin(
+def first_window(
     moments: Sequence[Moment],
     noise: tuple[float | None, ...],
     person: Person,
@@ -98,14 +98,14 @@ def begin(
     poses: PosePrior,
     prior: Prior[Any] | None,
 ) -> Smoothed:
-    """A window of these moments, each one frame after the other, fitted under the pose prior.
+    """Fit the pose prior to consecutive moments; the first window of a stream.
 
     Raises:
         ReconError: when nothing can be fitted to them.
     """
     seen = list(moments[0].seen)
     for moment in moments[1:]:
-        seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
+        seen = [joined_in_time(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
     first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=person.shape)
@@ -165,7 +165,7 @@ _LEARNED = 300
 class Tracking:
     """The state of a stream while a person is visible."""
 
-    door: Door
+    sensors: StreamSensors
     lag: int
     noise: tuple[float | None, ...]
     person: Person
@@ -184,8 +184,8 @@ class Tracking:
     """Moments since points were seen, once there is a motion."""
 
     @cached_property
-    def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [one.shows(self.body) for one in self.door.sensors]
+    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
+        return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     @property
     def _now(self) -> Smoothed:
@@ -194,23 +194,23 @@ class Tracking:
         return self.smoothed
 
     def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
-        """What is final after moments that follow each other by one frame."""
+        """Add consecutive moments; returns the estimates that become final."""
         if self.smoothed is None:
             self.gathered += moments
             while self.gathered and self.gathered[0].empty:
                 self.gathered.pop(0)
             if len(self.gathered) < max(BEGINNING, self.lag + 1) or self.gathered[-1].empty:
                 return []
-            return self._given_out(self.lag) if self._begun(findings) else []
+            return self._final_estimates(self.lag) if self._begin(findings) else []
         for moment in moments:
             self._extend(moment, findings)
-        if len(self.gathered) > max(_PERSISTS * self.door.fps, 2):
-            return self._elsewhere(findings)
+        if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
+            return self._restart_at_rejected(findings)
         self.smoothed = self._now.refined(_MAX_STEPS_PER_PUSH)
-        return self._given_out(self.lag)
+        return self._final_estimates(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
-        """Put a late moment in the place of one without points, so many frames back."""
+        """Put a late moment in the place of an empty one, `back` frames before the last."""
         if self.smoothed is None:
             row = len(self.gathered) - 1 - back
             if row < 0 or not self.gathered[row].empty:
@@ -239,12 +239,12 @@ class Tracking:
         """The remaining estimates, up to the last frame with points."""
         if self.smoothed is None:
             several = sum(not moment.empty for moment in self.gathered) >= _MIN_MOMENTS
-            if not several or not self._begun(findings):
+            if not several or not self._begin(findings):
                 return []
         while self.since_seen > 0 and len(self.times) > self.final:
             self.since_seen -= 1
             self.times.pop()
-        return self._given_out(0)
+        return self._final_estimates(0)
 
     def known(self) -> Person:
         """What is known of the person by now."""
@@ -253,11 +253,11 @@ class Tracking:
             return self.person
         return Person(now.objective.shape, now.knowledge if now.learning else None)
 
-    def _begun(self, findings: list[Finding]) -> bool:
-        """Make a first motion of what was gathered; whether there is one now."""
+    def _begin(self, findings: list[Finding]) -> bool:
+        """Fit a first motion to the collected moments; returns whether there is one."""
         self.since_seen = self.unseen
         try:
-            first = begin(
+            first = first_window(
                 self.gathered, self.noise, self.person, self.body, self.poses, self.prior
             )
         except ReconError as error:
@@ -274,11 +274,11 @@ class Tracking:
 
     def _extend(self, moment: Moment, findings: list[Finding]) -> None:
         most = self.lag + 1 + _BEYOND
-        after = self._now.extended(self.door.nothing, most, _LEARNED)
+        after = self._now.extended(self.sensors.empty_moment, most, _LEARNED)
         self.times.append(moment.time)
         dropped = len(self.times) - after.window.frames
         self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)
-        seen, astray = self._believed(after, moment)
+        seen, astray = self._without_outliers(after, moment)
         if astray > 0.5:
             self.gathered.append(moment)
         elif any(bool(one.shown.any()) for one in seen):
@@ -298,24 +298,26 @@ class Tracking:
         )
         self.smoothed = replace(after, seen=rows)
 
-    def _believed(self, after: Smoothed, moment: Moment) -> tuple[tuple[Tracker, ...], float]:
+    def _without_outliers(
+        self, predicted: Smoothed, moment: Moment
+    ) -> tuple[tuple[Tracker, ...], float]:
         """The frame without outliers, and the share of outliers."""
         if moment.empty:
             return moment.seen, 0.0
-        _, orientations, joints = after.objective.posed(after.window[-1:])
-        allowed = _ASTRAY + _SPEED * self.since_seen / self.door.fps
+        _, orientations, joints = predicted.objective.posed(predicted.window[-1:])
+        allowed = _ASTRAY + _SPEED * self.since_seen / self.sensors.fps
         kept: list[Tracker] = []
         seen = far = 0
-        for points, one in zip(after.objective.points, moment.seen, strict=True):
+        for points, one in zip(predicted.objective.points, moment.seen, strict=True):
             away = one.distances(points.of(orientations, joints))
             bad = one.shown & (away > allowed)
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
-            kept.append(without(one, bad) if bool(bad.any()) else one)
+            kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)
-        return (self.door.nothing if share > 0.5 else tuple(kept)), share
+        return (self.sensors.empty_moment if share > 0.5 else tuple(kept)), share
 
-    def _elsewhere(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """Restart tracking where the points have been for a while."""
+    def _restart_at_rejected(self, findings: list[Finding]) -> list[LiveEstimate]:
+        """Restart tracking at the points that were outliers for a while."""
         there = self.gathered
         self.since_seen = len(there)
         done = self.finish(findings)
@@ -330,7 +332,7 @@ class Tracking:
         self.since_seen, self.gathered = 0, there
         return done
 
-    def _given_out(self, lag: int) -> list[LiveEstimate]:
+    def _final_estimates(self, lag: int) -> list[LiveEstimate]:
         now, stop = self._now, len(self.times) - lag
         rows = range(self.final, stop)
         if len(rows) == 0:
@@ -360,6 +362,6 @@ class Tracking:
     def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
         """Joints that an observation locates, in an active frame."""
         found = np.zeros(22, dtype=bool)
-        for one, shown in zip(self._now.seen, self._shown, strict=True):
+        for one, shown in zip(self._now.seen, self._located_joints, strict=True):
             found |= one.shown[active].numpy() @ shown
         return found

@@ -1,4 +1,4 @@
-"""`recon stream`: the body behind what is being recorded, moment by moment."""
+"""`recon stream`: estimates of the body while it is recorded, moment by moment."""
 
 from functools import partial
 from pathlib import Path

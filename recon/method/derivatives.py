@@ -64,21 +64,21 @@ class GroundDeviation:
         return math.degrees(self.normal)
 
 
-def perturbed(scene: Scene, rows: int, belief: GroundBelief, step: float) -> Scene:
-    """A scene repeated by rows; in each of the last rows one ground coordinate changes."""
-    scenes = scene[torch.zeros(rows, dtype=torch.long)]
+def perturbed_scenes(scene: Scene, copies: int, belief: GroundBelief, step: float) -> Scene:
+    """Copies of a scene; in each of the last ones one coordinate of the ground is moved."""
+    scenes = scene[torch.zeros(copies, dtype=torch.long)]
     if belief.coordinates == 0:
         return scenes
     assert scenes.ground is not None, "the ground is known: ask for no deviation of it"
     tilt, lift = scenes.ground.tilt.clone(), scenes.ground.lift.clone()
-    first = rows - belief.coordinates
+    first = copies - belief.coordinates
     lift[first] += step
     for axis in range(belief.coordinates - 1):
         tilt[first + 1 + axis, axis] += step / TILT
     return scenes.replace(ground=UnknownGround(tilt, lift, scenes.ground.pivot))
 
 
-def add_stance(
+def add_stance_information(
     hessian: Banded,
     estimate: Estimate,
     joints: Float[Tensor, "time 66 coordinates"],
@@ -117,10 +117,10 @@ def add_stance(
     return True
 
 
-def deviation(
+def ground_deviation(
     covariance: Float[Tensor, "m m"], scenes: Scene, belief: GroundBelief, step: float
 ) -> GroundDeviation:
-    """The ground's part of the border's covariance in metres and radians."""
+    """Standard deviations of the ground, metres and radians, from its coordinates' covariance."""
     count = belief.coordinates
     own = covariance[-count:, -count:]
     assert scenes.ground is not None
@@ -146,19 +146,19 @@ class Neighbourhood:
     ground: GroundBelief | None
 
     @property
-    def unknown(self) -> int:
+    def ground_coordinates(self) -> int:
         """Coordinates of the ground."""
         return 0 if self.ground is None else self.ground.coordinates
 
     @cached_property
-    def here(self) -> Estimate:
+    def unperturbed(self) -> Estimate:
         """The unperturbed estimate, which fixes correspondences for all motions near it."""
         return Estimate(Decoded(self.motion), self.body.pose(self.motion), self.scene)
 
     @cached_property
     def translated(self) -> Estimate:
         """Rows: x, x moved along each axis, and x with each coordinate of the ground moved."""
-        rows = 1 + _AXES + self.unknown
+        rows = 1 + _AXES + self.ground_coordinates
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place = motion.translation.clone()
         for axis in range(_AXES):
@@ -166,10 +166,10 @@ class Neighbourhood:
         return self._estimate(motion.replace(translation=place))
 
     @cached_property
-    def everywhere(self) -> Estimate:
-        """Rows: x, and x after a step of each column's coordinate."""
+    def perturbed_columns(self) -> Estimate:
+        """Rows: x, and x after a small step of the coordinate of each Jacobian column."""
         shapes, frames = self.motion.shape.shape[-1], self.motion.frames
-        rows = 1 + FRAME + shapes + self.unknown
+        rows = 1 + FRAME + shapes + self.ground_coordinates
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place, shape = motion.translation.clone(), motion.shape.clone()
         steps = place.new_zeros(rows, frames, FRAME // 3 - 1, 3)
@@ -188,7 +188,7 @@ class Neighbourhood:
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
         else:
-            scenes = perturbed(self.scene, rows, self.ground, STEP)
+            scenes = perturbed_scenes(self.scene, rows, self.ground, STEP)
         return Estimate(Decoded(motion), self.body.pose(motion), scenes)
 
     @cached_property
@@ -196,7 +196,7 @@ class Neighbourhood:
         """Jacobian of the joints in the world, metres."""
         carried = CarriedPoints.joints(self.body, self.motion.shape[0])
         moved = self._by_motion(carried)
-        none = moved.new_zeros(*moved.shape[:-1], self.unknown)
+        none = moved.new_zeros(*moved.shape[:-1], self.ground_coordinates)
         return torch.cat((moved, none), -1).flatten(1, 2)
 
     def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
@@ -206,8 +206,7 @@ class Neighbourhood:
         turned = points.by_rotations(orientations, joints)
         identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
         moved = identity.expand(*turned.shape[:2], 3, 3)
-        rotations = self.motion.rotations[0]
-        return torch.cat((moved, turned, points.by_shape(rotations, orientations, self.body)), -1)
+        return torch.cat((moved, turned, points.by_shape(orientations, self.body)), -1)
 
     def seen(self) -> Float[Tensor, "time 66 columns"]:
         """Jacobian of the joints in the frame of the recording, metres."""
@@ -216,23 +215,23 @@ class Neighbourhood:
             return self.joints
         turn = scenes.ground.T_world_recording[0, :3, :3].mT
         turned = turn @ self.joints.unflatten(1, (-1, 3))
-        if self.unknown > 0:
-            moved = differences(scenes.to_recording(world))[..., -self.unknown :]
-            turned = torch.cat((turned[..., : -self.unknown], moved), -1)
+        if self.ground_coordinates > 0:
+            moved = differences(scenes.to_recording(world))[..., -self.ground_coordinates :]
+            turned = torch.cat((turned[..., : -self.ground_coordinates], moved), -1)
         return turned.flatten(1, 2)
 
     def residuals(
-        self, one: Sensor, frame: Int[Tensor, " moments"]
+        self, sensor: Sensor, frame: Int[Tensor, " moments"]
     ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
-        """Residuals r(x) of one clip and the Jacobian ∂r/∂x by the columns of this module.
+        """Residuals r(x) of one clip and their Jacobian ∂r/∂x by motion and ground.
 
         Args:
-            one: the sensor.
+            sensor: the sensor.
             frame: of the motion, for every frame of the sensor.
         """
-        carries, points_of = is_pointwise(one), getattr(one, "carried", None)
-        held: Sensor = getattr(one, "matched", lambda _: one)(self.here)
-        found = _of(held, self.translated if carries else self.everywhere)
+        carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
+        held: Sensor = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
+        found = _residuals_of_rows(held, self.translated if carries else self.perturbed_columns)
         slopes = differences(found.values)
         if carries and points_of is not None:
             points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
@@ -241,9 +240,9 @@ class Neighbourhood:
         return found[0], slopes
 
 
-def _of(one: Sensor, estimates: Estimate) -> Residuals:
+def _residuals_of_rows(sensor: Sensor, estimates: Estimate) -> Residuals:
     rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
-    return one[rows].residuals(estimates)
+    return sensor[rows].residuals(estimates)
 
 
 def differences(

@@ -47,7 +47,7 @@ class FreeMotion(Prior[FreeVariables]):
     knows_gravity: ClassVar[bool] = False
 
     def encode(self, motion: Motion) -> FreeVariables:
-        """Variables that are steps away from the motion, all zero; exact."""
+        """Variables of zero steps from the motion; they decode to it exactly."""
         zero = torch.zeros_like(motion.rotations[..., 0])
         return FreeVariables(
             translation=motion.translation,

@@ -27,8 +27,8 @@ from recon.method.derivatives import (
     GroundBelief,
     GroundDeviation,
     Neighbourhood,
-    add_stance,
-    deviation,
+    add_stance_information,
+    ground_deviation,
 )
 from recon.method.priors import Density
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -100,7 +100,8 @@ def deviations(
     cuts = _window_bounds(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
     parts = [
-        _of_window(one, scene, body, held, noises, density, ground, measure) for one in windows
+        _deviations_of_window(one, scene, body, held, noises, density, ground, measure)
+        for one in windows
     ]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
@@ -114,9 +115,9 @@ def deviations(
         if measured is not None and part.measures is not None:
             measured[first + skip : stop] = part.measures[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
-    told = [part.ground for part in parts if part.ground is not None]
+    grounds = [part.ground for part in parts if part.ground is not None]
     # windows of a long recording share one ground: take its std from the most certain window
-    surest = min(told, key=lambda one: one.height) if told else None
+    surest = min(grounds, key=lambda ground: ground.height) if grounds else None
     return Deviations(joints, root, least, surest, measured)
 
 
@@ -127,7 +128,7 @@ def _window_bounds(frames: int) -> list[tuple[int, int]]:
     return [(first, min(first + _CHUNK_FRAMES, frames)) for first in firsts]
 
 
-def _of_window(
+def _deviations_of_window(
     motion: Motion,
     scene: Scene,
     body: BodyModel,
@@ -145,8 +146,8 @@ def _of_window(
     h.inner[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
     h.corner.diagonal().add_(_LEAST)
     for one, noise in zip(sensors, noises, strict=True):
-        frame = _clock(one, motion)
-        jacobian, weight = _whitened(one, noise, near, frame)
+        frame = _nearest_frames(one, motion)
+        jacobian, weight = _jacobian_and_precision(one, noise, near, frame)
         h.add_frames(frame, jacobian.mT @ (jacobian * weight[..., None]))
     poses = density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
     h.inner[:, 0, -poses.shape[-1] :, -poses.shape[-1] :] += poses.mT @ poses
@@ -157,7 +158,7 @@ def _of_window(
     shapes = motion.shape.shape[-1]
     shape = h.corner.diagonal()[:shapes]
     shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
-    told = ground is not None and add_stance(h, near.translated, near.joints, ground)
+    told = ground is not None and add_stance_information(h, near.translated, near.joints, ground)
     factor = Factor(h)
     if not factor.definite:
         raise ArithmeticError("the Hessian of the fit is not positive definite")
@@ -170,56 +171,61 @@ def _of_window(
         marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
-    lying = deviation(found.border, near.translated.scene, ground, STEP)
+    lying = ground_deviation(found.border, near.translated.scene, ground, STEP)
     return replace(marginals, ground=lying)
 
 
-def _whitened(
-    one: Sensor, noise: Noise, near: Neighbourhood, frame: Int[Tensor, " moments"]
+def _jacobian_and_precision(
+    sensor: Sensor,
+    noise: Noise,
+    neighbourhood: Neighbourhood,
+    frame_of_moment: Int[Tensor, " moments"],
 ) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
     """Jacobian of a sensor's residuals, and the inverse variance of each."""
-    found, slopes = near.residuals(one, frame)
+    found, slopes = neighbourhood.residuals(sensor, frame_of_moment)
     distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
-    # the curvature of Geman-McClure's kernel, as far as it is positive
+    # the positive part of the curvature of Geman-McClure's kernel
     belief = (1 + distance.square()).reciprocal().square()
-    weight = found.weights.square() * belief / noise.own**2 * (REFERENCE_FPS / one.fps)
+    weight = found.weights.square() * belief / noise.own**2 * (REFERENCE_FPS / sensor.fps)
     dims = found.values.shape[-1]
     return slopes.flatten(1, 2), weight[..., None].expand(*weight.shape, dims).flatten(-2)
 
 
-def _clock(one: Sensor, motion: Motion) -> Tensor:
+def _nearest_frames(sensor: Sensor, motion: Motion) -> Tensor:
     """The frame of the motion that is nearest to every moment of a sensor."""
-    times = one.start_time + torch.arange(one.moments, dtype=torch.float64) / one.fps
+    times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps
     frame = ((times - motion.start_time) * motion.fps).round().long()
     return frame.clamp(0, motion.frames - 1)
 
 
 def _marginals(
-    found: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
+    inverse: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
 ) -> Deviations:
     """Standard deviations of every frame's joints and root, and of the shape.
 
     Those of the root are given the ground.
     """
-    own, onto = found.within, found.onto
-    variance = _variances(found, joints)
-    given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
+    own, onto = inverse.within, inverse.onto
+    variance = _variances(inverse, joints)
+    given, onto_shape = _conditional_covariance(inverse.border, shapes), onto[..., :shapes]
     turned = own + onto_shape @ given @ onto_shape.mT
     root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
-    return Deviations(per_joint, root, found.border.diagonal()[:shapes].sqrt())
+    return Deviations(per_joint, root, inverse.border.diagonal()[:shapes].sqrt())
 
 
 def _variances(
-    found: Inverse, slopes: Float[Tensor, "time values coordinates"]
+    inverse: Inverse, slopes: Float[Tensor, "time values coordinates"]
 ) -> Float[Tensor, "time values"]:
     """Variances of values of every frame, from their derivatives by its coordinates."""
     moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
-    rest = shaped - moved @ found.onto
-    return ((moved @ found.within) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+    rest = shaped - moved @ inverse.onto
+    return ((moved @ inverse.within) * moved).sum(-1) + ((rest @ inverse.border) * rest).sum(-1)
 
 
-def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:
+def _conditional_covariance(
+    covariance: Float[Tensor, "m m"], count: int
+) -> Float[Tensor, "count count"]:
     """Covariance of the first coordinates where all others are known."""
     first, across, rest = (
         covariance[:count, :count], covariance[:count, count:], covariance[count:, count:],

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.method.newton import Local, NoHessian
+from recon.method.newton import NoHessian, StageProblem
 from recon.method.stages import Stage
 from recon.method.unknowns import Unknowns, objective
 from recon.solver.banded import Banded, Factor
@@ -21,7 +21,7 @@ def marquardt(
     stage: Stage[Any],
     body: BodyModel,
     unknowns: Unknowns[Any],
-    told: Callable[[Progress], bool | None] | None,
+    on_progress: Callable[[Progress], bool | None] | None,
 ) -> tuple[Unknowns[Any], Solution] | None:
     """Damped Gauss-Newton steps, each clip with its own damping (`recon.solver.gauss_newton`).
 
@@ -33,13 +33,13 @@ def marquardt(
     few = max(settings.tolerance_decrease, _LEAST_DECREASE)
     options = GaussNewton(settings.max_iterations, few, settings.scale)
     try:
-        local, base = Local.about(stage, body, unknowns)
-        if local.size > local.bordered:
+        local, base = StageProblem.about(stage, body, unknowns)
+        if local.size > local.hessian_size:
             alone = replace(stage, free=frozenset(n for n in stage.free if n in _OF_MOTION))
-            held = marquardt(alone, body, unknowns, told)
+            held = marquardt(alone, body, unknowns, on_progress)
             rest = replace(stage, minimiser=replace(settings, tolerance_decrease=few))
-            return held and preconditioned(rest, body, held[0], told)
-        found, solution = minimise(local, base, options, len(unknowns.scene.offsets), told)
+            return held and preconditioned(rest, body, held[0], on_progress)
+        found, solution = minimise(local, base, options, len(unknowns.scene.offsets), on_progress)
     except NoHessian:
         return None
     return found, replace(solution, x=local.layout.flatten(found))
@@ -55,29 +55,29 @@ def preconditioned(
     stage: Stage[Any],
     body: BodyModel,
     unknowns: Unknowns[Any],
-    told: Callable[[Progress], bool | None] | None,
+    on_progress: Callable[[Progress], bool | None] | None,
 ) -> tuple[Unknowns[Any], Solution] | None:
     """L-BFGS in variables in which the Hessian of the start is the identity."""
     try:
-        local, base = Local.about(stage, body, unknowns)
+        local, base = StageProblem.about(stage, body, unknowns)
         factors = [factorised(one) for one in local.hessians(base)]
     except NoHessian:
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
         own = [factors[k] for k in active.tolist()]
-        return local.stepped(some, _Up.apply(u, own, local.bordered))
+        return local.stepped(some, _Unwhitened.apply(u, own, local.hessian_size))
 
     start = base.variables.shape.new_zeros(len(factors), local.size)
     minimiser = replace(stage.minimiser, scaled=True)
-    solution = minimiser(objective(stage, body, base, moved), start, told)
+    solution = minimiser(objective(stage, body, base, moved), start, on_progress)
     with torch.no_grad():
         found = moved(base, solution.x, torch.arange(len(factors)))
     return found, replace(solution, x=local.layout.flatten(found))
 
 
 def factorised(curvature: Banded) -> Factor:
-    """The factor of a Hessian; where rounding or numbers that are not finite forbid it, of 1."""
+    """The factor of a Hessian, damped until it is positive definite; else of the identity."""
     for damping in _DAMPINGS:
         factor = Factor(curvature, damping)
         if factor.definite:
@@ -86,21 +86,27 @@ def factorised(curvature: Banded) -> Factor:
     return Factor(Banded.zero(time, curvature.reach, n, len(curvature.corner), curvature.inner))
 
 
-class _Up(torch.autograd.Function):
+class _Unwhitened(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, u: Tensor, factors: Sequence[Factor], bordered: int) -> Tensor:
-        ctx.map = factors, bordered
-        return _mapped([one.up for one in factors], u, bordered)
+    def forward(ctx: Any, u: Tensor, factors: Sequence[Factor], hessian_size: int) -> Tensor:
+        ctx.map = factors, hessian_size
+        return _mapped([one.solve_upper for one in factors], u, hessian_size)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
-        factors, bordered = ctx.map
-        return _mapped([one.down for one in factors], gradients[0], bordered), None, None
+        factors, hessian_size = ctx.map
+        return (
+            _mapped([one.solve_lower for one in factors], gradients[0], hessian_size),
+            None,
+            None,
+        )
 
 
 def _mapped(
-    functions: Sequence[Callable[[Tensor], Tensor]], flat: Float[Tensor, "rows n"], bordered: int
+    functions: Sequence[Callable[[Tensor], Tensor]],
+    flat: Float[Tensor, "rows n"],
+    hessian_size: int,
 ) -> Float[Tensor, "rows n"]:
-    """Apply each clip's function to its row; parts of neither frames nor shape do not change."""
-    rows = [f(row[:bordered]) for f, row in zip(functions, flat, strict=True)]
-    return torch.cat((torch.stack(rows), flat[:, bordered:]), 1)
+    """Apply each clip's function to the unknowns of frames and shape; others do not change."""
+    rows = [f(row[:hessian_size]) for f, row in zip(functions, flat, strict=True)]
+    return torch.cat((torch.stack(rows), flat[:, hessian_size:]), 1)

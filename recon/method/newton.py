@@ -71,7 +71,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS
     if is_pointwise(energy):
-        _add_points(term.weight, energy, model)
+        _add_point_curvature(term.weight, energy, model)
     elif energy is shape:
         frames = float(motion.valid.sum()) / rate
         model.part.corner.diagonal().add_(2 * term.weight * frames)
@@ -86,7 +86,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
     return True
 
 
-def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
+def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the curvature of points, which lie between two frames where clocks differ."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor[clip]
@@ -96,7 +96,7 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     places = carried.of(*model.posed)
     if scene.ground is not None:
         places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
-    before, share, seen = _between(motion, sensor)
+    before, share, seen = _neighbouring_frames(motion, sensor)
     after = (before + 1).clamp(max=motion.frames - 1)
     share = share.to(places)[:, None, None]
     predicted = places.new_zeros(sensor.moments, *places.shape[1:])
@@ -139,13 +139,13 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
 
 
 def _isotropic(curvature: Float[Tensor, "some points 3 3"]) -> Tensor | None:
-    """The factors a of matrices a 1; None where others are among them."""
+    """The factors a of matrices a·I; None unless all are of this form."""
     factor = curvature[..., 0, 0]
     identity = torch.eye(3, dtype=curvature.dtype, device=curvature.device)
     return factor if torch.equal(curvature, factor[..., None, None] * identity) else None
 
 
-def _between(
+def _neighbouring_frames(
     motion: Motion, sensor: Any
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"]]:
     """The frame before each moment, the share of the way to the next, and the moments within."""
@@ -163,8 +163,8 @@ _FRAMED = frozenset({"translation", "root", "pose"})
 
 
 @dataclass(frozen=True)
-class Local(Problem[Unknowns[Any]]):
-    """The clips of a stage, whose unknowns are moved by steps.
+class StageProblem(Problem[Unknowns[Any]]):
+    """The least-squares problem of a stage, whose unknowns are changed by steps.
 
     A clip's row of numbers: the 69 steps of every frame, those of the shape, if it is moved, and
     those of the scene that are moved. Steps are of zero: unknowns are encoded anew after each.
@@ -175,14 +175,14 @@ class Local(Problem[Unknowns[Any]]):
     layout: Layout
     frames: int
     """Steps of all frames of a clip."""
-    bordered: int
+    hessian_size: int
     """Steps of frames and of the shape."""
 
     @classmethod
     def about(
         cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]
-    ) -> tuple["Local", Unknowns[Any]]:
-        """The stage about unknowns, and these as steps of zero.
+    ) -> tuple["StageProblem", Unknowns[Any]]:
+        """The problem about given unknowns, and these unknowns as steps of zero.
 
         Raises:
             NoHessian: when the prior's variables are no steps of frames, or not all are moved.
@@ -198,7 +198,7 @@ class Local(Problem[Unknowns[Any]]):
         return cls(stage, body, Layout.of(base, stage.free), frames, frames + shape), base
 
     @property
-    def of_scene(self) -> list[tuple[str, torch.Size]]:
+    def scene_parts(self) -> list[tuple[str, torch.Size]]:
         """Names of the free parts of the scene, each with its size for one clip."""
         every = zip(self.layout.paths, self.layout.shapes, strict=True)
         return [(path[6:], shape) for path, shape in every if path.startswith("scene.")]
@@ -206,7 +206,7 @@ class Local(Problem[Unknowns[Any]]):
     @property
     def size(self) -> int:
         """Number of unknowns of one clip: steps of its frames, its shape, its scene."""
-        return self.bordered + sum(shape.numel() for _, shape in self.of_scene)
+        return self.hessian_size + sum(shape.numel() for _, shape in self.scene_parts)
 
     def hessians(self, base: Unknowns[Any]) -> list[Banded]:
         """The Hessian of every clip by steps of frames and of the shape.
@@ -216,19 +216,19 @@ class Local(Problem[Unknowns[Any]]):
         """
         with torch.no_grad():
             estimate = base.estimate(self.stage.prior, self.body)
-            return hessians(self.stage, base.variables, estimate, self.bordered > self.frames)
+            return hessians(self.stage, base.variables, estimate, self.hessian_size > self.frames)
 
     def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
-        """The unknowns of some clips after steps, with slopes by these."""
+        """The unknowns of some clips after steps; differentiable in the steps."""
         prior: Any = self.stage.prior
         framed = steps[:, : self.frames].unflatten(1, (-1, FRAME))
         variables = prior.from_steps(base.variables, framed)
-        if self.bordered > self.frames:
-            shape = base.variables.shape + steps[:, self.frames : self.bordered]
+        if self.hessian_size > self.frames:
+            shape = base.variables.shape + steps[:, self.frames : self.hessian_size]
             variables = variables.derived(shape=shape)
-        scene, start = base.scene, self.bordered
+        scene, start = base.scene, self.hessian_size
         moved: dict[str, Tensor] = {}
-        for path, shape in self.of_scene:
+        for path, shape in self.scene_parts:
             flat = steps[:, start : start + shape.numel()]
             moved[path] = flat.reshape(len(steps), *shape)  # the ground's height is a scalar
             start += shape.numel()
@@ -246,13 +246,13 @@ class Local(Problem[Unknowns[Any]]):
             terms = stage.values(estimate)
             (gradient,) = torch.autograd.grad(terms.sum(), zero)
         with torch.no_grad():
-            found = hessians(stage, base.variables, estimate, self.bordered > self.frames)
+            found = hessians(stage, base.variables, estimate, self.hessian_size > self.frames)
         return Quadratic(terms.detach(), gradient, found)
 
     def moved(
         self, x: Unknowns[Any], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Unknowns[Any]:
-        """The unknowns of all clips after steps of some, as steps of zero."""
+        """The unknowns of all clips after some took steps; these are steps of zero again."""
         with torch.no_grad():
             moved = self.stepped(rows_of(self.stage, x, rows)[1], steps)
             motion = moved.motion(self.stage.prior, self.body)

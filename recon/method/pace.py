@@ -62,12 +62,15 @@ def _averaged(sensor: S, pace: float) -> S:
     device, axis = sensor.shown.device, len(sensor.clips)
     frame = frame.clamp(0, sensor.moments - 1).to(device)
 
-    def about(values: Tensor) -> Tensor:
+    def in_neighbourhoods(values: Tensor) -> Tensor:
         """Values of the frames about every moment, (clips, moments, near, points, ...)."""
         return values.index_select(axis, frame.flatten()).unflatten(axis, frame.shape)
 
-    # energies have squares of weights
-    weights, values = about(sensor.weights.to(sensor.values).square()), about(sensor.values)
+    # energies contain squared weights
+    weights, values = (
+        in_neighbourhoods(sensor.weights.to(sensor.values).square()),
+        in_neighbourhoods(sensor.values),
+    )
     weights = weights * exists.to(weights)[:, :, None]
     own_share = (away > 1e-6 - step / 2) & (away < step / 2 + 1e-6)
     held = weights * own_share.to(weights)[:, :, None]
@@ -76,7 +79,7 @@ def _averaged(sensor: S, pace: float) -> S:
     apart = late - _mean(late, weights).unsqueeze(-3)
     risen = values - _mean(values, weights).unsqueeze(-3)
     spread, rise = _mean(apart.square(), weights), _mean(apart * risen, weights)
-    # two neighbouring frames have a spread of a quarter; one alone tells no speed
+    # the times of two adjacent frames have the variance 1/4; one frame alone gives no speed
     speed = torch.where(spread > 0.1, rise / spread.clamp(min=0.1), 0.0)
     shown = held.sum(-2) > 0
     found = (mean - speed * when).where(shown[..., None], 0.0)
@@ -87,8 +90,8 @@ def _averaged(sensor: S, pace: float) -> S:
             continue
         if value.dtype == torch.bool:
             own[name] = shown
-        else:  # confidences, or standard deviations, of which frames that err alike have a mean
-            own[name] = _mean(about(value)[..., None], (held > 0).to(value))[..., 0]
+        else:  # confidences or standard deviations: averaged, as near frames err alike
+            own[name] = _mean(in_neighbourhoods(value)[..., None], (held > 0).to(value))[..., 0]
     return sensor.derived(**own)
 
 

@@ -51,7 +51,7 @@ class Density:
 
 
 class Prior(ABC, Generic[S]):
-    """A change of variables with a density over them; derive from it, then `recon.fit` takes it.
+    """Base class of priors: variables of a motion, their density and the stages of a fit.
 
     `encode` and `decode` are what a prior must have. All else has a usual answer.
     """
@@ -132,7 +132,7 @@ class Prior(ABC, Generic[S]):
         )
 
     def belief(self, noise: float) -> Density | None:
-        """The density that its weights amount to for data of this noise, metres.
+        """The density of motions that stands for this prior beside data of this noise, metres.
 
         Standard deviations of a fit follow from it; None, the usual answer, gives none.
         """
@@ -140,7 +140,7 @@ class Prior(ABC, Generic[S]):
         return None
 
     def live(self, noise: float) -> Any:
-        """Energies of steps for a stream whose points are off by `noise` metres.
+        """Energies of steps for a stream of points with a noise of `noise` metres.
 
         None, the usual answer, where there are none; see `recon.live.objective`.
         """
@@ -148,12 +148,16 @@ class Prior(ABC, Generic[S]):
         return None
 
     def from_steps(self, variables: S, steps: Float[Tensor, "clips time 69"]) -> S:
-        """Variables that differ from the given ones, which are steps of zero, by these steps."""
-        raise NotImplementedError(f"{type(self).__name__} has a reach, so it needs from_steps")
+        """The given variables, which are steps of zero, after these steps."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has a reach above 0, so it must define from_steps"
+        )
 
     def turns(self, variables: S, clip: int) -> Float[Tensor, "time 63 63"]:
         """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
-        raise NotImplementedError(f"{type(self).__name__} has a reach, so it needs turns")
+        raise NotImplementedError(
+            f"{type(self).__name__} has a reach above 0, so it must define turns"
+        )
 
     def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
         """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
@@ -181,7 +185,7 @@ class Traits:
 
 
 def trait(kind: object, name: str) -> bool:
-    """Whether a prior or its class, of this version's form or of 0.2's, `knows_gravity` ..."""
+    """A trait of a prior or its class, such as `knows_gravity`, also for the form of 0.2."""
     former: Traits = getattr(kind, "traits", Traits())
     return getattr(kind, name, getattr(former, name))
 

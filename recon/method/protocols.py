@@ -31,7 +31,7 @@ class Decoded:
     """The body in that motion, where the prior posed one itself."""
 
     def body(self, model: BodyModel) -> PosedBody:
-        """The model in the motion; posed only where the prior has not posed this model already."""
+        """The body model posed by the motion; the prior may have posed it already."""
         if self.posed is not None and self.posed.model.same_as(model):
             return replace(self.posed, model=model)
         return model.pose(self.motion)

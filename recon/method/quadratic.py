@@ -93,7 +93,7 @@ class ClipModel:
         by_steps = torch.cat((moved, turned[..., :3], posed), -1)
         if not self.with_shape:
             return by_steps, by_steps[..., :0]
-        return by_steps, points.by_shape_of(orientations, self._shaped)
+        return by_steps, points.by_shape_of(orientations, self._joints_by_shape)
 
     @cached_property
     def posed(self) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 22 3"]]:
@@ -105,5 +105,5 @@ class ClipModel:
         return orientations, joints + motion.translation[:, None]
 
     @cached_property
-    def _shaped(self) -> Float[Tensor, "time 22 3 shape"]:
+    def _joints_by_shape(self) -> Float[Tensor, "time 22 3 shape"]:
         return joints_by_shape(self.posed[0], self.body, self.motion.shape.shape[-1])

@@ -125,7 +125,9 @@ def solve(
         ValueError: when there is no observation, their numbers of clips differ, there are not as
             many weights, or the start does not fit them or the body.
     """
-    data, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    data, body, start, scene, weights = checked_arguments(
+        observations, body, start, scene, weights
+    )
     hypotheses = [checked_start(other, data, body) for other in others]
     return reconstruct(
         data, stages_of(prior), body, start=start, others=hypotheses, scene=scene, weights=weights,
@@ -137,14 +139,14 @@ Admitted = tuple[list[Sensor], BodyModel, Motion | None, Scene | None, Sequence[
 """Observations, body, start, scene and weights that fit each other."""
 
 
-def admitted(
+def checked_arguments(
     observations: Sequence[Sensor],
     body: BodyModel | None,
     start: Motion | None,
     scene: Scene | None,
     weights: Sequence[float] | None,
 ) -> Admitted:
-    """The arguments of `solve` in the precision and on the device of the body.
+    """The arguments of `solve`, checked, in the precision and on the device of the body.
 
     Raises:
         ValueError: when they do not fit each other.

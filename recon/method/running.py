@@ -19,7 +19,7 @@ from recon.method.priors import Prior
 from recon.method.protocols import Estimate
 from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
 from recon.method.unknowns import Layout, Unknowns, objective
-from recon.solver.solution import Solution, in_turn
+from recon.solver.solution import Solution, joined_in_turn
 
 _ITERATION_SHARE = 3
 """Part of its iterations that every round of a stage has, where correspondences are found anew."""
@@ -68,7 +68,7 @@ class Hypotheses(Generic[S]):
     def extended(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"]]:
-        """These and those that are proposed for each of them, and the row that each comes from."""
+        """These hypotheses and those proposed from each, and the row that each comes from."""
         count = len(self.unknowns.scene.offsets)
         clips = self.clips
         parts, origin = [self.unknowns], list(range(count))
@@ -88,7 +88,7 @@ class Hypotheses(Generic[S]):
         return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows
 
     def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
-        """Some of them."""
+        """The hypotheses in some rows."""
         clip = None if self.clip is None else self.clip[index]
         number = None if self.number is None else self.number[index]
         return Hypotheses(self.prior, self.unknowns[index], clip, number)
@@ -96,7 +96,7 @@ class Hypotheses(Generic[S]):
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> Compared:
-        """A record of the compared hypotheses: their objectives and which of them go on."""
+        """A record of the compared hypotheses: their objectives and which are kept."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
@@ -105,7 +105,7 @@ class Hypotheses(Generic[S]):
         )
 
     def of(self, stage: Stage[S]) -> Stage[S]:
-        """A stage, whose data are of clips, with the data of every row."""
+        """The stage with the data of the clip of every row."""
         return stage if self.clip is None else stage.rows(self.clip)
 
     def estimate(self, body: BodyModel) -> Estimate:
@@ -121,7 +121,7 @@ def run_stages(
     scene: Scene,
     watch: Watch | None = None,
 ) -> tuple[Estimate, list[StageReport]]:
-    """All stages in turn, from one motion for each clip."""
+    """Run all stages in turn, from one motion for each clip."""
     began = Hypotheses.of_motions(stages[0].prior, [motion], scene, body)
     found, reports = run_hypotheses(stages, body, began, watch)
     return found.estimate(body), reports
@@ -130,15 +130,15 @@ def run_stages(
 def run_hypotheses(
     stages: Sequence[Stage[Any]],
     body: BodyModel,
-    began: Hypotheses[Any],
+    initial: Hypotheses[Any],
     watch: Watch | None = None,
 ) -> tuple[Hypotheses[Any], list[StageReport]]:
-    """All stages in turn, from variables; the hypotheses that remain, and a report of each stage.
+    """Run all stages in turn; returns the remaining hypotheses and a report of each stage.
 
     Data of stages are of clips. Consecutive stages of one prior object continue from its
     variables; otherwise the motion is handed on, encoded anew.
     """
-    held, reports = began, list[StageReport]()
+    held, reports = initial, list[StageReport]()
     for stage in stages:
         started = perf_counter()
         if stage.prior is not held.prior:
@@ -192,7 +192,7 @@ def _solved(
         held = replace(stage, minimiser=minimiser).matched(estimate)
         unknowns, solution = _minimised(held, body, unknowns, watch)
         solutions.append(solution)
-    return unknowns, in_turn(solutions)
+    return unknowns, joined_in_turn(solutions)
 
 
 def _minimised(

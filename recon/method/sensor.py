@@ -19,7 +19,12 @@ from recon.core.robust import squared
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.timing import at_observation_times, between_moments, moment_numbers, padded
+from recon.method.timing import (
+    at_observation_times,
+    moment_numbers,
+    padded,
+    with_empty_frames_between,
+)
 
 if TYPE_CHECKING:
     from observations.depth import PointCloud
@@ -140,7 +145,7 @@ class Sensor(TensorStruct):
         if self.vectors != "numbers" and self.values.shape[-1] != 3:
             raise ObservationError(
                 f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; say "
-                'vectors = "numbers" where they are none of the frame'
+                'vectors = "numbers" where they are no vectors in space'
             )
         if not bool(self.values.isfinite().all()):
             raise ObservationError(
@@ -194,19 +199,19 @@ class Sensor(TensorStruct):
     @property
     def named(self) -> TrackedPoints | None:
         """The sensor, if it measures named points in space."""
-        return self._if("points")
+        return self._self_if_seeing("points")
 
     @property
     def view(self) -> Keypoints2D | None:
         """The sensor, if it measures named points in the image of a camera."""
-        return self._if("image")
+        return self._self_if_seeing("image")
 
     @property
     def cloud(self) -> PointCloud | None:
         """The sensor, if it measures points anywhere on the surface."""
-        return self._if("surface")
+        return self._self_if_seeing("surface")
 
-    def _if(self, what: str) -> Any:
+    def _self_if_seeing(self, what: str) -> Any:
         return self if self.sees == what else None
 
     @property
@@ -230,11 +235,11 @@ class Sensor(TensorStruct):
         return getattr(self, "camera", None)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the points, for reports; none where points come in no order."""
+        """Names of the points, for reports; empty where points come in no order."""
         del body
         return ()
 
-    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
+    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
         """Share of the frames in which the sensor locates each joint.
 
         None where that is unknown.
@@ -253,7 +258,9 @@ class Sensor(TensorStruct):
 
     def start(self, body: BodyModel) -> Motion:
         """A first guess at the times of the data: a person standing at the origin."""
-        return standing(body, self.clips, self.moments, fps=self.fps, start_time=self.start_time)
+        return standing_motion(
+            body, self.clips, self.moments, fps=self.fps, start_time=self.start_time
+        )
 
     def settled(self: R, scene: Scene) -> R:
         """The sensor with the scene's unknowns (offsets, lens, ...) inserted as known."""
@@ -270,23 +277,23 @@ class Sensor(TensorStruct):
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
         """Every `step`-th frame, all where most are empty, to compare hypotheses quickly."""
         del body
-        if self._sparse:
+        if self._mostly_empty:
             return self
         fewer: dict[str, Any] = {"fps": self.fps / step}
         return self.derived(**fewer, **self.some_frames(range(0, self.moments, step)))
 
     @property
-    def _sparse(self) -> bool:
+    def _mostly_empty(self) -> bool:
         """Whether most frames are empty."""
         return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
 
     def thinned(self: R, most: int) -> R:
-        """At most so many points of every frame, where points come in no order."""
+        """At most `most` points of every frame, for sensors whose points come in no order."""
         del most
         return self
 
     def on_faster_clock(self: R, times: int) -> R:
-        """The data on a clock that is so many times as fast, with empty frames in between.
+        """The data on a clock `times` times as fast, with empty frames in between.
 
         Data of a camera that moves keep their clock.
         """
@@ -295,7 +302,8 @@ class Sensor(TensorStruct):
         axis = len(self.clips)
         faster: dict[str, Any] = {"fps": self.fps * times}
         return self.derived(
-            **faster, **self.by_frame(lambda tensor: between_moments(tensor, axis, times))
+            **faster,
+            **self.by_frame(lambda tensor: with_empty_frames_between(tensor, axis, times)),
         )
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
@@ -315,7 +323,7 @@ class Sensor(TensorStruct):
         return self.derived(**{name: values.where(self.shown[..., None], 0.0)}, camera=camera)
 
     def robust_beyond(self: R, distance: float) -> R:
-        """Named points in space count ever less beyond so many metres; others stay as they are."""
+        """A sensor of named points gets a robust kernel beyond `distance` metres; others none."""
         del distance
         return self
 
@@ -334,7 +342,7 @@ class Sensor(TensorStruct):
         return self.by_frame(at) | camera
 
     def by_frame(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
-        """A function of the fields that have an axis of frames and are not None."""
+        """The fields with an axis of frames, each after a function."""
         found: dict[str, Any] = {}
         for name in self.timed:
             value = getattr(self, name)
@@ -345,7 +353,7 @@ class Sensor(TensorStruct):
         return found
 
 
-def standing(
+def standing_motion(
     body: BodyModel, clips: Sequence[int], moments: int, *, fps: float, start_time: float
 ) -> Motion:
     """The average body in its rest pose, upright, over the origin; its soles stand at z = 0.

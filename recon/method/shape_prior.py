@@ -30,21 +30,21 @@ class ShapePrior:
     """Standard deviation of every coefficient about `mean`; None leaves them open."""
 
     def terms(self, body: BodyModel, noise: float) -> tuple[Term, ...]:
-        """Energies beside observations whose coordinates are off by `noise` metres."""
+        """The energies, weighted for observations whose noise is `noise` metres."""
         weight = max(noise, MODEL_NOISE) ** 2
         found: list[Term] = []
         if self.height is not None:
             energy = _height_energy(body, self.mean, self.height, self.height_std)
             found.append(Term("height", energy, weight))
         if self.std is not None:
-            found.append(Term("known shape", _nearness(self.mean, self.std), weight))
+            found.append(Term("known shape", _coefficient_energy(self.mean, self.std), weight))
         return tuple(found)
 
 
 def _height_energy(
     body: BodyModel, mean: Float[Tensor, " shape"], metres: float, std: float
 ) -> Energy:
-    """½ ((h(s) - h) / std)² per frame; heights are linear in the shape, but for where a crown is.
+    """½ ((h(s) - h) / std)² per frame; heights are nearly linear in the shape.
 
     h(s) = h(s0) + g·(s - s0), with the gradient g at the likeliest shape s0.
     """
@@ -57,22 +57,22 @@ def _height_energy(
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
-        return 0.5 * ((shape @ slope.to(shape) + rest) / std).square() * _frames(estimate)
+        return 0.5 * ((shape @ slope.to(shape) + rest) / std).square() * _frames_at_30_hz(estimate)
 
     return energy
 
 
-def _nearness(mean: Float[Tensor, " shape"], std: float) -> Energy:
+def _coefficient_energy(mean: Float[Tensor, " shape"], std: float) -> Energy:
     """½ |s - mean|² / std² per frame."""
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
-        return 0.5 * ((shape - mean.to(shape)) / std).square().sum(-1) * _frames(estimate)
+        return 0.5 * ((shape - mean.to(shape)) / std).square().sum(-1) * _frames_at_30_hz(estimate)
 
     return energy
 
 
-def _frames(estimate: Estimate) -> Float[Tensor, "*batch"]:
+def _frames_at_30_hz(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """Frames that exist, taken at 30 Hz."""
     motion = estimate.motion
     return motion.valid.sum(-1).to(motion.shape) * (REFERENCE_FPS / motion.fps)

@@ -63,7 +63,7 @@ class Stage(Generic[S]):
     limits and tolerances, and is taken where it is not known."""
 
     def __post_init__(self) -> None:
-        """Refuse objectives without terms, and terms of one name.
+        """Refuse objectives without terms, or with two terms of one name.
 
         Raises:
             ValueError: when there are none, or two have one name.

@@ -21,7 +21,7 @@ def at_observation_times(
     start_time: float,
     moments: int,
 ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-    """Positions of the estimate at an observation's moments, and which moments those are.
+    """Values of an estimate at the frames of an observation that it covers, and which these are.
 
     Linear between decoded frames; moments outside the motion are left out, so an estimate of
     the first frames of a clip meets the first moments of its data.
@@ -52,8 +52,8 @@ def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) 
     return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 
 
-def between_moments(values: Tensor, axis: int, times: int) -> Tensor:
-    """Values of moments on a clock that is so many times as fast; zero at those in between."""
+def with_empty_frames_between(values: Tensor, axis: int, times: int) -> Tensor:
+    """Values on a clock that is `times` times as fast; zero at the moments in between."""
     shape = list(values.shape)
     shape[axis] = (shape[axis] - 1) * times + 1
     wide = values.new_zeros(shape)
@@ -70,7 +70,7 @@ def padded(
     moments: int,
     unit: Unit = "metres",
 ) -> Residuals:
-    """Residuals of some moments among all of the observation's; zero at the others."""
+    """Residuals of some frames, filled up with zeros to all frames of the observation."""
     weights = weights.to(values)
     if values.shape[-3] == moments:
         return Residuals(values.where(weights[..., None] > 0, 0.0), weights, unit)

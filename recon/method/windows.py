@@ -53,7 +53,9 @@ class Windows:
         return cls(tuple(step * round(last * k / (count - 1)) for k in range(count)), frames)
 
 
-def fade(times: Float[Tensor, " time"], start: float, stop: float) -> Float[Tensor, " time"]:
+def smooth_ramp(
+    times: Float[Tensor, " time"], start: float, stop: float
+) -> Float[Tensor, " time"]:
     """3 u² - 2 u³ of the share u of the way from `start` to `stop`: 0 before, 1 after, no kink."""
     share = ((times - start) / max(stop - start, 1e-9)).clamp(0, 1)
     return share.square() * (3 - 2 * share)
@@ -85,7 +87,7 @@ def join(motions: Sequence[Motion]) -> Motion:
             )
         done += [
             held.window(0, own),
-            _faded(held.window(own, own + shared), motion.window(0, shared)),
+            _crossfaded(held.window(own, own + shared), motion.window(0, shared)),
         ]
         first, held = start + shared, motion.window(shared, motion.frames)
     parts = [*done, held]
@@ -105,8 +107,8 @@ def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
     return first, motion.at(origin + numbers / motion.fps, motion.fps)
 
 
-def _faded(before: Motion, after: Motion) -> Motion:
-    weight = fade(before.times, before.start_time, before.stop_time).to(before.translation)
+def _crossfaded(before: Motion, after: Motion) -> Motion:
+    weight = smooth_ramp(before.times, before.start_time, before.stop_time).to(before.translation)
     return before.replace(
         translation=before.translation.lerp(after.translation, weight[:, None]),
         rotations=so3.interpolate(

@@ -23,7 +23,7 @@ PENETRATION_THRESHOLDS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.15)
 def mean(
     samples: Float[Tensor, "*shape"], where: Bool[Tensor, "*shape"] | None = None
 ) -> float | None:
-    """Average of the samples, or of those marked; None where there is none."""
+    """Average of the samples, or of those marked by a mask; None if there are none."""
     chosen = samples.flatten() if where is None else samples[where]
     return chosen.mean().item() if chosen.numel() > 0 else None
 
@@ -36,7 +36,7 @@ def point_errors(
 
 
 def root_aligned(joints: Float[Tensor, "*frames joints 3"]) -> Float[Tensor, "*frames joints 3"]:
-    """Joints as seen from the pelvis, metres."""
+    """Joint positions relative to the pelvis, metres."""
     return joints - joints[..., :1, :]
 
 
@@ -45,7 +45,7 @@ def similarity_aligned(
     target: Float[Tensor, "*frames points 3"],
     fitted: int | None = None,
 ) -> Float[Tensor, "*frames points 3"]:
-    """Every frame's points after the rotation, scale and shift that bring them nearest to target.
+    """Each frame's points after the similarity transform that brings them nearest to a target.
 
     Least squares (Umeyama 1991): R maximises tr(Rᵀ H) with H = Σ y xᵀ of the centred points and
     s = tr(Rᵀ H) / Σ |x|². The scale of points that coincide is one.
@@ -86,7 +86,7 @@ def contact_balanced_accuracy(
     truth: Bool[Tensor, "*frames 22"],
     joints: tuple[int, ...] = CONTACT_JOINTS,
 ) -> float | None:
-    """Mean of the shares of found contacts and of found non-contacts; one half is guessing.
+    """Mean of the rates at which contacts and non-contacts are found; 0.5 is guessing.
 
     Over HuMoR's nine joints together, or others such as `FEET`. None where the truth holds only
     one of the two.
@@ -138,7 +138,7 @@ def penetration_distance(heights: Float[Tensor, "*samples"]) -> float | None:
 def chamfer(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "points 3"]
 ) -> float:
-    """Half of mean_v min_p |v - p| + mean_p min_v |v - p| for one frame, metres.
+    """Chamfer distance of one frame: ½ (mean_v min_p |v - p| + mean_p min_v |v - p|), metres.
 
     Distances, not their squares. Neither set knows the surface between its members, so two
     samples of the same surface are not at zero.
@@ -170,7 +170,7 @@ def chamfer_of_clip(motion: Motion, body: BodyModel, scans: PointsFile) -> float
             are in the frame of a camera without pose.
     """
     if scans.camera is not None and scans.camera.T_camera_world is None:
-        raise ValueError("points in the frame of a camera without pose have no place in the world")
+        raise ValueError("the points are given in the frame of a camera whose pose is unknown")
     frames, rows = np.unique(scans.frame, return_inverse=True)
     if len(frames) == 0:
         raise ValueError("expected scans with points, got none")

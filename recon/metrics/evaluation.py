@@ -1,4 +1,4 @@
-"""One reconstruction against the truth: every metric, as a flat table."""
+"""Compares a reconstruction with the true motion: every metric in a flat table."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ _FEET = ((7, 10), (8, 11))
 
 @dataclass(frozen=True)
 class ObservedPoints(TensorStruct):
-    """The points that a sensor measures (markers, joints), at its frame times; world, metres."""
+    """Predicted and true points that a sensor measures, at its frame times; world, metres."""
 
     predicted: Float[Tensor, "moments points 3"]
     truth: Float[Tensor, "moments points 3"]
@@ -76,7 +76,7 @@ def evaluate(
         )
     estimate = estimate.window(0, count)
     predicted, actual = body.pose(estimate), body.pose(aligned)
-    touching = _labels(truth_contacts)[:count]
+    touching = _as_labels(truth_contacts)[:count]
     visible = None if truth_visible is None else truth_visible[:count]
     return {
         **joint_errors(predicted.joints, actual.joints, visible),
@@ -84,16 +84,16 @@ def evaluate(
         "vertices": _vertex_error(predicted, actual),
         **smoothness(predicted.joints, actual.joints, estimate.fps),
         **world_errors(predicted.joints, actual.joints, estimate.fps),
-        **_contact(None if contacts is None else _labels(contacts)[:count], touching),
-        **_penetration("penetration", _toe_heights(predicted), _toe_heights(actual)),
-        **_penetration("sole_penetration", sole_heights(predicted), sole_heights(actual)),
+        **_contact_metrics(None if contacts is None else _as_labels(contacts)[:count], touching),
+        **_penetration_metrics("penetration", _toe_heights(predicted), _toe_heights(actual)),
+        **_penetration_metrics("sole_penetration", sole_heights(predicted), sole_heights(actual)),
         "slip_speed": metrics.slip_speed(predicted.joints, touching, estimate.fps),
         "slip_speed_truth": metrics.slip_speed(actual.joints, touching, estimate.fps),
     }
 
 
 def ground_errors(found: Float[Tensor, "4 4"], true: Float[Tensor, "4 4"]) -> dict[str, float]:
-    """Angle of two grounds in a camera's frame, radians, and difference of its heights, metres.
+    """Errors of a found ground: of its normal, radians, and of the camera's height, metres.
 
     Args:
         found: T_world_camera as it was found.
@@ -113,7 +113,7 @@ def nearest_labels(
     label_times: Float[Tensor, " recorded"],
     times: Float[Tensor, " time"],
 ) -> Shaped[Tensor, "time points"]:
-    """Labels at other moments: those of the nearest recorded frame (the earlier of two)."""
+    """Labels at other times, taken from the nearest recorded frame (of two, the earlier)."""
     after = torch.searchsorted(label_times, times).clamp(1, max(len(label_times) - 1, 1))
     before = after - 1
     after = after.clamp(max=len(label_times) - 1)
@@ -122,7 +122,7 @@ def nearest_labels(
 
 
 def _common_frames(estimate: Motion, truth: Motion) -> tuple[Motion, int]:
-    """The truth at the estimate's times, and how many leading frames exist in both."""
+    """The true motion at the estimate's times, and the number of frames valid in both."""
     for name, motion in (("estimate", estimate), ("truth", truth)):
         if motion.translation.dim() != 2:
             raise ReconError(
@@ -142,7 +142,7 @@ def _common_frames(estimate: Motion, truth: Motion) -> tuple[Motion, int]:
     return aligned.window(0, count), count
 
 
-def _labels(contacts: Tensor) -> Tensor:
+def _as_labels(contacts: Tensor) -> Tensor:
     return contacts if contacts.dtype == torch.bool else contacts > 0.5
 
 
@@ -151,7 +151,7 @@ def joint_errors(
     truth: Float[Tensor, "time 22 3"],
     visible: Bool[Tensor, "time 22"] | None,
 ) -> dict[str, float | None]:
-    """Mean errors of the joints: in the world, about the pelvis, after a similarity; metres."""
+    """Mean joint errors in the world, relative to the pelvis, and after a similarity; metres."""
     world = metrics.point_errors(predicted, truth)
     rooted = metrics.point_errors(metrics.root_aligned(predicted), metrics.root_aligned(truth))
     similar = metrics.point_errors(metrics.similarity_aligned(predicted, truth), truth)
@@ -168,7 +168,7 @@ def joint_errors(
 
 
 def observed_errors(observed: ObservedPoints | None) -> dict[str, float | None]:
-    """Mean errors of the observation's own points: all, seen, hidden; metres."""
+    """Mean errors of a sensor's own points: of all, visible and hidden ones; metres."""
     if observed is None:
         return dict.fromkeys(("observed_all", "observed_visible", "observed_hidden"))
     errors = metrics.point_errors(observed.predicted, observed.truth)
@@ -207,7 +207,7 @@ def _chunks(posed: PosedBody) -> list[PosedBody]:
 def smoothness(
     predicted: Float[Tensor, "time points 3"], truth: Float[Tensor, "time points 3"], fps: float
 ) -> dict[str, float | None]:
-    """Mean accelerations and their error, m/s²."""
+    """Mean accelerations of predicted and true points, and their error, m/s²."""
     a, b = metrics.accelerations(predicted, fps), metrics.accelerations(truth, fps)
     return {
         "accel": metrics.mean(a.norm(dim=-1)),
@@ -216,7 +216,7 @@ def smoothness(
     }
 
 
-def _contact(contacts: Tensor | None, truth: Tensor) -> dict[str, float | None]:
+def _contact_metrics(contacts: Tensor | None, truth: Tensor) -> dict[str, float | None]:
     if contacts is None:
         return {"contact_accuracy": None, "contact_balanced": None}
     return {
@@ -225,7 +225,7 @@ def _contact(contacts: Tensor | None, truth: Tensor) -> dict[str, float | None]:
     }
 
 
-def _penetration(name: str, predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
+def _penetration_metrics(name: str, predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
     return {
         f"{name}_freq": metrics.penetration_frequency(predicted),
         f"{name}_dist": metrics.penetration_distance(predicted),
@@ -234,7 +234,7 @@ def _penetration(name: str, predicted: Tensor, truth: Tensor) -> dict[str, float
 
 
 def _toe_heights(posed: PosedBody) -> Tensor:
-    """Height of the toe joints less their rest height above the sole, metres."""
+    """Height of the toe joints less their height over the sole at rest, metres."""
     toes = list(TOES)
     return posed.joints[:, toes, 2] - rest_heights(posed.model, posed.shape)[toes]
 

@@ -1,4 +1,4 @@
-"""Measures of generated motions: near the truth, unlike each other, upright and on the ground.
+"""Measures of generated motions: distance to the truth, variety, and staying upright.
 
 Displacements and diversity: HuMoR (ICCV 2021) section 5.3. What stays on its feet is our own
 definition, in heights and speeds that recorded people keep.
@@ -59,7 +59,7 @@ def lowest_foot(
 def stays_upright(
     joints: Float[Tensor, "*#batch time 22 3"], rest_height: Float[Tensor, "*#batch 22"]
 ) -> Bool[Tensor, "*batch"]:
-    """The head is at 0.6 of its standing height at least, in every frame."""
+    """Whether the head is never below 0.6 of its standing height."""
     head = joint_index("head")
     return (joints[..., head, 2] >= LOWEST_HEAD * rest_height[..., None, head]).all(-1)
 
@@ -69,18 +69,18 @@ def stays_on_ground(
     rest_height: Float[Tensor, "*#batch 22"],
     fps: float,
 ) -> Bool[Tensor, "*batch"]:
-    """The lower foot is never 8 cm below the ground, nor above it for longer than a jump lasts.
+    """Whether the lower foot is within 8 cm of the ground, except above it during jumps.
 
     Eight centimetres is the reach of a contact (`recon.body.contacts`), a jump 0.7 s.
     """
     height = lowest_foot(joints, rest_height)
-    return (height >= -LIMB_REACH).all(-1) & ~_somewhere_for(height > LIMB_REACH, fps)
+    return (height >= -LIMB_REACH).all(-1) & ~_longer_than_a_jump(height > LIMB_REACH, fps)
 
 
 def moves_as_people_do(
     joints: Float[Tensor, "*batch time 22 3"], fps: float
 ) -> Bool[Tensor, "*batch"]:
-    """All numbers are finite, and no joint is faster than 15 m/s from frame to frame."""
+    """Whether all numbers are finite and no joint is faster than 15 m/s."""
     speed = joints.diff(dim=-3).norm(dim=-1) * fps
     return (speed <= FASTEST).flatten(-2).all(-1) & joints.isfinite().flatten(-3).all(-1)
 
@@ -90,7 +90,7 @@ def stays_on_its_feet(
     rest_height: Float[Tensor, "*#batch 22"],
     fps: float,
 ) -> Bool[Tensor, "*batch"]:
-    """Upright, on the ground and at human speed in every frame.
+    """Whether a motion is upright, on the ground and at human speed in every frame.
 
     Args:
         joints: world frame, z up, metres.
@@ -104,8 +104,10 @@ def stays_on_its_feet(
     )
 
 
-def _somewhere_for(happens: Bool[Tensor, "*batch time"], fps: float) -> Bool[Tensor, "*batch"]:
-    """Whether a condition holds somewhere without a break for longer than a jump lasts."""
+def _longer_than_a_jump(
+    happens: Bool[Tensor, "*batch time"], fps: float
+) -> Bool[Tensor, "*batch"]:
+    """Whether a condition holds without a break for longer than a jump lasts."""
     frames = int(LONGEST_FLIGHT * fps) + 1
     if happens.shape[-1] < frames:
         return torch.zeros(happens.shape[:-1], dtype=torch.bool, device=happens.device)

@@ -1,4 +1,4 @@
-"""Errors of motions in the world as the papers on video define them: W-MPJPE, WA-MPJPE, RTE, ...
+"""Errors of motions in the world as papers on video define them: W-MPJPE, WA-MPJPE, RTE.
 
 Definitions are those of the evaluation released with WHAM (Shin et al., CVPR 2024, section 4.1 and
 appendix B), which follows SLAHMR (Ye et al., CVPR 2023, section 4): segments of 100 frames,
@@ -25,7 +25,7 @@ STANDING_STEP = 0.01
 def world_errors(
     predicted: Float[Tensor, "time 22 3"], truth: Float[Tensor, "time 22 3"], fps: float
 ) -> dict[str, float | None]:
-    """All errors of one clip; a value that the clip is too short for is None."""
+    """All world errors of one clip; None where the clip is too short."""
     return {
         "w_mpjpe": w_mpjpe(predicted, truth),
         "wa_mpjpe": wa_mpjpe(predicted, truth),
@@ -39,14 +39,14 @@ def world_errors(
 def wa_mpjpe(
     predicted: Float[Tensor, "time joints 3"], truth: Float[Tensor, "time joints 3"]
 ) -> float | None:
-    """Mean joint error after one similarity for each whole segment of 100 frames, metres."""
+    """Mean joint error after a similarity fitted to each segment of 100 frames, metres."""
     return _mean_error(predicted, truth, SEGMENT)
 
 
 def w_mpjpe(
     predicted: Float[Tensor, "time joints 3"], truth: Float[Tensor, "time joints 3"]
 ) -> float | None:
-    """Mean joint error after one similarity for each segment, from its first two frames, metres.
+    """Mean joint error after a similarity fitted to the first two frames of each segment, metres.
 
     WHAM's and SLAHMR's definition. Others align the first frame alone, without scale, which for
     one and the same motion can give three times as much.
@@ -87,11 +87,11 @@ def foot_sliding(
     return mean(ours, theirs < STANDING_STEP)
 
 
-def _mean_error(predicted: Tensor, truth: Tensor, first: int) -> float | None:
-    """Mean joint error after the similarity that fits the first frames of each segment."""
+def _mean_error(predicted: Tensor, truth: Tensor, fitted_frames: int) -> float | None:
+    """Mean joint error after a similarity fitted to the first frames of each segment."""
     errors: list[Tensor] = []
     for here, there in zip(predicted.split(SEGMENT), truth.split(SEGMENT), strict=True):
         points, goal = here.flatten(0, 1), there.flatten(0, 1)
-        aligned = similarity_aligned(points, goal, fitted=first * here.shape[1])
+        aligned = similarity_aligned(points, goal, fitted=fitted_frames * here.shape[1])
         errors.append(point_errors(aligned, goal))
     return mean(torch.cat(errors))

@@ -1,1 +1,1 @@
-"""Recordings of motion capture (BVH, ASF/AMC, C3D, TRC, .mat); `reader` tells by suffix."""
+"""Reads motion-capture files (BVH, ASF/AMC, C3D, TRC, .mat); `reader` chooses by suffix."""

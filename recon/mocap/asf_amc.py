@@ -1,4 +1,4 @@
-"""Acclaim ASF/AMC: a skeleton file and motions that refer to it, plain or xz-compressed.
+"""Reads Acclaim's ASF/AMC: a skeleton file, and motions that refer to it.
 
 Each bone becomes one joint at the bone's near end, named after the bone, and a last bone also
 `<bone>_end` at its far end. World rotation of a bone: R = R_parent C M C^-1, with C the bone's
@@ -60,7 +60,7 @@ def read_amc(
     unit: str | None = None,
     up: Up | None = None,
 ) -> SkeletonRecording:
-    """Read an .amc or .amc.xz file with its .asf.
+    """Read an .amc or .amc.xz file and the skeleton in its .asf file.
 
     Args:
         path: of the motion.
@@ -77,7 +77,7 @@ def read_amc(
     skeleton = find_skeleton(path) if skeleton is None else skeleton
     tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
     motion, degrees = _parse_amc(decode(data), path.name)
-    recording = _posed(tree, motion, degrees, path.name, fps)
+    recording = _recording_of(tree, motion, degrees, path.name, fps)
     said = (f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file")
     recording = replace(recording, decisions=said)
     return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared)
@@ -108,7 +108,7 @@ def find_skeleton(path: Path) -> Path:
 
 
 def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> np.ndarray:
-    """Rotation by fixed axes, the first of `order` first."""
+    """Rotation matrix of three angles about fixed axes, applied in the order `order`."""
     if sorted(order.upper()) != ["X", "Y", "Z"]:
         raise FormatError(f"{name}: expected an axis order such as XYZ, got {order!r}")
     ANGLE.check(angles if degrees else np.rad2deg(angles), name, "axis")
@@ -196,7 +196,7 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
 
 
 def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
-    """Numbers of every bone, frames x channels, and whether angles are in degrees."""
+    """Parse the values (frames, channels) of every bone, and whether angles are in degrees."""
     degrees, frames = True, 0
     rows: dict[str, tuple[array[float], array[int]]] = {}
     for line in io.StringIO(text):
@@ -235,7 +235,7 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
     return arrays, degrees
 
 
-def _posed(
+def _recording_of(
     tree: _Skeleton, motion: dict[str, np.ndarray], degrees: bool, name: str, fps: float
 ) -> SkeletonRecording:
     frames = len(motion["root"])
@@ -249,7 +249,7 @@ def _posed(
     tips = [bone for bone in tree.parents if bone not in inner]
     names = (*order, *(f"{bone}_end" for bone in tips))
     parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
-    # a joint sits at the far end of its parent's bone
+    # a bone's `direction` leads to the joint of its children
     offsets = np.stack([np.zeros(3) if p < 0 else tree.bones[order[p]].direction for p in parents])
 
     def local() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -266,7 +266,7 @@ def _posed(
 def _bone_motion(
     bone: _Bone, values: np.ndarray, degrees: bool, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """C M C^-1 and the shift of a bone; changes of a bone's length (`l`) are left out."""
+    """Rotation C M C^-1 and shift of a bone; changes of its length (`l`) are left out."""
     if values.shape[1] != len(bone.channels):
         raise FormatError(
             f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "
@@ -283,7 +283,7 @@ def _bone_motion(
 
 
 def recording_files(recording: Path) -> list[Path]:
-    """The files that a recording of any format (FILE, or FILE::MEMBER) is read from.
+    """The files from which a recording (FILE, or FILE::MEMBER) of any format is read.
 
     Raises:
         FileNotFoundError: when the skeleton of an .amc file is missing.

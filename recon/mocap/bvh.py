@@ -1,4 +1,4 @@
-"""BVH: a tree of joints with offsets and Euler channels (Biovision), plain or xz-compressed.
+"""Reads Biovision's BVH: a tree of joints with offsets, and Euler angles of every frame.
 
 Position channels replace a joint's OFFSET, as Blender and MotionBuilder read them, unless they
 are zero throughout. The file states neither unit nor up axis; by custom y is up.
@@ -31,7 +31,7 @@ _SIGNATURE = {"LHipJoint", "RHipJoint", "LowerBack", "Neck1", "LeftFingerBase", 
 
 
 def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
-    """Give the lost bones their length back; any other skeleton is returned as it is."""
+    """Restore bones that a known exporter writes with length zero; other skeletons stay."""
     if not set(recording.joint_names) >= _SIGNATURE:
         return recording
     offsets, positions = recording.rest_offsets.copy(), recording.positions.copy()
@@ -88,7 +88,7 @@ def read_bvh(path: Path, *, unit: str | None = None, up: Up | None = None) -> Sk
 def parse_bvh(
     text: str, name: str, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
-    """The recording in the text of a BVH file; see `read_bvh`."""
+    """Parse the text of a BVH file, as `read_bvh` does."""
     text = with_decimal_points(text, _DECIMAL_COMMA)
     head, *body = re.split(r"^\s*MOTION\b", text, maxsplit=1, flags=re.IGNORECASE | re.MULTILINE)
     if not body:
@@ -96,7 +96,7 @@ def parse_bvh(
     joints = parse_hierarchy(head, name)
     values, (fps, said) = _parse_motion(body[0], joints, name)
     parents = tuple(joint.parent for joint in joints)
-    positions, orientations = posed_skeleton(parents, _local(joints, values), len(values))
+    positions, orientations = posed_skeleton(parents, _local_poses(joints, values), len(values))
     raw = SkeletonRecording(
         name=name,
         joint_names=tuple(joint.name for joint in joints),
@@ -111,7 +111,7 @@ def parse_bvh(
 
 
 def parse_hierarchy(head: str, name: str) -> list[_Joint]:
-    """The joints in the text before the motion, parents first.
+    """Parse the joints in the text before the motion, parents first.
 
     Raises:
         ValueError: when it is no tree of joints with offsets.
@@ -172,7 +172,7 @@ def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
 def _parse_motion(
     body: str, joints: list[_Joint], name: str
 ) -> tuple[np.ndarray, tuple[float, str]]:
-    """Numbers of all frames and channels, and `stated_rate` of the file."""
+    """Parse the values of all frames and channels, and the frame rate."""
     timing = _TIMING.match(body)
     if timing is None:
         raise FormatError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
@@ -208,8 +208,10 @@ def _parse_motion(
     return values, rate
 
 
-def _local(joints: list[_Joint], values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Place (frames, 3) of every joint in its parent, in the file's unit, and its rotation."""
+def _local_poses(
+    joints: list[_Joint], values: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Position (frames, 3) and rotation of every joint relative to its parent, in order."""
     column = 0
     for joint in joints:
         channels = joint.channels

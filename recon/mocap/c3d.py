@@ -1,4 +1,4 @@
-"""C3D: optical markers (Vicon, Qualisys, OptiTrack). The format: www.c3d.org, user guide 2021.
+"""Reads optical markers from C3D files, by the user guide of 2021 (www.c3d.org).
 
 Read here and not through ezc3d because that crashes the process on damaged files; the two are
 compared in the tests.
@@ -53,11 +53,11 @@ class _Header:
 
     @property
     def order(self) -> str:
-        """Byte order, as numpy and struct name it."""
+        """Byte order of the file, as numpy and struct write it."""
         return ">" if self.processor == _MIPS else "<"
 
     def bounds(self, trial: _Parameters) -> tuple[int, int]:
-        """First and last frame; those of TRIAL, 32 bits as pairs, where 16 bits are too few."""
+        """First and last frame, by the group TRIAL where the header's 16 bits are too few."""
         bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
         pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
         if self.last != 0xFFFF or len(pairs) < 2:
@@ -67,7 +67,7 @@ class _Header:
 
 
 def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
-    """Read the markers of a .c3d file; angles, forces and the like among them are left out.
+    """Read the markers of a .c3d file; angles and forces among its points are left out.
 
     A marker is not visible where its residual is negative, or it is NaN or exactly the origin.
     The unit is POINT:UNITS; POINT:Y_SCREEN hints at the up axis but does not overrule the body.
@@ -86,12 +86,12 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         else:
             raw = _markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
-        # an offset that points beyond the end of the file
-        raise FormatError(f"{path}: damaged C3D file, it ends where more was promised") from error
+        # an offset beyond the end of the file
+        raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     point = groups.get("POINT", {})
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(1, header.bounds(groups.get("TRIAL", {}))[0])  # some writers count from 0
+    first = max(1, header.bounds(groups.get("TRIAL", {}))[0])  # some programs count from 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))
@@ -104,7 +104,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
 def _markers(
     data: bytes, header: _Header, groups: Mapping[str, _Parameters], path: Path
 ) -> MarkerRecording:
-    """The points that are no outputs of a model, in the file's unit and axes."""
+    """Read the points other than a model's angles and forces, in the file's unit and axes."""
     point = groups.get("POINT", {})
     if header.points == 0:
         raise FormatError(f"{path}: expected a C3D file with points, but its header has none")
@@ -121,11 +121,13 @@ def _markers(
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
     if left := [name for name in names if name in outputs]:
-        notes.append(f"{len(left)} angles, forces and other outputs left out: {_shortened(left)}")
+        notes.append(
+            f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
+        )
     if header.analog > 0:
         channels = [name for name in _texts(groups.get("ANALOG", {}), "LABELS") if name]
         notes.append(
-            f"analog channels left out: {_shortened(channels) if channels else 'without names'}"
+            f"analog channels left out: {_first_names(channels) if channels else 'without names'}"
         )
     names = [names[k] for k in chosen]
     subjects = {name.split(":")[0] for name in names if ":" in name}
@@ -145,7 +147,7 @@ def _markers(
 def _joint_centres(
     data: bytes, header: _Header, groups: Mapping[str, _Parameters], path: Path
 ) -> MarkerRecording:
-    """Origins of segments, named left_hip, right_knee, ..., in the file's unit and axes.
+    """Read segments' origins as joint centres (left_hip, ...), in the file's unit and axes.
 
     Raises:
         ValueError: when the data is cut short, or its segments are not known.
@@ -203,19 +205,19 @@ def _read_header(data: bytes, path: Path) -> _Header:
         raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
     words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
     scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
-    empty = words[0] == 0  # the scale means nothing if there are no points
+    empty = words[0] == 0  # without points the scale may be anything
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
     return _Header(processor, words[0], words[1], words[2], words[3], scale, words[7], rate)
 
 
 def _floats(data: bytes, processor: int) -> np.ndarray:
-    """Four-byte numbers of the three processors, as double precision."""
-    # damaged files may have signalling NaNs, which need no warning
+    """Doubles from the four-byte numbers of any of three processors."""
+    # no warnings about signalling NaNs of damaged files
     with np.errstate(invalid="ignore"):
         if processor != _DEC:
             return np.frombuffer(data, ">f4" if processor == _MIPS else "<f4").astype(np.float64)
-        # VAX F: the halves are swapped and the exponent is biased by two more than IEEE's
+        # VAX F numbers have swapped halves, and an exponent larger by two than IEEE's
         halves = np.frombuffer(data, "<u2").reshape(-1, 2)
         bits = (halves[:, 0].astype(np.uint32) << 16) | halves[:, 1]
         values = bits.view(np.float32).astype(np.float64) / 4
@@ -223,7 +225,7 @@ def _floats(data: bytes, processor: int) -> np.ndarray:
 
 
 def _read_parameters(data: bytes, header: _Header) -> dict[str, _Parameters]:
-    """Parameters of all groups that have any, by the names of the groups."""
+    """Read the parameters of all groups, keyed by group name."""
     place = (data[0] - 1) * _BLOCK + 4
     groups: dict[int, str] = {}
     found: dict[int, dict[str, np.ndarray | tuple[str, ...]]] = {}
@@ -261,7 +263,7 @@ def _parameter(data: bytes, place: int, header: _Header) -> np.ndarray | tuple[s
 def _read_points(
     data: bytes, header: _Header, trial: _Parameters, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in the file's unit, frames x points x 3, and residuals (negative: not seen)."""
+    """Read positions (frames, points, 3) in the file's unit, and residuals (negative: unseen)."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
     first, last = header.bounds(trial)
@@ -278,7 +280,7 @@ def _read_points(
     SAMPLES.check(frames * header.points, path, "header")
     kind = header.order + ("f4" if real else "i2")
     table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)
-    # in every frame, analog samples follow the points
+    # analog samples follow the points of every frame
     table = np.ascontiguousarray(table[:, : 4 * header.points])
     values = _floats(table.tobytes(), header.processor) if real else table.astype(np.float64)
     values = values.reshape(frames, -1, 4)
@@ -286,7 +288,7 @@ def _read_points(
 
 
 def _positive(group: _Parameters, key: str) -> float:
-    """The number that a parameter states; 0 where it states none above 0."""
+    """The positive number that a parameter states, else 0."""
     value = group.get(key)
     stated = isinstance(value, np.ndarray) and value.size == 1 and value.flat[0] > 0
     return float(value.flat[0]) if stated else 0.0  # type: ignore[union-attr]
@@ -307,6 +309,6 @@ def _labels(point: _Parameters, count: int) -> list[str]:
     return [label or f"*{k + 1}" for k, label in enumerate(labels)]
 
 
-def _shortened(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     more = f" and {len(names) - 6} more" if len(names) > 6 else ""
     return ", ".join(names[:6]) + more

@@ -1,4 +1,4 @@
-"""Tables of labelled markers: Motive's .csv, Qualisys Track Manager's .tsv, and TRC.
+"""Reads tables of labelled markers: Motive's .csv, Qualisys' .tsv and .trc; writes .trc.
 
 TRC is written by OpenSim, OpenCap, Pose2Sim and Cortex, and here.
 """
@@ -21,7 +21,7 @@ from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 
 def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
-    """Markers of a .csv file that Motive exported, format 1.2 and later.
+    """Read the markers of a .csv file that Motive exported (format 1.2 and later).
 
     Those that Motive placed itself for rigid bodies and bones are taken where there are no others.
     Unlabelled ones are left out.
@@ -60,13 +60,13 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     values = numbers(rows[start + 1 :], [1, *wanted], name, most=len(rows[start]))
     rate = said.get("Export Frame Rate") or said.get("Capture Frame Rate") or ""
     declared = parse_unit(said.get("Length Units", ""))
-    return _settled(
+    return _in_metres(
         name, labels, values[:, 1:], rate, unit, up, declared, "y", float(values[0, 0])
     )
 
 
 def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
-    """Markers of a .tsv file that Qualisys Track Manager exported; zeros are markers not seen.
+    """Read a .tsv file of Qualisys Track Manager; zeros are markers not seen.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -91,7 +91,7 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     values = numbers(cells, range(width), name, most=width)
     start = float(values[0, 1]) if timed and len(values) else 0.0
     rate = (head.get("FREQUENCY") or [""])[0]
-    return _settled(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
+    return _in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
 
 
 def _is_number(cell: str) -> bool:
@@ -102,7 +102,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _settled(
+def _in_metres(
     name: str,
     labels: Sequence[str],
     values: Float[np.ndarray, "time numbers"],
@@ -113,7 +113,7 @@ def _settled(
     custom: Up,
     start: float,
 ) -> MarkerRecording:
-    """The markers in metres and z up; NaN and three zeros are markers not seen."""
+    """A recording in metres and z up; NaN and three zeros are markers not seen."""
     if len(values) == 0 or not _is_number(rate):
         raise FormatError(f"{name}: expected rows of frames and a frame rate, got {rate[:20]!r}")
     fps, said = stated_rate(float(rate or "nan"), name, "frame rate")
@@ -170,7 +170,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         values, custom = values[..., [2, 0, 1]], "z"
         if up is not None:
             up = along((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
-    fps, note = _rate(header.get("DataRate", ""), times, name)
+    fps, note = _frame_rate(header.get("DataRate", ""), times, name)
     raw = MarkerRecording(
         name=name,
         marker_names=tuple(labels),
@@ -185,7 +185,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
 
 
 def _labels(line: str) -> list[str]:
-    """Labels of the points; "" for columns of a point that has none.
+    """Labels of the points in a TRC header; "" for a point without one.
 
     Each label stands above the first of its three columns; files with other gaps have no points
     without a label.
@@ -197,7 +197,7 @@ def _labels(line: str) -> list[str]:
 
 
 def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray, int]:
-    """Times, coordinates, and how many columns beyond those of the markers hold numbers."""
+    """Parse times, coordinates, and the number of further columns that hold numbers."""
     width = 2 + 3 * markers
     JOINTS.check(markers, name, "line 4")
     SAMPLES.check(max(len(lines), 1) * markers, name)
@@ -227,8 +227,8 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
     return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
 
 
-def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
-    """Frames per second of the header, unless the time column clearly says otherwise."""
+def _frame_rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
+    """Frames per second by the header, unless the time column clearly contradicts it."""
     try:
         header = float(stated)
     except ValueError:
@@ -245,7 +245,7 @@ def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
 
 
 def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: Axis = "y") -> None:
-    """Write markers, blank cells where they are not visible; time is that of the recording.
+    """Write markers as a TRC file, with blank cells where they are not visible.
 
     Args:
         path: file to write.

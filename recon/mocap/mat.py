@@ -1,4 +1,4 @@
-"""MATLAB files of the MoCap Toolbox: structs with `data`, `markerName` and `freq`."""
+"""Reads MATLAB files of the MoCap Toolbox: structs with `data`, `markerName` and `freq`."""
 
 import io
 import os
@@ -25,13 +25,13 @@ _PATIENCE = 120.0
 def read_mat(
     path: Path, variable: str | None = None, *, unit: str | None = None, up: Up | None = None
 ) -> MarkerRecording:
-    """Read one recording of a .mat file; it may be left unnamed when it is the only one.
+    """Read a recording of a .mat file, by name if the file has several.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds no such recording, or its unit or up axis cannot be told.
     """
-    arrays = _arrays(existing(path))
+    arrays = _read_in_other_process(existing(path))
     found = sorted({key.split("/")[0] for key in arrays})
     if variable is None and len(found) == 1:
         variable = found[0]
@@ -62,7 +62,7 @@ def read_mat(
     return settle_markers(raw, unit=unit, up=up, usual_up="z")
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _read_in_other_process(path: Path) -> dict[str, np.ndarray]:
     BINARY.check(path.stat().st_size, path)
     command = [sys.executable, "-P", str(_READER), str(path)]
     try:

@@ -1,4 +1,4 @@
-"""Reads a .mat file in a process of its own, run by `mat`; imports nothing of recon.
+"""Reads a .mat file in a separate process, which `mat` starts; imports nothing of recon.
 
 scipy's reader can crash the interpreter on damaged files; there only this process ends. Every
 struct with data, markerName and freq goes to standard output, as one .npz of plain arrays.
@@ -16,7 +16,7 @@ FIELDS = ("data", "markerName", "freq")
 
 
 def collect(path: str) -> dict[str, np.ndarray]:
-    """Arrays called NAME/FIELD of every recording in the file."""
+    """Read the fields of every recording in a file, keyed as NAME/FIELD."""
     from scipy.io import loadmat
 
     found: dict[str, np.ndarray] = {}
@@ -33,18 +33,18 @@ def collect(path: str) -> dict[str, np.ndarray]:
     return found
 
 
-def limit() -> None:
-    """End this process, not the machine, on a file that unpacks to more than fits."""
+def limit_memory() -> None:
+    """Limit this process's memory, so that a huge file ends it and not the machine."""
     try:
         import resource
-    except ImportError:  # not on Windows
+    except ImportError:  # Windows has no such module
         return
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
 
 
 if __name__ == "__main__":
-    limit()
+    limit_memory()
     buffer = io.BytesIO()
     arrays: dict[str, Any] = collect(sys.argv[1])
     np.savez(buffer, allow_pickle=False, **arrays)

@@ -1,4 +1,4 @@
-"""Recordings of motion capture in any known format: the reader is chosen by the suffix."""
+"""Reads motion-capture recordings of any known format, chosen by the file's suffix."""
 
 import lzma
 import tarfile
@@ -64,14 +64,14 @@ def read_recording(
     if read is not None:
         return read(file, unit=unit, up=up)
     if name.endswith((".asf", ".asf.xz")):
-        raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
+        raise FormatError(f"{path}: this is a skeleton without motion; give one of its .amc files")
     if name.endswith((".npz", ".npz.xz")):
-        raise FormatError(f"{path}: arrays, and no recording of motion capture")
+        raise FormatError(f"{path}: these are arrays, not a recording of motion capture")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
 
 
 def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
-    """Name and text of every .bvh file in an archive, in its order; nothing touches the disk.
+    """Name and text of every .bvh file in an archive, read without unpacking it to disk.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -85,7 +85,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
                     continue
                 TEXT.check(member.size, f"{path}::{member.name}")
                 file = archive.extractfile(member)
-                assert file is not None  # regular files always open
+                assert file is not None  # None only for members that are no files
                 yield member.name, decode(file.read())
     except (tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, OSError) as error:
         raise FormatError(f"{path}: expected a tar archive, but {error}") from error
@@ -94,7 +94,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
 def read_member(
     path: Path, member: str | None, *, unit: str | None = None, up: Up | None = None
 ) -> SkeletonRecording:
-    """One recording of an archive; it may be left unnamed when it is the only one.
+    """Read a recording of an archive, by name if the archive has several.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -124,20 +124,20 @@ SkeletonTable = Mapping[str, Mapping[str, str]]
 """Tables `joints`, `positions` and `orientations`: our joint, their joint."""
 
 
-def plain(name: str) -> str:
-    """A joint's name without namespace and case."""
+def plain_joint_name(name: str) -> str:
+    """A joint's name without namespace, in lower case."""
     return name.split(":")[-1].lower()
 
 
 @cache
 def known_skeletons() -> Mapping[str, SkeletonTable]:
-    """The tables of `assets/skeletons.toml` by their names."""
+    """The known skeletons of `assets/skeletons.toml`, keyed by name."""
     text = files("recon").joinpath("assets", "skeletons.toml").read_text(encoding="utf-8")
     return cast("dict[str, SkeletonTable]", tomllib.loads(text))
 
 
 def skeleton_among(names: Sequence[str], source: str) -> str:
-    """The known skeleton of which most joints are there.
+    """Name of the known skeleton that has most of these joints.
 
     Args:
         names: of the joints of a recording.
@@ -146,11 +146,15 @@ def skeleton_among(names: Sequence[str], source: str) -> str:
     Raises:
         ValueError: when there is none; says which mapping file to write.
     """
-    theirs = {plain(name) for name in names}
+    theirs = {plain_joint_name(name) for name in names}
     fitting = [
         (len(asked), name)
         for name, table in known_skeletons().items()
-        if (asked := {plain(joint) for part in table.values() for joint in part.values()})
+        if (
+            asked := {
+                plain_joint_name(joint) for part in table.values() for joint in part.values()
+            }
+        )
         <= theirs
     ]
     if fitting:
@@ -177,7 +181,7 @@ def refuse_unknown_skeleton(path: Path) -> None:
         return
     head, keyword, _ = decode(read_bytes(path)).partition("MOTION")
     if not keyword:
-        return  # its reader says what is wrong with it
+        return  # the file's reader raises the error
     joints = parse_hierarchy(head, path.name)
     names, parents = [one.name for one in joints], [one.parent for one in joints]
     if joints_by_tree(names, parents, np.array([one.offset for one in joints])) is None:

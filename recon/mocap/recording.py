@@ -1,4 +1,4 @@
-"""Recordings of joints or markers in metres with z up, not yet on our body."""
+"""Records of recorded joints or markers, in metres with z up."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ LEAD_IN_FRAMES = 8
 
 @dataclass(frozen=True)
 class SkeletonRecording:
-    """A recorded skeleton of any producer; parents come before their children.
+    """A recorded skeleton from any program; parents come before their children.
 
     positions[child] = positions[parent] + orientations[parent] @ rest_offsets[child], except
     where the recording itself moves a joint within its parent. Tips of the last bones (BVH end
@@ -49,7 +49,7 @@ class SkeletonRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "SkeletonRecording":
-        """Frames start, ..., stop - 1."""
+        """Frames start to stop - 1."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
@@ -68,7 +68,7 @@ class SkeletonRecording:
         return self.joint_names.index(name)
 
     def descendants(self, joint: int) -> list[int]:
-        """The joint and all that hang from it."""
+        """The joint and all joints below it in the tree."""
         chain = {joint}
         for child, parent in enumerate(self.parents):
             if parent in chain:
@@ -77,7 +77,7 @@ class SkeletonRecording:
 
     @property
     def body_root(self) -> int:
-        """The joint where the body begins: the first that branches, below any helper."""
+        """The body's root: the first joint with several children, below any helper joints."""
         children = np.bincount([parent for parent in self.parents if parent >= 0])
         branching = np.flatnonzero(children > 1)
         return int(branching[0]) if len(branching) > 0 else 0
@@ -105,7 +105,7 @@ class MarkerRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "MarkerRecording":
-        """Frames start, ..., stop - 1; the clock goes on."""
+        """Frames start to stop - 1, with the start time moved accordingly."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
@@ -114,7 +114,7 @@ class MarkerRecording:
         )
 
     def select(self, names: Sequence[str]) -> "MarkerRecording":
-        """Some of the markers, in the order asked for.
+        """The recording with some of the markers, in the given order.
 
         Raises:
             ValueError: naming those that the recording lacks.
@@ -138,7 +138,7 @@ def settle_skeleton(
     up: Up | None,
     declared: str | None = None,
 ) -> SkeletonRecording:
-    """Bring a skeleton in a file's unit and axes to metres and z up, saying how it was decided.
+    """Convert a skeleton to metres and z up, with notes on how unit and axes were decided.
 
     Args:
         raw: as in the file; by custom of its format y points up.
@@ -181,7 +181,7 @@ def settle_markers(
     declared: str | None = None,
     usual_up: Up | None = None,
 ) -> MarkerRecording:
-    """Bring markers in a file's unit and axes to metres and z up; see `settle_skeleton`.
+    """Convert markers to metres and z up, as `settle_skeleton` does.
 
     A marker that is not finite, or lies exactly at the origin, is not visible. Labels that repeat
     are numbered (RKNE, RKNE#2).
@@ -233,7 +233,7 @@ def _unit(
     guess: Callable[[float, str], tuple[str, str]],
     name: str,
 ) -> tuple[str, str]:
-    """The unit that the user gives, the file states or the size of the body implies, and why."""
+    """The unit that the user gives, the file states or the body's size implies; and the reason."""
     units.check_override(given)
     if given is not None:
         return given, f"unit {given}: given"
@@ -243,7 +243,7 @@ def _unit(
 
 
 def stated_rate(rate: float, source: object, place: str) -> tuple[float, str]:
-    """Frames per second as a file states them, and the sentence that says so.
+    """A frame rate that a file states, checked, and a note that says so.
 
     Raises:
         ValueError: when nothing is recorded at such a rate.
@@ -279,7 +279,7 @@ def posed_skeleton(
 
 
 def finite_numbers(words: Sequence[str], count: int, place: str) -> list[float]:
-    """So many finite numbers.
+    """Parse `count` finite numbers.
 
     Raises:
         ValueError: when there are more or fewer, or something is no number.
@@ -294,7 +294,7 @@ def finite_numbers(words: Sequence[str], count: int, place: str) -> list[float]:
 
 
 def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
-    """Cut a T-pose from the start: frames the joints leave at a mean speed above 10 m/s.
+    """Cut off frames at the start, such as a T-pose, from which the joints jump away.
 
     It is one frame in most files; some converters smear it over the next few.
     """
@@ -323,12 +323,12 @@ def head_to_foot(
     feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
     every = range(len(names))
     depth = np.zeros(len(names))
-    # overflowing offsets give an infinite length, which is refused as no unit fits
+    # an infinite length is refused later, since no unit fits it
     with np.errstate(over="ignore"):
         lengths = np.linalg.norm(offsets, axis=-1)
     for joint, (parent, length) in enumerate(zip(parents, lengths, strict=True)):
         depth[joint] = 0.0 if parent < 0 else depth[parent] + length
-    # farthest head and foot found below every joint; a joint with both connects two branches
+    # distance to the farthest head and foot below every joint
     deepest = np.full((2, len(names)), -math.inf)
     for kind, ends in enumerate((heads or every, feet or every)):
         deepest[kind, list(ends)] = depth[list(ends)]

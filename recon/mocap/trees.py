@@ -1,4 +1,4 @@
-"""Our joints in a skeleton of unknown names, by its tree: two legs, two arms, spine and head."""
+"""Finds our joints in a skeleton of unknown names, by its tree of legs, arms and spine."""
 
 import re
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _PARTS = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist"))
 def joints_by_tree(
     names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "joints 3"]
 ) -> dict[str, str] | None:
-    """Their joint for each of ours, or None where the tree is none of a person.
+    """The skeleton's joint for each of ours; None if its tree is not that of a person.
 
     Legs and arms are the two pairs of long branches that are alike; legs are longer. Hip, knee and
     ankle, and shoulder, elbow and wrist, are at the ends of the two longest bones in a row of a
@@ -56,7 +56,7 @@ def joints_by_tree(
     found: dict[str, str] = {}
     sizes: list[float] = []
     for pair, parts in zip(limbs, _PARTS, strict=True):
-        chains = [longest[one] for one in _by_side(pair, longest, names)]
+        chains = [longest[one] for one in _left_and_right(pair, longest, names)]
         count = min((len(chain) for chain in chains), default=0)
         if count < 3:
             return None
@@ -76,17 +76,17 @@ def joints_by_tree(
     if not _LEG[0] < sizes[0] / sizes[1] < _LEG[1]:
         return None
     pelvis, chest = (parents[one] for one, _ in limbs)
-    if _above(parents, pelvis)[1:].count(chest):
-        return None  # arms below legs
+    if _ancestors(parents, pelvis)[1:].count(chest):
+        return None  # the arms would hang from the legs
     upwards = max(set(below[chest]) - set(limbs[1]), key=lambda one: reach[one], default=-1)
     neck = [] if upwards < 0 else longest[upwards]
-    return {"pelvis": names[pelvis]} | found | _trunk(names, parents, pelvis, chest, neck)
+    return {"pelvis": names[pelvis]} | found | _trunk_joints(names, parents, pelvis, chest, neck)
 
 
-def _by_side(
+def _left_and_right(
     pair: tuple[int, int], longest: Sequence[Sequence[int]], names: Sequence[str]
 ) -> tuple[int, ...]:
-    """The left and the right branch of a pair by their names; none where these do not tell."""
+    """The left and the right of two branches, by joint names; empty if these do not say."""
     left = [sum(bool(_LEFT.search(names[k])) for k in longest[one]) for one in pair]
     right = [sum(bool(_RIGHT.search(names[k])) for k in longest[one]) for one in pair]
     if left[0] > right[0] and right[1] > left[1]:
@@ -94,19 +94,19 @@ def _by_side(
     return pair[::-1] if left[1] > right[1] and right[0] > left[0] else ()
 
 
-def _above(parents: Sequence[int], joint: int) -> list[int]:
-    """The joint and all above it, up to -1."""
+def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
+    """The joint and all its ancestors, up to -1."""
     above = [joint]
     while above[-1] >= 0:
         above.append(parents[above[-1]])
     return above
 
 
-def _trunk(
+def _trunk_joints(
     names: Sequence[str], parents: Sequence[int], pelvis: int, chest: int, neck: list[int]
 ) -> dict[str, str]:
-    """Spine, neck and head, as far as the tree has them."""
-    above = _above(parents, pelvis)
+    """The skeleton's joints of spine, neck and head, as far as the tree has them."""
+    above = _ancestors(parents, pelvis)
     spine: list[int] = []
     while chest not in above:
         spine, chest = [chest, *spine], parents[chest]

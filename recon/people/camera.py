@@ -43,7 +43,7 @@ class SharedCamera:
 
 
 @dataclass(frozen=True)
-class _Alone:
+class _SingleFit:
     """The result of the fit of one person alone, in the camera's frame."""
 
     result: Result
@@ -56,7 +56,7 @@ class _Alone:
     has no part in them, so that who runs uphill by it tells that it is wrong."""
 
     @classmethod
-    def of(cls, result: Result) -> "_Alone":
+    def of(cls, result: Result) -> "_SingleFit":
         """The result of one person's fit with a camera of unknown pose."""
         (view,) = views_of(result.examined.fit.observations)
         T = result.T_world_camera
@@ -91,15 +91,15 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
     Args:
         results: fits to one camera of unknown pose, one per person.
     """
-    alone = [_Alone.of(one) for one in results]
+    alone = [_SingleFit.of(one) for one in results]
     seen = np.array([one.motion.frames for one in results], float)
     focal = float(np.exp(np.average([np.log(one.focal) for one in alone], weights=seen)))
     places = [one.zoomed(focal) for one in alone]
-    normal, above, factors = _plane(places, [one.up for one in alone])
+    normal, above, factors = _common_ground(places, [one.up for one in alone])
     T_world_camera = camera_above((*normal.tolist(), -above))
     T = torch.from_numpy(T_world_camera)
     starts = tuple(
-        _moved(one, T_world_camera, focal, float(factor), spots)
+        _motion_in_shared_world(one, T_world_camera, focal, float(factor), spots)
         for one, factor, spots in zip(alone, factors, places, strict=True)
     )
     (view,) = views_of(results[0].examined.fit.observations)
@@ -122,7 +122,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
     )  # fmt: skip
 
 
-def _plane(
+def _common_ground(
     places: Sequence[Float[np.ndarray, "places 3"]], ups: Sequence[Float[np.ndarray, "3"]]
 ) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
     """Ground normal, height of the camera above the ground, and a distance factor per person."""
@@ -143,10 +143,12 @@ def _plane(
             # divided by each person's scale factor: otherwise all would shrink towards the ground
             height = (spots @ normal + above / factor) / _ON_GROUND
             # robust above the ground, since people who run or jump are in the air; not below it
-            height = np.where(height > 0, _bounded(height), height)
+            height = np.where(height > 0, _pseudo_huber_residual(height), height)
             out.append(height / np.sqrt(len(spots)))
             lean = (up - normal) / _UPRIGHT
-            out.append(lean * _bounded(size := np.linalg.norm(lean)) / max(size, 1e-9))
+            out.append(
+                lean * _pseudo_huber_residual(size := np.linalg.norm(lean)) / max(size, 1e-9)
+            )
         return np.concatenate(out)
 
     above = max(float(np.mean([-(spots @ mean).min() for spots in places])), 0.1)
@@ -154,25 +156,25 @@ def _plane(
     return parts(found.x)
 
 
-def _bounded(residual: Any) -> Any:
-    """Residuals whose halved squares grow as their amounts, not squared, beyond one."""
+def _pseudo_huber_residual(residual: Any) -> Any:
+    """Residuals whose half squares are the pseudo-Huber loss, linear beyond one."""
     return np.sqrt(2 * (np.sqrt(1 + np.square(residual)) - 1))
 
 
-def _moved(
-    one: _Alone,
+def _motion_in_shared_world(
+    fit: _SingleFit,
     T_world_camera: Float[np.ndarray, "4 4"],
     focal: float,
     factor: float,
     places: Float[np.ndarray, "places 3"],
 ) -> Motion:
     """A person's first motion in the world of the shared camera."""
-    assert one.result.T_world_camera is not None
+    assert fit.result.T_world_camera is not None
     shift = np.eye(4)
-    shift[:3, 3] = (0.0, 0.0, (focal / one.focal - 1) * one.depth)
+    shift[:3, 3] = (0.0, 0.0, (focal / fit.focal - 1) * fit.depth)
     shift[:3, 3] += (factor - 1) * places.mean(0)
-    T = T_world_camera @ shift @ np.linalg.inv(one.result.T_world_camera.double().numpy())
-    motion, body = one.result.motion, one.result.body
+    T = T_world_camera @ shift @ np.linalg.inv(fit.result.T_world_camera.double().numpy())
+    motion, body = fit.result.motion, fit.result.body
     carried = motion.carried(
         torch.from_numpy(T).to(motion.translation), body.rest_joints(motion.shape)[0]
     )

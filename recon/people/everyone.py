@@ -11,7 +11,7 @@ from recon.core.errors import FormatError, ObservationError
 from recon.detections.tables import holds_detections
 from recon.fitting.observed import Clip, seen_times, window
 from recon.fitting.settings import FitSettings
-from recon.reading.clip import DETECTIONS, format_errors, of_projects, together
+from recon.reading.clip import DETECTIONS, clip_of_files, files_of_projects, format_errors
 from recon.reading.same_person import everybody_across_views
 from recon.reading.tracks import Track
 from recon.reading.views import SeenViews, Views, read_views
@@ -63,7 +63,7 @@ def people_in(
             missing; says what to do.
     """
     with format_errors():
-        paths, settings, projects = of_projects(paths, settings)
+        paths, settings, projects = files_of_projects(paths, settings)
         for path in paths:
             known = path.suffix.lower() in DETECTIONS or holds_detections(path)
             if path.is_file() and not known:
@@ -78,7 +78,7 @@ def people_in(
         people: list[PersonClip] = []
         for one in found.people:
             files = list(zip(one.views.names, one.views.files, strict=True))
-            clip = together(files, [one.note], settings, body)
+            clip = clip_of_files(files, [one.note], settings, body)
             times = np.concatenate([seen_times(view) for view in clip.observations])
             people.append(PersonClip(one.number, window(clip, times.min(), times.max())))
     notes = [decision for one in projects for decision in one.decisions]

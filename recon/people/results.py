@@ -50,7 +50,7 @@ class People:
 
     @property
     def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The summary, for the person at the terminal."""
+        """The summary as tables for a terminal."""
         return {"people": self.summary()}
 
     def summary(self) -> dict[str, dict[str, Any]]:
@@ -72,7 +72,7 @@ class People:
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motions, in plain values.
+        """The JSON report saved with the motions, in plain values.
 
         Args:
             inputs: SHA-256 of the files that were read, by path; none by default.

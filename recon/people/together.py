@@ -100,7 +100,7 @@ def fit_people(
             alone = {name: value for name, value in arguments.items() if name in _ALONE}
             first = _fitted(numbers, clips, prior, [alone] * len(clips))
             shared = shared_camera(first)
-            clips = [_before(clip, shared) for clip in clips]
+            clips = [_with_shared_camera(clip, shared) for clip in clips]
             starts = list(shared.starts)
             arguments = arguments | {"ground": "auto"}
             notes = (*notes, shared.described)
@@ -144,7 +144,7 @@ def fit_files(
         FileNotFoundError: when there is no such file.
     """
     if shape is not None:
-        raise ReconError("--shape is of one person; leave it out with --person all")
+        raise ReconError("--shape describes one person; leave it out with --person all")
     model, plane = body_given(body), ground if isinstance(ground, tuple) else None
     names = [one.name for one in fields(ReadOptions)]
     reading = {name: how.pop(name) for name in names if name in how}
@@ -185,7 +185,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
     return view if fixed and not view.ground_known else None
 
 
-def _before(clip: Clip, shared: SharedCamera) -> Clip:
+def _with_shared_camera(clip: Clip, shared: SharedCamera) -> Clip:
     """The clip with the pose of the shared camera as its known pose."""
     (view,) = views_of(clip.observations)
     camera = view.camera.derived(

@@ -1,4 +1,4 @@
-"""The motion of a body's mass: acceleration of its centre, and the rate of angular momentum.
+"""Acceleration of a body's centre of mass, and the rate of its angular momentum.
 
 A skinned vertex is linear in the bones, v = A_t u_v, so sums over all vertices of a body need no
 vertex: Σ m v aᵀ = A_t (Σ m u uᵀ) A''_tᵀ.
@@ -23,7 +23,7 @@ SPAN = 1 / 20
 
 @dataclass(frozen=True)
 class Dynamics(TensorStruct):
-    """The motion of the body's mass, in the frames that have a neighbour on both sides."""
+    """Motion of a body's mass in all frames that have second differences."""
 
     mass: Float[Tensor, "*batch"]
     """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""
@@ -36,14 +36,14 @@ class Dynamics(TensorStruct):
 
 
 def difference_step(fps: float) -> int:
-    """Frames between the samples of a second difference: 1/20 s, at least one frame."""
+    """Number of frames between the samples of a second difference: 1/20 s, at least one."""
     return max(1, round(fps * SPAN))
 
 
 def second_differences(
     values: Float[Tensor, "*batch time rows columns"], fps: float
 ) -> Float[Tensor, "*batch inner rows columns"]:
-    """(x[t+s] - 2 x[t] + x[t-s]) / (s dt)² with s dt of 1/20 s at any rate; none at the ends.
+    """Accelerations (x[t+s] - 2 x[t] + x[t-s]) / (s dt)², s dt about 1/20 s; none at the ends.
 
     A fixed span keeps the noise of fast recordings out: 1 mm of it is 1 m/s² at 20 Hz and
     25 m/s² at 100 Hz.
@@ -52,13 +52,13 @@ def second_differences(
     last = values.shape[-3]
     before = values[..., : max(last - 2 * step, 0), :, :]
     after = values[..., 2 * step :, :, :]
-    return (after - 2 * inner(values, fps) + before) * (fps / step) ** 2
+    return (after - 2 * inner_frames(values, fps) + before) * (fps / step) ** 2
 
 
-def inner(
+def inner_frames(
     values: Float[Tensor, "*batch time rows columns"], fps: float
 ) -> Float[Tensor, "*batch inner rows columns"]:
-    """Values in the frames where second differences exist."""
+    """The values in those frames in which second differences exist."""
     step = difference_step(fps)
     return values[..., step : max(values.shape[-3] - step, step), :, :]
 
@@ -66,7 +66,7 @@ def inner(
 def body_dynamics(
     posed: PosedBody, masses: Float[Tensor, "*batch vertices"], fps: float
 ) -> Dynamics:
-    """Dynamics of all vertices of a body, without computing one.
+    """Dynamics of a body's mass, from its bones, without computing vertices.
 
     With bones side by side, A_t = [R_j | s_j], and the second moments S = Σ m u uᵀ of
     u = [w_vj (x_v, 1)]: Σ m v aᵀ = A S A''ᵀ, whose skew part less that of M G a_Gᵀ is the rate
@@ -80,14 +80,14 @@ def body_dynamics(
     """
     total = masses.sum(-1)
     moments = _mass_moments(posed.model, posed.shape, masses / total[..., None])
-    return _moving(posed, total, moments, fps)
+    return _dynamics_of_moments(posed, total, moments, fps)
 
 
 _AVERAGE: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
-    """Dynamics of a body of mass 1 whose segments are the average body's, hung from its joints.
+    """Dynamics of mass 1 spread over the joints' segments as on the average body.
 
     The moments of mass are then the same for all shapes, made once and kept: the volumes of a
     shape's parts and their derivatives cost several times what all else of `body_dynamics` does.
@@ -98,14 +98,14 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
         _AVERAGE[model.weights] = _mass_moments(model, zero, vertex_masses(model, zero))
     moments = _AVERAGE[model.weights].expand(*posed.rest.shape[:-2], -1, -1)
     average = replace(posed, rest=model.joint_template.expand_as(posed.rest))
-    return _moving(average, moments.new_ones(moments.shape[:-2]), moments, fps)
+    return _dynamics_of_moments(average, moments.new_ones(moments.shape[:-2]), moments, fps)
 
 
-def _moving(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
-    """Dynamics of second moments of mass, a share of the `total`."""
+def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
+    """Dynamics of a body that is given by the second moments of its mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
-    bends, places = second_differences(bones, fps), inner(bones, fps)
-    # Σ m u as a column: a vertex' weights sum to one, so the fourth entries of u do
+    bends, places = second_differences(bones, fps), inner_frames(bones, fps)
+    # Σ m u as a column, since the fourth entries of every u sum to one
     first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
     centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
     product = places @ moments[..., None, :, :] @ bends.mT
@@ -118,7 +118,7 @@ def _moving(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dyn
 def _mass_moments(
     body: BodyModel, shape: Float[Tensor, "*batch shape"], masses: Float[Tensor, "*batch vertices"]
 ) -> Float[Tensor, "*batch 88 88"]:
-    """S = Σ m u uᵀ over all vertices, u = [w_vj (x_v, 1)] for the 22 bones j."""
+    """Second moments of mass, S = Σ m u uᵀ over vertices, u = [w_vj (x_v, 1)] for bones j."""
     rest = body.rest_vertices(shape)
     pairs, weights = _bone_pairs(body)
     place = torch.cat((rest, torch.ones_like(rest[..., :1])), -1)
@@ -134,7 +134,7 @@ _PAIRS: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def _bone_pairs(body: BodyModel) -> tuple[Int[Tensor, " pairs"], Float[Tensor, "pairs vertices"]]:
-    """Pairs of bones that share a vertex, as 22 j + k, and w_vj w_vk; made once and kept."""
+    """Pairs (22 j + k) of bones that move a common vertex, and products of its weights."""
     if body.weights not in _PAIRS:
         touching = (body.weights > 0).to(body.weights)
         first, second = (touching.mT @ touching).nonzero(as_tuple=True)
@@ -146,7 +146,7 @@ def _bone_pairs(body: BodyModel) -> tuple[Int[Tensor, " pairs"], Float[Tensor, "
 def vertex_masses(
     body: BodyModel, shape: Float[Tensor, "*batch shape"]
 ) -> Float[Tensor, "*batch vertices"]:
-    """Share of every vertex in the body's mass: its part's volume, spread evenly over its skin.
+    """Each vertex's share of the body's mass: its part's volume, spread evenly over the skin.
 
     m_v = V_part a_v / Σ_part a / Σ V. Volumes are those of the rest pose of this shape; the
     spread within a part is that of the average body.
@@ -157,7 +157,7 @@ def vertex_masses(
 def vertex_masses_as_published(
     vertices: Float[Tensor, "*batch vertices 3"], parts: Parts
 ) -> Float[Tensor, "*batch vertices"]:
-    """V_part / N_part for each of the N_part vertices of a part, as released by HUMOS; sums to 1.
+    """Masses as in HUMOS's code: a part's volume by the number of its vertices; sum 1.
 
     Densely meshed skin (face, fingers) counts more than it weighs.
 

@@ -1,4 +1,4 @@
-"""Energies of a body on the ground z = 0.
+"""Energies of contact with the ground z = 0: penetration, floating, sliding, balance.
 
 Sums over frames are taken at 30 Hz, as in `recon.method.terms`. Heights are those of a few hundred
 vertices (`SampledSurface`), dynamics those of all. Every energy is continuous with its gradient.
@@ -18,7 +18,13 @@ from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.terms import Term
-from recon.physics.dynamics import Dynamics, body_dynamics, difference_step, inner, vertex_masses
+from recon.physics.dynamics import (
+    Dynamics,
+    body_dynamics,
+    difference_step,
+    inner_frames,
+    vertex_masses,
+)
 from recon.physics.zmp import centre_of_pressure, smoothstep, supported, zmp
 
 TOLERANCE = 0.005
@@ -42,42 +48,42 @@ NEAR_GROUND = (0.03, 0.07)
 
 
 def penetration(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ_t Σ_parts max(0, -b - 5 mm)² of the lowest point b of each of the ten parts; metres²."""
+    """½ Σ_t Σ_parts max(0, -b - 5 mm)², b the lowest point of each of ten parts; metres²."""
     depth = (-lowest_of_parts(estimate) - TOLERANCE).clamp(min=0).square().sum(-1)
-    return 0.5 * _over_frames(depth, estimate)
+    return 0.5 * _sum_over_frames(depth, estimate)
 
 
 def floating(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ_t w_t max(0, b_t - 5 mm)² of the body's lowest point b; metres².
+    """½ Σ_t w_t max(0, b_t - 5 mm)², b the body's lowest point, w its support; metres².
 
     w is one while the motion itself needs the ground, and zero in flight: where less than a tenth
     of the weight is carried (`zmp.supported`). The first and last frames take their
     neighbour's weight; a clip too short for accelerations is all supported.
     """
-    weight = _edges_repeated(supported(dynamics_of(estimate)), estimate)
-    return 0.5 * _over_frames(weight * _floating_height(estimate).square(), estimate)
+    weight = _for_all_frames(supported(dynamics_of(estimate)), estimate)
+    return 0.5 * _sum_over_frames(weight * _floating_height(estimate).square(), estimate)
 
 
 @dataclass(frozen=True)
 class FloatingUnlessFlying(TensorStruct):
-    """`floating` where it is known, as in retargeting, in which frames the body flies."""
+    """The energy `floating` when the frames of flight are known, as in retargeting."""
 
     flying: Bool[Tensor, "*batch time"]
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ_t max(0, b_t - 5 mm)² over the frames that do not fly; metres²."""
+        """½ Σ_t max(0, b_t - 5 mm)² over the frames without flight; metres²."""
         height = _floating_height(estimate).square()
-        return 0.5 * _over_frames(height.where(~self.flying, 0.0), estimate)
+        return 0.5 * _sum_over_frames(height.where(~self.flying, 0.0), estimate)
 
 
 def slide(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ_t Σ_feet mean over the sole of c_t c_(t+1) ρ(|step|), steps per 1/30 s; metres².
+    """½ Σ_t Σ_feet mean over the sole of c_t c_(t+1) ρ(|step|), c its contact; metres².
 
     c = sigmoid((2 cm - height) / 5 mm) says that a point of the sole, weighted by its skin, is in
     contact; ρ(r) = s² r² / (s² + r²) with s of 0.5 m/s lets go of a foot that swings low.
     """
     motion, surface = estimate.motion, SampledSurface.of(estimate.body.model)
-    points = _points(estimate.body)[..., surface.sole, :]
+    points = _surface_points(estimate.body)[..., surface.sole, :]
     contact = ((CONTACT_HEIGHT - points[..., 2]) / CONTACT_SOFTNESS).sigmoid()
     step = points[..., :2].diff(dim=-3).square().sum(-1) * (motion.fps / REFERENCE_FPS) ** 2
     cost = contact[..., 1:, :] * contact[..., :-1, :] * _bounded(step, SLIP_SCALE / REFERENCE_FPS)
@@ -89,7 +95,7 @@ def slide(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ_t w_t ρ(|CoP - ZMP|), ρ(r) = s² r² / (s² + r²), s = 30 cm; metres².
+    """½ Σ_t w_t ρ(|CoP - ZMP|), a robust distance from centre of pressure to ZMP; metres².
 
     w is zero in flight: it falls to zero where the ground carries less than 0.3 to 0.1 of the
     weight, and where the lowest point rises from 3 to 7 cm. HUMOS equation 5 with the ZMP
@@ -97,7 +103,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """
     surface = SampledSurface.of(estimate.body.model)
     step = difference_step(estimate.motion.fps)
-    points = inner(_points(estimate.body), estimate.motion.fps)
+    points = inner_frames(_surface_points(estimate.body), estimate.motion.fps)
     moving = dynamics_of(estimate)
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
     near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
@@ -107,20 +113,20 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def lowest_of_parts(estimate: Estimate) -> Float[Tensor, "*batch time 10"]:
-    """Height of the lowest point of every part, softly, metres."""
+    """Smooth minimum of the heights of every part of the body, metres."""
     surface = SampledSurface.of(estimate.body.model)
-    heights = _points(estimate.body)[..., 2]
-    parts = [heights[..., surface.run(part)] for part in range(len(PARTS))]
+    heights = _surface_points(estimate.body)[..., 2]
+    parts = [heights[..., surface.rows_of(part)] for part in range(len(PARTS))]
     return torch.stack([lowest_point(part) for part in parts], -1)
 
 
 def _floating_height(estimate: Estimate) -> Float[Tensor, "*batch time"]:
-    lowest = lowest_point(_points(estimate.body)[..., 2])
+    lowest = lowest_point(_surface_points(estimate.body)[..., 2])
     return (lowest - TOLERANCE).clamp(min=0)
 
 
 def lowest_point(heights: Float[Tensor, "*batch points"]) -> Float[Tensor, "*batch"]:
-    """Σ h softmax(-h / 2 mm): never below the lowest, and equal to it for a flat sole."""
+    """Smooth minimum of heights, Σ h softmax(-h / 2 mm); exact for a flat sole."""
     return (heights * (-heights / SOFTNESS).softmax(-1)).sum(-1)
 
 
@@ -134,7 +140,7 @@ _DYNAMICS: WeakIdKeyDictionary = WeakIdKeyDictionary()
 """Dynamics by body in use: the energies of one estimate share them, as they share its vertices."""
 
 
-def _points(posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+def _surface_points(posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
     if posed not in _POINTS:
         _POINTS[posed] = posed.points(SampledSurface.of(posed.model).vertices)
     return _POINTS[posed]
@@ -149,22 +155,22 @@ def dynamics_of(estimate: Estimate) -> Dynamics:
     return _DYNAMICS[posed]
 
 
-def _over_frames(
+def _sum_over_frames(
     cost: Float[Tensor, "*batch time"], estimate: Estimate
 ) -> Float[Tensor, "*batch"]:
     motion = estimate.motion
     return cost.where(motion.valid, 0.0).sum(-1) * (REFERENCE_FPS / motion.fps)
 
 
-def _edges_repeated(
+def _for_all_frames(
     values: Float[Tensor, "*batch inner"], estimate: Estimate
 ) -> Float[Tensor, "*batch time"]:
-    """Values of inner frames for all frames: those of the nearest; one where there is none."""
+    """Extend values of inner frames to all frames by the nearest; one if there are none."""
     motion = estimate.motion
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
-    # of padded clips, use the frames whose two neighbours exist
+    # padded clips end earlier
     last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)
@@ -183,7 +189,7 @@ distance from the centre of pressure to the zero moment point. Chosen on validat
 
 
 def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
-    """Terms of physics on the ground z = 0, for an observation of weight one.
+    """The four energies as terms, weighted for data with this noise.
 
     Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
 

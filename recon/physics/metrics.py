@@ -1,4 +1,4 @@
-"""Metrics of physics: HUMOS's five numbers as released, and corrected ones.
+"""Metrics of physics: HUMOS's five as its code computes them, and corrected ones.
 
 Rates other than 20 Hz keep the meaning of every threshold; published numbers are at 20 Hz.
 """
@@ -44,7 +44,7 @@ _CHUNK_FRAMES = 64
 
 @dataclass(frozen=True)
 class PhysicsSamples(TensorStruct):
-    """Measurements in every frame; steps lead to the next frame."""
+    """Measurements of every frame, from which the metrics are averaged."""
 
     lowest: Float[Tensor, " frames"]
     """Height of the lowest vertex, metres."""
@@ -72,7 +72,7 @@ class PhysicsSamples(TensorStruct):
 def physics_samples(
     motion: Motion, body: BodyModel, contacts: Bool[Tensor, "time 2"] | None = None
 ) -> PhysicsSamples:
-    """Measure the existing frames of one clip.
+    """Measure all frames of one clip.
 
     Args:
         motion: One clip; the ground is z = 0.
@@ -92,7 +92,7 @@ def physics_samples(
     if contacts is not None and contacts.shape != (motion.frames, 2):
         raise ValueError(
             f"expected contacts of two feet in {motion.frames} frames, got an array of shape "
-            f"{tuple(contacts.shape)}; bring labels to the motion's own frames first"
+            f"{tuple(contacts.shape)}; resample the labels to the motion's frames first"
         )
     motion = motion.window(0, int(motion.valid.long().cumprod(0).sum()))
     step = difference_step(motion.fps)
@@ -108,7 +108,7 @@ def physics_samples(
     for start in range(0, motion.frames, _CHUNK_FRAMES):
         stop = min(start + _CHUNK_FRAMES, motion.frames)
         held = None if contacts is None else contacts[start : stop + 1]
-        # the last frame has the speed from the frame before; others that to the frame after
+        # speeds lead to the next frame, for the last frame from the one before
         pieces.append(
             _surface_samples(
                 motion, body, max(start - 1, 0), start, stop, held, points[start:stop]
@@ -123,7 +123,7 @@ def physics_samples(
 
 
 def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor]:
-    """The released and the corrected ZMP in every frame, and where the ground carries the body.
+    """HUMOS's and the corrected ZMP of every frame, and a mask of supported frames.
 
     The first and last frames take their neighbour's acceleration and spin (released code).
     """
@@ -137,14 +137,14 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
     last = motion.frames - 2 * step - 1
     nearest = (torch.arange(motion.frames, device=first.device) - step).clamp(0, last)
     old, new = (
-        Dynamics(found.mass, centre_of_mass(posed, mass), *_at(found, nearest))
+        Dynamics(found.mass, centre_of_mass(posed, mass), *_at_frames(found, nearest))
         for mass in kinds
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
     return torch.stack((zmp_as_released(old), zmp(new)), -2), supported(new) >= 0.5
 
 
-def _at(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:
+def _at_frames(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:
     return dynamics.acceleration[frames], dynamics.spin[frames]
 
 
@@ -157,18 +157,18 @@ def _surface_samples(
     contacts: Tensor | None,
     points: Tensor,
 ) -> PhysicsSamples:
-    """Frames start, ..., stop - 1, with the surface of the frames around them."""
+    """Measure frames start to stop - 1, whose speeds need the frames around them."""
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
-    # the last frame is repeated once; steps to the copy do not count
+    # the last frame is compared with itself, which does not count
     following = torch.arange(own.start + 1, own.stop + 1).clamp(max=len(skin) - 1)
     steps = (skin[following, :, :2] - skin[own, :, :2]).norm(dim=-1)
     sunk = (skin[own, :, 2] <= 0) & (skin[following, :, 2] <= 0)
     feet = posed.joints[:, list(FEET)]
     low = feet[..., 2] < JOINT_CONTACT
     moved = (feet[following, :, :2] != feet[own, :, :2]).any(-1)
-    touch, slip = _slips(body, skin, own, following, steps, motion.fps)
+    touch, slip = _slip_of_feet(body, skin, own, following, steps, motion.fps)
     if contacts is not None:
         after = torch.arange(1, stop - start + 1).clamp(max=len(contacts) - 1)
         touch = contacts[: stop - start] & contacts[after]
@@ -190,10 +190,10 @@ def _surface_samples(
     )
 
 
-def _slips(
+def _slip_of_feet(
     body: BodyModel, skin: Tensor, own: slice, following: Tensor, steps: Tensor, fps: float
 ):
-    """Whether the lowest vertex of each foot stays low, and its speed."""
+    """Mask of feet whose lowest vertex stays low, and the speed of this vertex."""
     owner = body.weights.argmax(-1)
     touch, slip = [], []
     for side in _SIDES:
@@ -211,11 +211,16 @@ SLIPPING = 0.1
 
 def physics_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
     """All metrics in SI units; None where there is nothing to average. See docs/physics.md."""
-    return {**released(samples), **physdiff(samples), **balance(samples), **slipping(samples)}
+    return {
+        **humos_metrics(samples),
+        **physdiff_metrics(samples),
+        **balance_metrics(samples),
+        **slip_metrics(samples),
+    }
 
 
-def released(samples: PhysicsSamples) -> dict[str, float | None]:
-    """The table of HUMOS as its released code computes it.
+def humos_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
+    """The metrics of HUMOS's table as its released code computes them.
 
     `penetrate` and `float` are means over the frames that do so by more than 5 mm, 0 where none
     does. `skate` is the share of ankles and toes under 1.5 cm, whatever their speed.
@@ -233,8 +238,8 @@ def released(samples: PhysicsSamples) -> dict[str, float | None]:
     }
 
 
-def physdiff(samples: PhysicsSamples) -> dict[str, float | None]:
-    """PhysDiff's penetration, float, skate (vertices, as in UHC) and their sum, metres.
+def physdiff_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
+    """PhysDiff's penetration, float and skate of vertices, and their sum, metres.
 
     Means over all frames, those without an error counting as zero; skate per 1/20 s.
     """
@@ -251,8 +256,8 @@ def physdiff(samples: PhysicsSamples) -> dict[str, float | None]:
     }
 
 
-def balance(samples: PhysicsSamples) -> dict[str, float | None]:
-    """Share of frames whose ZMP is inside the base of support, supported and in flight apart."""
+def balance_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
+    """Shares of supported and of flying frames whose ZMP lies in the base of support."""
     stable = (samples.has_base & (samples.distance < 0)).double()
     carried, flying = samples.known & samples.carried, samples.known & ~samples.carried
     out = carried & samples.has_base & (samples.distance > 0)
@@ -264,8 +269,8 @@ def balance(samples: PhysicsSamples) -> dict[str, float | None]:
     }
 
 
-def slipping(samples: PhysicsSamples) -> dict[str, float | None]:
-    """Mean horizontal speed of the lowest point of feet in contact, and share above 0.1 m/s."""
+def slip_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
+    """Mean horizontal speed of the lowest points of feet in contact, and share above 0.1 m/s."""
     return {
         "slip_in_contact": metrics.mean(samples.slip, samples.soles_touch),
         "slipping": metrics.mean((samples.slip > SLIPPING).double(), samples.soles_touch),

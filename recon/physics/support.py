@@ -1,4 +1,4 @@
-"""Support: a body that does not fall must have a foot at rest on the ground.
+"""Energy of support: a body that does not fall must have a foot at rest on the ground.
 
 From the body alone, and so for every step of a minimisation. It says of legs that nobody saw what
 no prior of motion can be trusted with on a stranger: legs that glide above the ground are easy to
@@ -20,7 +20,7 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.physics.dynamics import (
     average_dynamics,
     difference_step,
-    inner,
+    inner_frames,
     second_differences,
 )
 from recon.physics.mass import GRAVITY
@@ -54,7 +54,7 @@ class Support(TensorStruct):
     """Clips whose legs nobody saw; the others have an energy of zero."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz; nats.
+        """Energy Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz; nats.
 
         j and k are ankles and toes, also twice the same. l is the share of its weight that the
         ground carries, 1 + a / g between 0 and 1, by the vertical acceleration a of the pelvis:
@@ -64,10 +64,13 @@ class Support(TensorStruct):
         from the line between the two joints, less the reach of soles, and ρ(x) = s log(1 + x / s).
         The first and the last frames, whose acceleration is not known, count nothing.
         """
-        carried, nats = _load(estimate), heavy_tailed(_pairs(estimate, _squared_unrest(estimate)))
+        carried, nats = (
+            _carried_weight(estimate),
+            heavy_tailed(_energies_of_pairs(estimate, _squared_unrest(estimate))),
+        )
         least = -SOFTNESS * ((-nats / SOFTNESS).logsumexp(-1) - math.log(len(_FIRST)))
-        exists = estimate.motion.inner(_span(estimate)) & self.unseen[..., None]
-        return (carried * least).where(exists, 0.0).sum(-1) * _rate(estimate)
+        exists = estimate.motion.inner(_difference_step(estimate)) & self.unseen[..., None]
+        return (carried * least).where(exists, 0.0).sum(-1) * _scale_to_30_hz(estimate)
 
     def add_curvature(
         self,
@@ -87,14 +90,21 @@ class Support(TensorStruct):
         """
         if not bool(self.unseen[clip]):
             return
-        span, motion = _span(estimate), estimate.motion
+        span, motion = _difference_step(estimate), estimate.motion
         if motion.frames <= 2 * span:
             return
         unrest = _squared_unrest(estimate)
-        nats, unrest = _pairs(estimate, unrest)[clip].detach(), unrest[clip].detach()
+        nats, unrest = _energies_of_pairs(estimate, unrest)[clip].detach(), unrest[clip].detach()
         held = (-heavy_tailed(nats) / SOFTNESS).softmax(-1) / (1 + nats / FAR)
-        share = _to_restless(held, unrest) * _load(estimate)[clip, :, None].detach()
-        share = share.where(motion.inner(span)[clip, :, None], 0.0) * weight * _rate(estimate)
+        share = (
+            _summed_by_restless_joint(held, unrest)
+            * _carried_weight(estimate)[clip, :, None].detach()
+        )
+        share = (
+            share.where(motion.inner(span)[clip, :, None], 0.0)
+            * weight
+            * _scale_to_30_hz(estimate)
+        )
         stiff = joints.new_zeros(len(joints), 22, 3)
         stiff[span:-span, FEET, 2] = share / HEIGHT**2
         add_differences(joints, (1.0,), stiff.flatten(1))
@@ -105,14 +115,14 @@ class Support(TensorStruct):
 
 
 def carried_share(acceleration: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """1 + a / g between 0 and 1, of the body's vertical acceleration a, m/s²."""
+    """Share of its weight that a body puts on the ground, by its vertical acceleration, m/s²."""
     return (1 + acceleration / GRAVITY).clamp(0, 1)
 
 
 def foot_energy(
     height: Float[Tensor, "*shape"], squared_speed: Float[Tensor, "*shape"]
 ) -> Float[Tensor, "*shape"]:
-    """ρ(½ (h² / σ_h² + v² / σ_v²)) of joints of feet; nats.
+    """Energy ρ(½ (h² / σ_h² + v² / σ_v²)) of height h and speed v of foot joints; nats.
 
     Args:
         height: above the height at which the joint touches, metres; h is what exceeds 2 cm.
@@ -127,47 +137,47 @@ def _unrest_of(height: Tensor, squared_speed: Tensor) -> Tensor:
 
 
 def heavy_tailed(nats: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
+    """ρ(x) = s log(1 + x / s), about x if x is small, and logarithmic if it is large."""
     return FAR * torch.log1p(nats / FAR)
 
 
-def _load(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
-    """Share of its weight that the ground carries of the body, judged by its pelvis."""
+def _carried_weight(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
+    """Share of the body's weight on the ground, by the acceleration of its pelvis."""
     pelvis = second_differences(estimate.body.joints[..., :1, :], estimate.motion.fps)
     return carried_share(pelvis[..., 0, 2])
 
 
 def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
-    """½ (h² / σ_h² + v² / σ_v²) of ankles and toes; nats."""
-    posed, fps, span = estimate.body, estimate.motion.fps, _span(estimate)
+    """½ (h² / σ_h² + v² / σ_v²) of height h and speed v of ankles and toes; nats."""
+    posed, fps, span = estimate.body, estimate.motion.fps, _difference_step(estimate)
     feet = posed.joints[..., FEET, :]
     resting = touching_heights(rest_heights(posed.model, posed.shape))[..., FEET]
-    height = inner(feet, fps)[..., 2] - resting[..., None, :]
+    height = inner_frames(feet, fps)[..., 2] - resting[..., None, :]
     speed = feet.diff(dim=-3).square().sum(-1) * fps**2
     frames = height.shape[-2]
     before, after = speed[..., span - 1 :, :], speed[..., span:, :]
     return _unrest_of(height, 0.5 * (before[..., :frames, :] + after[..., :frames, :]))
 
 
-def _pairs(
+def _energies_of_pairs(
     estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
 ) -> Float[Tensor, "*batch inner 10"]:
-    """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of joints of feet; nats."""
-    feet = inner(estimate.body.joints[..., FEET, :2], estimate.motion.fps)
+    """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of foot joints; nats."""
+    feet = inner_frames(estimate.body.joints[..., FEET, :2], estimate.motion.fps)
     first, second = feet[..., _FIRST, :], feet[..., _SECOND, :]
     moving = average_dynamics(estimate.body, estimate.motion.fps)
     line, away = second - first, zmp(moving)[..., None, :] - first
     share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
-    # the square root has no derivative at zero
+    # plus a little, since the square root has no derivative at zero
     distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()
     beyond = (distance - REACH).clamp(min=0) / BALANCE
     return unrest[..., _FIRST].maximum(unrest[..., _SECOND]) + 0.5 * beyond.square()
 
 
-def _to_restless(
+def _summed_by_restless_joint(
     pairs: Float[Tensor, "inner 10"], unrest: Float[Tensor, "inner 4"]
 ) -> Float[Tensor, "inner 4"]:
-    """Weights of the pairs summed by joint; each counts for the joint with the larger unrest."""
+    """Sum the pairs' weights by joint; a pair counts for its joint with the larger unrest."""
     first, second = (
         unrest.new_tensor(side).long().expand(pairs.shape) for side in (_FIRST, _SECOND)
     )
@@ -175,9 +185,9 @@ def _to_restless(
     return torch.zeros_like(unrest).scatter_add(-1, restless, pairs)
 
 
-def _span(estimate: Estimate) -> int:
+def _difference_step(estimate: Estimate) -> int:
     return difference_step(estimate.motion.fps)
 
 
-def _rate(estimate: Estimate) -> float:
+def _scale_to_30_hz(estimate: Estimate) -> float:
     return REFERENCE_FPS / estimate.motion.fps

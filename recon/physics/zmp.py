@@ -1,4 +1,4 @@
-"""Zero-moment point: where the ground must push for the body to move as it does."""
+"""The zero-moment point, at which the ground must push for the body to move as it does."""
 
 import numpy as np
 import torch
@@ -18,8 +18,8 @@ FULL_LOAD = 0.3
 """Share of the body's weight from which on the ground counts as carrying it."""
 
 
-def load(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
-    """Normal force of the ground as a share of the body's weight, N / (M g) = 1 + a_z / g.
+def relative_load(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
+    """Normal force of the ground relative to the body's weight, N / (M g) = 1 + a_z / g.
 
     One for who stands still, zero in free fall, negative where nothing but a pull explains it.
     """
@@ -27,46 +27,46 @@ def load(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
 
 
 def normal_force(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
-    """N = M (g + a_z), newtons (per kilogram where the mass is 1)."""
-    return dynamics.mass[..., None] * GRAVITY * load(dynamics)
+    """Normal force N = M (g + a_z), newtons (per kilogram if the mass is 1)."""
+    return dynamics.mass[..., None] * GRAVITY * relative_load(dynamics)
 
 
 def zmp(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
-    """Point of z = 0 about which the ground's force has no horizontal moment, metres.
+    """The point of the ground z = 0 about which its force has no horizontal moment, metres.
 
     Z = C + [n × Ḣ - M h a_xy] / N with n up, C the centre of mass on the ground, h its height and
     N no less than 0.1 M g. The sign is that of Newton and Euler; HUMOS equation 3 has it reversed.
     """
     floor = LEAST_LOAD * GRAVITY * dynamics.mass[..., None]
-    return _divided(dynamics, normal_force(dynamics).maximum(floor))
+    return _zmp_by_force(dynamics, normal_force(dynamics).maximum(floor))
 
 
 def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
-    """The ZMP of HUMOS's released code, behind its published Dyn. Stability and BoS Dist; metres.
+    """The ZMP as HUMOS's code computes it for its published metrics; metres.
 
     Its gravity points up and its sign is reversed: the two cancel but in the denominator, which
     is M (g - a_z): Z' - C = (Z - C) (g + a_z) / (g - a_z), singular in a push-off of 1 g.
     """
     force = dynamics.mass[..., None] * (RELEASED_GRAVITY - dynamics.acceleration[..., 2])
-    return torch.nan_to_num(_divided(dynamics, force), nan=0.0, posinf=0.0, neginf=0.0)
+    return torch.nan_to_num(_zmp_by_force(dynamics, force), nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def supported(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
-    """Whether the ground carries the body: 0 below a tenth of its weight, 1 above 0.3."""
-    return smoothstep(load(dynamics), LEAST_LOAD, FULL_LOAD)
+    """How far the ground carries the body: 0 below 0.1 of its weight, 1 above 0.3."""
+    return smoothstep(relative_load(dynamics), LEAST_LOAD, FULL_LOAD)
 
 
 def smoothstep(x: Float[Tensor, "*shape"], low: float, high: float) -> Float[Tensor, "*shape"]:
-    """0 below low, 1 above high, 3 u² - 2 u³ between."""
+    """Smooth step from 0 at `low` to 1 at `high`: 3 u² - 2 u³ in between."""
     u = ((x - low) / (high - low)).clamp(0, 1)
     return u * u * (3 - 2 * u)
 
 
-def _divided(dynamics: Dynamics, force: Tensor) -> Tensor:
+def _zmp_by_force(dynamics: Dynamics, normal_force: Tensor) -> Tensor:
     centre, height = dynamics.centre[..., :2], dynamics.centre[..., 2:]
     inertia = dynamics.mass[..., None, None] * height * dynamics.acceleration[..., :2]
     turned = torch.stack((-dynamics.spin[..., 1], dynamics.spin[..., 0]), -1)
-    return centre + (turned - inertia) / force[..., None]
+    return centre + (turned - inertia) / normal_force[..., None]
 
 
 SUPPORT_HEIGHT = 0.05
@@ -79,7 +79,7 @@ SUPPORT_SPEED = 0.4
 def supporting(
     vertices: Float[Tensor, "time vertices 3"], fps: float
 ) -> Bool[Tensor, "time vertices"]:
-    """Vertices low and slow enough to carry weight.
+    """Mask of vertices that are low and slow enough to carry weight.
 
     Speeds are those to the next frame; the last frame has that of the frame before it.
     """
@@ -104,7 +104,7 @@ def base_of_support(points: Float[Tensor, "points 2"]) -> Float[Tensor, "corners
 def signed_distance(
     point: Float[Tensor, "*points 2"], hull: Float[Tensor, "corners 2"]
 ) -> Float[Tensor, "*points"]:
-    """Distance to the nearest edge of a convex hull, negative inside, metres."""
+    """Distance of points to the nearest edge of a convex hull, metres; negative inside."""
     edge = hull.roll(-1, 0) - hull
     away = point[..., None, :] - hull
     along = ((away * edge).sum(-1) / edge.square().sum(-1)).clamp(0, 1)
@@ -118,7 +118,7 @@ def distances_to_support(
     vertices: Float[Tensor, "time vertices 3"],
     standing: Bool[Tensor, "time vertices"],
 ) -> tuple[Float[Tensor, "time kinds"], Bool[Tensor, " time"]]:
-    """Signed distances of a few points per frame to that frame's base, and where there is one.
+    """Signed distances of points to the base of support of their frame, and a mask.
 
     Frames without a base have distance 0, as in HUMOS's released code.
     """
@@ -141,7 +141,7 @@ ALPHA = 100.0
 
 
 def pressure(heights: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """exp(-γ h) above the ground, 1 - α h below it (HUMOS, IPMAN)."""
+    """Pressure at height h: exp(-γ h) above the ground, 1 - α h below it (HUMOS, IPMAN)."""
     above = (-GAMMA * heights.clamp(min=0)).exp()
     return above + ALPHA * (-heights).clamp(min=0)
 
@@ -149,13 +149,13 @@ def pressure(heights: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 def centre_of_pressure(
     points: Float[Tensor, "*batch points 3"], areas: Float[Tensor, " points"]
 ) -> Float[Tensor, "*batch 2"]:
-    """Mean of points on the skin, weighted by pressure × area, on the ground z = 0; metres.
+    """Mean of skin points on the ground plane, weighted by pressure × area; metres.
 
     Heights alone cannot tell which of two equally low feet carries the body. A point exists
     however high the body is: gate it.
     """
     heights = points[..., 2]
-    # lowering a body in the air to the ground multiplies all weights by the same factor
+    # lowering a flying body to the ground changes no ratio of weights, and avoids underflow
     floor = heights.detach().amin(-1, keepdim=True).clamp(min=0)
     weights = pressure(heights - floor) * areas
     return (weights[..., None] * points[..., :2]).sum(-2) / weights.sum(-1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Which of several people each detection of a frame is."""
+"""Assigns the detections of a frame to people."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,7 @@ _ALTERNATIVES = 8.0
 """Other assignments of a frame are followed while they cost at most so much more."""
 
 
-def choices(
+def cheapest_assignments(
     costs: Float[np.ndarray, "people rows"],
 ) -> list[dict[int, int]]:
     """The cheapest assignment of people to detections, and those about as cheap."""

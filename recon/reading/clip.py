@@ -30,7 +30,7 @@ from recon.keypoints3d.reader import (
     holds_markers,
     holds_points_3d,
     marker_recording,
-    markers_of_study,
+    opencap_markers,
     read_points_3d,
 )
 from recon.method.sensor import Sensor
@@ -64,7 +64,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         raise ObservationError("nothing to fit: expected at least one observation file, got none")
     with format_errors():
         own = readers(settings.reader)
-        paths, settings, projects = of_projects(paths, settings)
+        paths, settings, projects = files_of_projects(paths, settings)
         files: list[tuple[str, Content]] = []
         notes = [decision for one in projects for decision in one.decisions]
         detections: list[Path] = []
@@ -76,7 +76,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 files.append((str(path), found[0]))
                 notes += [f"{path}: {decision}" for decision in found[1]]
         if not detections:
-            return _of_one(files, notes, settings, body)
+            return _clip_of_one_person(files, notes, settings, body)
         if settings.person == "all":
             raise ObservationError(
                 "one clip is of one person; `recon fit --person all`, in Python "
@@ -93,7 +93,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             mask = load_silhouettes(settings.masks)
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
-        clip = _of_one(files, [*notes, *views.decisions], settings, body)
+        clip = _clip_of_one_person(files, [*notes, *views.decisions], settings, body)
         if len(projects) != 1 or projects[0].frames is None:
             return clip
         first, end = (k - views.first_frame for k in projects[0].frames)
@@ -101,31 +101,31 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
 
 
 def _read(
-    path: Path, settings: FitSettings, body: BodyModel, own: Sequence[Reader]
+    path: Path, settings: FitSettings, body: BodyModel, plugin_readers: Sequence[Reader]
 ) -> tuple[Content, Sequence[str]] | None:
-    """What a file or folder holds, and what was decided; None where it holds 2D detections."""
+    """The data of a file or folder, and notes on how it was read; None for 2D detections."""
     if path.is_dir() and next(path.iterdir(), None) is None:
         raise ObservationError(
             f"{path}: the folder is empty; expected scans (.ply, .pcd, .obj), depth images (.png) "
             "or 2D detections (.json, .csv) in it"
         )
-    if (seen := read_by(own, path, body)) is not None:
+    if (seen := read_by(plugin_readers, path, body)) is not None:
         return seen, ()
     refuse_others(path, "fit")
     if path.is_file() and holds_markers(path):
-        return _recorded(path, settings, body)
+        return _labelled_points(path, settings, body)
     if holds_points_3d(path, images=settings.camera is not None):
         person = None if settings.person == "all" else settings.person
         file = settled(
             read_points_3d(path, person=person), body, fps=settings.frame_rate,
             unit=settings.unit, up=settings.up, hand=settings.hand, layout=settings.layout,
         )  # fmt: skip
-        return _points(file, path, body, settings)
+        return _sensor_of_points(file, path, body, settings)
     if holds_detections(path):
         return None
     if path.suffix.lower() == ".npz":
         return load_observation(path, unit=settings.unit), ()
-    if kinds := _inside(path) & (CLOUDS.keys() | _IMAGES):
+    if kinds := _file_endings(path) & (CLOUDS.keys() | _IMAGES):
         return _read_folder(path, kinds, settings), ()
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
@@ -137,14 +137,16 @@ def _read(
     )
 
 
-def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Sensor, Sequence[str]]:
+def _labelled_points(
+    path: Path, settings: FitSettings, body: BodyModel
+) -> tuple[Sensor, Sequence[str]]:
     """The labelled points of a .c3d or .trc file: keypoints, or markers on the skin.
 
     What the caller maps are markers. Markers that OpenCap computed from keypoints are placed as it
     places them; others are first met with the body, which finds their offsets.
     """
     recording = marker_recording(path, settings.unit, settings.up)
-    file = markers_of_study(recording)
+    file = opencap_markers(recording)
     skin = file is None and not are_keypoints(recording.marker_names)
     if skin or settings.mapping is not None:
         from recon.ingest.marker_observation import seen_markers
@@ -157,20 +159,20 @@ def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Senso
         )
     else:
         file = points_settled(file, path, body, up="z", hand=settings.hand)
-    return _points(file, path, body, settings)
+    return _sensor_of_points(file, path, body, settings)
 
 
-def _points(
+def _sensor_of_points(
     file: PositionsFile, path: str | Path, body: BodyModel, settings: FitSettings
 ) -> tuple[Sensor, Sequence[str]]:
-    """Points whose coordinates are settled, as an observation, and what was decided of them."""
+    """A sensor of points that are in metres with z up, and notes on how they were read."""
     found = positions_of(file, path, body, up="z", hand="right", robust=settings.robust)
     return found, file.decisions
 
 
 @contextmanager
 def format_errors() -> Iterator[None]:
-    """Whatever a reader refuses becomes a `FormatError`, if it is no `ReconError` already."""
+    """Context that turns any ValueError of a reader into a `FormatError`."""
     try:
         yield
     except ReconError:
@@ -179,10 +181,10 @@ def format_errors() -> Iterator[None]:
         raise FormatError(str(error)) from error
 
 
-def of_projects(
+def files_of_projects(
     paths: Sequence[Path], settings: FitSettings
 ) -> tuple[list[Path], FitSettings, list[Project]]:
-    """Files of projects instead of their folders, and what their own settings say.
+    """Replace folders of projects by the files in them, and add the projects' own settings.
 
     What the caller says counts more. A camera that he gives makes a project a folder of
     detections.
@@ -214,17 +216,17 @@ def of_projects(
     return found, settings, list(projects.values())
 
 
-def together(
+def clip_of_files(
     files: Sequence[tuple[str, Content]],
     notes: Sequence[str],
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """All as observations of one clip; depth without a pose first, as it may see the ground.
+    """Make one clip of all files; depth without a pose comes first, as it may see the ground.
 
     Args:
-        files: what was read, each with a name for messages.
-        notes: what was decided before.
+        files: the data that were read, each with a name for messages.
+        notes: on how the files were read.
         settings: how to read.
         body: that is to be fitted.
 
@@ -264,7 +266,7 @@ def together(
             points = points_settled(
                 file, name, body, unit=settings.unit, up=settings.up, hand=settings.hand
             )
-            found[k], said = _points(points, name, body, settings)
+            found[k], said = _sensor_of_points(points, name, body, settings)
             notes += [f"{name}: {decision}" for decision in said]
         else:
             found[k] = file
@@ -273,16 +275,16 @@ def together(
     return Clip(observations, names, tuple(notes), T, plane is not None)
 
 
-def _of_one(
+def _clip_of_one_person(
     files: Sequence[tuple[str, Content]],
     notes: Sequence[str],
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """As `together`; a given plane is ignored where all sensors' poses are known."""
+    """As `clip_of_files`; a given ground is ignored where all sensors' poses are known."""
     if all(_has_pose(file) for _, file in files):
         settings = replace(settings, ground=None)
-    return together(files, notes, settings, body)
+    return clip_of_files(files, notes, settings, body)
 
 
 def _has_pose(file: Content) -> bool:
@@ -320,7 +322,7 @@ def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFi
     )
 
 
-def _inside(path: Path) -> set[str]:
+def _file_endings(path: Path) -> set[str]:
     """Endings of the files in a folder."""
     if not path.is_dir():
         return set()

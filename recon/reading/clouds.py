@@ -1,4 +1,4 @@
-"""Observations from point clouds: frame of coordinates, person cut out, thinned."""
+"""Point clouds as an observation: turned to z up, the person cut out, points thinned."""
 
 from dataclasses import dataclass
 
@@ -14,18 +14,18 @@ from recon.core.errors import ObservationError
 from recon.core.limits import FRAMES, PADDED_CLOUD
 from recon.core.planes import (
     FoundGround,
-    above,
-    before,
+    above_ground,
     clusters,
     depth_noise,
     find_ground,
     find_walls,
-    spacing,
+    in_front_of_plane,
+    point_spacing,
 )
 from recon.formats.cameras import CameraArrays
 from recon.formats.observations import PointsFile
 from recon.reading.images import pinhole
-from recon.reading.moving_sensor import eye_of, movement
+from recon.reading.moving_sensor import eye_of, sensor_movement
 
 _LARGE = 0.4
 """Share of the largest thing's points that another one has which may be the person."""
@@ -51,20 +51,22 @@ class _Frame:
     """Share of the largest one's points that the second has."""
 
 
-def alone(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
-    """The largest thing of the clearest frame, followed to both ends by the nearest middle.
+def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
+    """One cluster per frame: the largest of the clearest frame, then the nearest from there on.
 
-    Taken for itself, the largest thing of every frame would change between two people.
+    The largest cluster of every frame would jump from one person to another.
 
     Args:
         clouds: points of every frame, z up, metres, without the ground; frames may be empty.
-        reach: metres of the steps that join points to one thing.
+        reach: metres between neighbouring points of one cluster.
 
     Returns:
-        The points of the thing in every frame, and the number of frames in which something else of
-        a person's size stands beside; 0 for a few.
+        The points of the cluster in every frame, and the number of frames in which another cluster
+        of a person's size is seen; 0 for a few.
     """
-    frames = {k: _frame(cloud, reach) for k, cloud in enumerate(clouds) if len(cloud) > 0}
+    frames = {
+        k: _clusters_of_frame(cloud, reach) for k, cloud in enumerate(clouds) if len(cloud) > 0
+    }
     kept, beside = [cloud[:0] for cloud in clouds], 0
     if not frames:
         return kept, 0
@@ -83,7 +85,7 @@ def alone(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int
     return kept, beside if beside > _OFTEN * len(frames) else 0
 
 
-def _frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
+def _clusters_of_frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
     label = clusters(cloud, reach)
     size = np.bincount(label)
     large = int((size >= _LARGE * size[0]).sum())
@@ -126,7 +128,7 @@ _LOOKED_AT = 50
 
 @dataclass(frozen=True)
 class LoadedCloud:
-    """An observation and the decisions of its reading."""
+    """A cloud of one person as an observation, and notes on how it was read."""
 
     cloud: PointCloud
     """Axes (1, moments, points)."""
@@ -167,18 +169,18 @@ def cloud_of(
             where it should be, a fixed sensor moves, or there are more frames than memory for
             them.
     """
-    frames = _frames(file, points)
+    frames = _checked_frame_count(file, points)
     known = file.camera is None or file.camera.T_camera_world is not None
     generator = np.random.default_rng(seed)
     up = np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA)
     order = np.argsort(file.frame, kind="stable")
     ends = np.searchsorted(file.frame[order], np.arange(1, frames))
     clouds = np.split(file.points[order], ends)
-    moves, found = movement(file.camera, clouds, up), find_ground(clouds, up)
+    moves, found = sensor_movement(file.camera, clouds, up), find_ground(clouds, up)
     T = np.eye(4)
     if not known:
         given = T_recording_camera
-        T = _levelling(file.points, found.ground) if given is None else given
+        T = _pose_above_ground(file.points, found.ground) if given is None else given
     clouds = [cloud @ T[:3, :3].T + T[:3, 3] for cloud in clouds]
     walls = _walls(file.camera, clouds, T)
     seen = found.ground is not None
@@ -190,12 +192,12 @@ def cloud_of(
                 "at z = 0: move the points there, or leave out what is no person"
             )
     if seen:
-        clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
+        clouds = [cloud[above_ground(cloud, _LEVEL)] for cloud in clouds]
     for wall in walls:
-        clouds = [cloud[before(cloud, *wall)] for cloud in clouds]
+        clouds = [cloud[in_front_of_plane(cloud, *wall)] for cloud in clouds]
     shown = [cloud for cloud in clouds if len(cloud) > 1]
-    sparse = _SPACINGS * spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
-    person, beside = alone(clouds, max(_REACH, sparse))
+    sparse = _SPACINGS * point_spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
+    person, beside = one_person(clouds, max(_REACH, sparse))
     left_out = 1 - sum(map(len, person)) / max(sum(map(len, clouds)), 1)
     if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or beside > 0:
         clouds = person
@@ -234,7 +236,7 @@ def cloud_of(
         fps=file.fps,
         start_time=file.start_time,
         camera=camera,
-        std=None if camera is None else _noise(padded, present, camera),
+        std=None if camera is None else _distance_noise(padded, present, camera),
         ground_known=known,
         ground_seen=found.ground is not None,
     )
@@ -249,7 +251,7 @@ def cloud_of(
 
 
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    """The clouds with frames emptied in which only noise of the ground is seen.
+    """The clouds, without the points of frames that show only noise of the ground.
 
     What is flat and has few points beside the frames in which something rises is noise, and so is
     something that rises in hardly any frame.
@@ -272,7 +274,7 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _rises(cloud: Float[np.ndarray, "points 3"]) -> bool:
-    """Whether a thing on the ground z = 0 rises above it, and is no wide noise of the ground."""
+    """Whether points rise above the ground z = 0, and are not just its wide, flat noise."""
     wide = np.ptp(np.quantile(cloud[:, :2], (0.05, 0.95), axis=0), axis=0).max() > _WIDE
     return bool(np.quantile(cloud[:, 2], 0.5 if wide else 0.9) > _FLAT)
 
@@ -280,7 +282,7 @@ def _rises(cloud: Float[np.ndarray, "points 3"]) -> bool:
 def _walls(
     camera: CameraArrays | None, clouds: list[np.ndarray], T: Float[np.ndarray, "4 4"]
 ) -> list[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "3"]]]:
-    """Normals and offsets of walls, and where the sensor is, recording frame.
+    """Normal and offset of every wall, and the sensor's position; in the recording's frame.
 
     A sensor that moves sees them from many places, and scans have no sensor: none are looked for.
     """
@@ -290,7 +292,7 @@ def _walls(
     return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]
 
 
-def _noise(
+def _distance_noise(
     points: Float[np.ndarray, "1 moments points 3"],
     present: Bool[np.ndarray, "1 moments points"],
     camera: Camera,
@@ -300,8 +302,8 @@ def _noise(
     return depth_noise(points[0], present[0], np.broadcast_to(eye, (points.shape[1], 3)))[None]
 
 
-def _frames(file: PointsFile, points: int) -> int:
-    """Number of frames; every one takes the memory of the fullest, empty ones as well.
+def _checked_frame_count(file: PointsFile, points_per_frame: int) -> int:
+    """Number of frames, checked against memory: all are padded to the length of the fullest.
 
     Raises:
         ValueError: when there are too many of them.
@@ -311,11 +313,11 @@ def _frames(file: PointsFile, points: int) -> int:
         frames = max(frames, len(file.truth_visible))
     FRAMES.check(frames, "points", "frame")
     fullest = int(np.unique(file.frame, return_counts=True)[1].max())
-    PADDED_CLOUD.check(frames * min(fullest, points), "points", "frame")
+    PADDED_CLOUD.check(frames * min(fullest, points_per_frame), "points", "frame")
     return frames
 
 
-def _levelling(
+def _pose_above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground | None
 ) -> Float[np.ndarray, "4 4"]:
     """T_recording_camera: z up, y the horizontal part of the view, the sensor above the origin."""

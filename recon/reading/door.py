@@ -1,4 +1,4 @@
-"""`recon.read`: files to observations of one clip or to a motion."""
+"""`recon.read` reads files as observations of one clip or as a motion."""
 
 import logging
 from pathlib import Path
@@ -16,25 +16,25 @@ from recon.reading.clip import load_clip
 _LOG = logging.getLogger("recon")
 
 
-def read(path: Any, **how: Any) -> Sensor | list[Sensor] | MotionFile:
+def read(path: Any, **options: Any) -> Sensor | list[Sensor] | MotionFile:
     """Read files: one observation, a list of observations of one clip, or a motion.
 
     Args:
         path: a motion file (.npz), or a file or folder of observations, or several of one clip;
             or, with `frame_rate`, geometries of Open3D, one per frame, as `recon.fit` takes them.
-        how: to read observations, as `load_observation` takes it; none for a motion.
+        **options: of `load_observation`; none for a motion.
 
     Raises:
         FileNotFoundError: when there is no such file.
         FormatError: when something cannot be read, or arguments are missing; says what to do.
     """
-    if not how and isinstance(path, Path | str) and holds_motion(path):
+    if not options and isinstance(path, Path | str) and holds_motion(path):
         file = load_motion(path)
         motion = file.motion
         if said := missing_path(motion.translation.numpy(), motion.rotations.numpy()):
             _LOG.warning("%s: %s", path, said)
         return file
-    return load_observation(path, **how)
+    return load_observation(path, **options)
 
 
 def load_observation(

@@ -1,4 +1,4 @@
-"""Geometries of Open3D as one clip, known by what they have; Open3D itself is not imported."""
+"""Open3D geometries as one clip, recognised by their attributes without importing Open3D."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.core.camera import check_camera
-from recon.core.clouds import cloud_points, held_numbers, up_of_clouds
+from recon.core.clouds import array_of_open3d, cloud_points, up_of_clouds
 from recon.core.errors import ObservationError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import to_z_up
@@ -19,7 +19,7 @@ from recon.formats.cameras import CameraArrays
 from recon.formats.depth_images import at_edge
 from recon.formats.observations import PointsFile
 from recon.formats.scans import POINTS, thinned
-from recon.reading.clip import format_errors, together
+from recon.reading.clip import clip_of_files, format_errors
 
 _HEEDED = {"frame_rate", "up", "seed", "robust", "ground"}
 """Options of reading that geometries in memory heed."""
@@ -41,8 +41,8 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         ObservationError: for several kinds, geometries without points, or options that are missing
             or of files; says what to do.
     """
-    if others := sorted(set(settings.given()) - _HEEDED):
-        raise ObservationError(f"{', '.join(others)}: how to read files, not geometries in memory")
+    if others := sorted(set(settings.changed_names()) - _HEEDED):
+        raise ObservationError(f"{', '.join(others)}: options for reading files, not geometries")
     if settings.frame_rate is None:
         raise ObservationError("geometries have no clock: give frame_rate, frames per second")
     pairs = [one for one in given if isinstance(one, tuple)]
@@ -50,15 +50,17 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         not pairs and any(hasattr(g, "depth") for g in given)
     ):
         raise ObservationError(
-            "expected clouds and meshes alone, or pairs (RGBDImage, PinholeCameraIntrinsic) alone"
+            "expected only clouds and meshes, or only pairs (RGBDImage, PinholeCameraIntrinsic)"
         )
-    camera = _camera([lens for _, lens in pairs]) if pairs else None
+    camera = _common_camera([lens for _, lens in pairs]) if pairs else None
     if camera is not None and settings.up is not None:
-        raise ObservationError("up: depth images have the camera's axes; leave it out")
+        raise ObservationError("leave out `up`: depth images have the axes of their camera")
     with format_errors():
         FRAME_RATE.check(settings.frame_rate, "geometries", "frame rate")
         clouds = [
-            _points(one, k) if camera is None else _seen(one[0], k, camera)
+            _points_of_geometry(one, k)
+            if camera is None
+            else _points_of_depth_image(one[0], k, camera)
             for k, one in enumerate(given)
         ]
         CLOUD.check(sum(map(len, clouds)), "geometries", "all together: ")
@@ -70,7 +72,7 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
     if camera is None:
         up = settings.up
         if up is None:
-            up, said = up_of_clouds(kept, "geometries", told=True)
+            up, said = up_of_clouds(kept, "geometries", unit_given=True)
         points = points @ to_z_up(up).T
     file = PointsFile(
         points=points,
@@ -79,31 +81,33 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         camera=camera,
         decisions=said,
     )
-    if camera is None:  # in a world; the caller applies a plane
+    if camera is None:  # the points are in a world, where the caller knows the ground
         settings = replace(settings, ground=None)
-    return together([("geometries", file)], (), settings, body)
+    return clip_of_files([("geometries", file)], (), settings, body)
 
 
-def _points(one: Any, frame: int) -> Float[np.ndarray, "points 3"]:
-    found = cloud_points(one, f"geometry {frame}")
+def _points_of_geometry(geometry: Any, frame: int) -> Float[np.ndarray, "points 3"]:
+    found = cloud_points(geometry, f"geometry {frame}")
     POSITION.check(found, f"geometry {frame}", "[point, axis]")
     return found
 
 
-def _camera(lenses: Sequence[Any]) -> CameraArrays:
+def _common_camera(lenses: Sequence[Any]) -> CameraArrays:
     matrix = np.array(lenses[0].intrinsic_matrix, dtype=np.float64)
     size = int(lenses[0].width), int(lenses[0].height)
     for one in lenses[1:]:
         if (one.width, one.height) != size or not np.array_equal(one.intrinsic_matrix, matrix):
-            raise ObservationError("expected one lens of all depth images, got several")
+            raise ObservationError("expected one camera matrix for all depth images, got several")
     check_camera(matrix, size, None, "camera")
     matrix[:2, 2] += 0.5  # in our convention the centre of the first pixel is (0.5, 0.5)
     return CameraArrays(matrix, size)
 
 
-def _seen(image: Any, frame: int, camera: CameraArrays) -> Float[np.ndarray, "points 3"]:
-    """Points of an image of metres, camera frame; without the edges, which mix two depths."""
-    depth = held_numbers(
+def _points_of_depth_image(
+    image: Any, frame: int, camera: CameraArrays
+) -> Float[np.ndarray, "points 3"]:
+    """Points of a depth image, camera frame, metres; without edges, which mix two depths."""
+    depth = array_of_open3d(
         image.depth.as_tensor() if hasattr(image.depth, "as_tensor") else image.depth
     )
     depth = depth.squeeze(-1) if depth.ndim == 3 and depth.shape[-1] == 1 else depth

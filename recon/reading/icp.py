@@ -1,4 +1,4 @@
-"""Poses of several depth cameras by their clouds of one clip: paths, then ICP over all pairs.
+"""Poses of depth cameras from their clouds: by the path of what moves, then by ICP of pairs.
 
 A point's neighbour is sought in the same frame of the clip, as the person moves. The residual of a
 pair is its distance along the mean of both normals (Rusinkiewicz 2019), which is zero on a curved
@@ -53,7 +53,7 @@ class OrientedCloud:
         """The points with normals: the least principal components of their neighbours."""
         from scipy.spatial import KDTree
 
-        placed = _in_frames(points, frame)
+        placed = _with_frame_as_coordinate(points, frame)
         near = points[KDTree(placed).query(placed, min(_NEIGHBOURS, len(points)))[1]]
         centred = near - near.mean(1, keepdims=True)
         spread, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
@@ -61,7 +61,7 @@ class OrientedCloud:
         return cls(points, frame, normals * (spread[:, :1] < _FLAT * spread[:, 1:2]))
 
     def __getitem__(self, rows: slice) -> "OrientedCloud":
-        """Some of the points."""
+        """The points of a range of rows."""
         return OrientedCloud(self.points[rows], self.frame[rows], self.normals[rows])
 
 
@@ -83,8 +83,8 @@ def rough_poses(
     """
     from scipy.spatial import KDTree
 
-    own, paths = views[base], [_path(one) for one in views]
-    tree = KDTree(_in_frames(own.points, own.frame))
+    own, paths = views[base], [_path_of_moving_points(one) for one in views]
+    tree = KDTree(_with_frame_as_coordinate(own.points, own.frame))
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for number in set(range(len(views))) - {base}:
         common = sorted(paths[number].keys() & paths[base].keys())
@@ -102,14 +102,14 @@ def rough_poses(
                 best, apart, poses[number] = len(pairs) / (off + _CELL), off, T
         if apart > _ALIKE:
             raise ObservationError(
-                f"{names[number]}: what moves in it has another path than in {names[base]}, "
+                f"{names[number]}: something moves along another path than in {names[base]}, "
                 "expected the same person at the same time; give files with rough poses "
                 "(T_camera_world)"
             )
     return poses
 
 
-def _path(view: OrientedCloud) -> dict[int, Float[np.ndarray, "3"]]:
+def _path_of_moving_points(view: OrientedCloud) -> dict[int, Float[np.ndarray, "3"]]:
     """Horizontal centre of the moving points per frame; cells that stay occupied are left out."""
     cells = np.floor(view.points / _CELL).astype(np.int64)
     each, frame = np.unique(np.c_[cells, view.frame], axis=0), np.unique(view.frame)
@@ -137,7 +137,7 @@ def aligned(
     """
     from scipy.spatial import KDTree
 
-    trees = [KDTree(_in_frames(one.points, one.frame)) for one in views]
+    trees = [KDTree(_with_frame_as_coordinate(one.points, one.frame)) for one in views]
     count = len(views)
     free = np.ones((count, 6), np.bool_)
     free[level] = [False, False, True, True, True, False]
@@ -172,7 +172,7 @@ def _pairs(
     other: OrientedCloud,
     T_other_one: Float[np.ndarray, "4 4"],
     T_world_other: Float[np.ndarray, "4 4"],
-    tree: Any,
+    other_tree: Any,
     reach: float,
     along: float,
 ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, "pairs 6"]]:
@@ -183,7 +183,9 @@ def _pairs(
     """
     here = one.points @ T_other_one[:3, :3].T + T_other_one[:3, 3]
     turned = one.normals @ T_other_one[:3, :3].T
-    distance, near = tree.query(_in_frames(here, one.frame), distance_upper_bound=reach)
+    distance, near = other_tree.query(
+        _with_frame_as_coordinate(here, one.frame), distance_upper_bound=reach
+    )
     rows = np.flatnonzero(distance < reach)
     rows = rows[(turned[rows] * other.normals[near[rows]]).sum(1) > along]
     near, here = near[rows], here[rows]
@@ -205,7 +207,7 @@ def _moved(T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]) -> Float[n
     return moved
 
 
-def _in_frames(
+def _with_frame_as_coordinate(
     points: Float[np.ndarray, "points 3"], frame: Int[np.ndarray, " points"]
 ) -> Float[np.ndarray, "points 4"]:
     return np.concatenate((points, _APART * frame[:, None]), 1)

@@ -83,7 +83,7 @@ def pinhole(
             T_recording_camera = camera_above(LEVEL_CAMERA)
         poses = np.linalg.inv(T_recording_camera)[None]
         if (path := arrays.path) is not None:
-            # the first pose as given; where up is known, only its position
+            # a tracked path starts at the given pose; a level path is only moved there
             first = path.T_world_camera[0]
             T = T_recording_camera @ np.linalg.inv(first)
             if path.level:

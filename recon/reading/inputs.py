@@ -54,7 +54,7 @@ class Input:
 
 
 def observation_input(path: Path) -> Input:
-    """What `recon.reading.clip.load_clip` reads of an observation.
+    """The files that `recon.reading.clip.load_clip` reads of an observation.
 
     Of a folder these are its clouds with their table of times, else its depth images, else the
     files of keypoints; a video beside them is not read, however large it is.
@@ -71,8 +71,8 @@ def observation_input(path: Path) -> Input:
             clouds, images = _inside(path, tuple(CLOUDS)), _inside(path, _IMAGES)
             if clouds or images:
                 return Input(path, (*clouds, path / "times.csv") if clouds else images)
-            return Input(path, _of_views(path))
-        views = () if project.detections is None else _of_views(project.detections)
+            return Input(path, _keypoint_files(path))
+        views = () if project.detections is None else _keypoint_files(project.detections)
     except (ValueError, OSError):
         return Input(path, ())  # unreadable: the fit raises the error
     points = [] if project.points is None else [project.points]
@@ -80,14 +80,14 @@ def observation_input(path: Path) -> Input:
     return Input(path, every, Path(commonpath([path.resolve(), *every])))
 
 
-def _of_views(path: Path) -> tuple[Path, ...]:
+def _keypoint_files(path: Path) -> tuple[Path, ...]:
     """The files of keypoints of all views in a folder."""
     views, _ = expand([path])
     return tuple(file for one in views for file in (_inside(one, _KEYPOINTS) or (one,)))
 
 
 def camera_input(path: Path) -> Input:
-    """What `recon.formats.calibration.load_cameras` reads of a calibration."""
+    """The files that `recon.formats.calibration.load_cameras` reads of a calibration."""
     pair = {"intri.yml", "extri.yml"}
     if path.is_dir() and (path / "intri.yml").is_file():
         return Input(path, tuple(path / name for name in sorted(pair)))
@@ -99,7 +99,7 @@ def camera_input(path: Path) -> Input:
 
 
 def track_input(path: Path) -> Input:
-    """What `recon.formats.tracks.read_track` reads: COLMAP's texts, or the file."""
+    """The files of a camera track: COLMAP's text files, or the one file itself."""
     folder = path if path.is_dir() else path.parent
     if path.is_dir() or path.name == "images.txt":
         return Input(path, tuple(folder / name for name in ("cameras.txt", "images.txt")))
@@ -107,7 +107,7 @@ def track_input(path: Path) -> Input:
 
 
 def masks_input(path: Path) -> Input:
-    """What is read of silhouettes: the images of a folder, or the file."""
+    """The files of silhouettes: the images of a folder, or the one file itself."""
     return Input(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
 
 
@@ -131,9 +131,9 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
     return {str(one.path): one.checksum() for one in found}
 
 
-def _input_of(name: str, path: Path) -> Input:
-    """The files that are read of an argument of this name."""
-    return _READ[name](path) if name in _READ else Input(path, (path,))
+def _input_of(argument: str, path: Path) -> Input:
+    """The files that a fit reads of the path that an argument gives."""
+    return _READ[argument](path) if argument in _READ else Input(path, (path,))
 
 
 _READ: dict[str, Callable[[Path], Input]] = {
@@ -147,7 +147,7 @@ _READ: dict[str, Callable[[Path], Input]] = {
 
 
 def settings_checksum(settings: FitSettings, version: int) -> str:
-    """Changes when the same observations would be fitted to another result.
+    """Checksum of all settings on which the result of a fit depends.
 
     It depends on the settings, on the contents of the calibration, masks, body and weights, of
     the bundled tables, on the code of a prior or reader that is given by its place
@@ -160,8 +160,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     if settings.shape is None:
         del plain["shape"]  # results older than the option `shape` keep their checksums
     contents: dict[str, Any] = {
-        "weights": _weights(settings),
-        "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
+        "weights": _weights_checksums(settings),
+        "tables": _bundled_checksums(
+            "recon", "assets", ("body.npz", "landmarks.json", "markers.toml")
+        ),
     }
     for name in ("camera", "masks", "body", "camera_track", "mapping"):
         path = getattr(settings, name)
@@ -172,7 +174,7 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     for name in ("prior", "reader"):
         place = getattr(settings, name)
         if place and ":" in place:
-            contents[f"code of {name}"] = _code(place)
+            contents[f"code of {name}"] = _code_checksum(place)
     if settings.shape is not None and Path(settings.shape).is_file():
         contents["shape"] = file_checksum(settings.shape)
     return value_checksum({"version": version, "settings": plain, **contents})
@@ -188,17 +190,17 @@ def clip_checksum(paths: Sequence[Path], settings: str) -> str:
     return value_checksum({"settings": settings, "observations": rows})
 
 
-def _weights(settings: FitSettings) -> list[str]:
-    """The prior's, and those of the one with which every first motion is found."""
+def _weights_checksums(settings: FitSettings) -> list[str]:
+    """Checksums of the prior's weights, and of those that every first guess needs."""
     names = dict.fromkeys([("open", FIRST), (settings.weights, settings.prior)])
     paths = [weights_path(name, kind) for name, kind in names]
     return [Input(path, (path,)).checksum() for path in paths]
 
 
-def _code(place: str) -> str:
-    """Checksum of the file that has the class; what this file imports does not count."""
+def _code_checksum(class_place: str) -> str:
+    """Checksum of the file that defines a class "module:Class", without what it imports."""
     try:
-        spec = find_spec(place.partition(":")[0])
+        spec = find_spec(class_place.partition(":")[0])
     except (ImportError, ValueError):
         spec = None  # the fit raises the error
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
@@ -206,7 +208,7 @@ def _code(place: str) -> str:
     return file_checksum(spec.origin)
 
 
-def _bundled(package: str, folder: str, names: Sequence[str]) -> list[str]:
+def _bundled_checksums(package: str, folder: str, names: Sequence[str]) -> list[str]:
     found = resources.files(package) / folder
     with resources.as_file(found) as path:
         return [file_checksum(path / name) for name in names]

@@ -1,4 +1,4 @@
-"""3D keypoints of a file, settled: names, unit, up axis, ground, and place in the world.
+"""Finds what a file of 3D keypoints leaves open: names, unit, up axis, ground and place.
 
 Everything that is guessed is said, and what cannot be right is refused with what would fit.
 """
@@ -68,26 +68,26 @@ def settled(
             found and which option decides.
     """
     check_override(unit)
-    known = _neck(_named(with_rate(raw, fps), body, layout))
-    metres, unit_reason = _unit(known, body, unit)
+    known = _upper_neck_renamed(_named(with_rate(raw, fps), body, layout))
+    metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
-    up, up_reason = _up(known.names, positions, visible, up, known.name)
+    up, up_reason = _up_axis(known.names, positions, visible, up, known.name)
     names = known.names
     positions = positions @ (to_z_up(up).T * metres)
     factors, mirrored = right_handed(names, positions, visible, hand)
     positions *= factors
-    placed = not _about_the_pelvis(names, positions, visible)
+    placed = not _is_root_relative(names, positions, visible)
     level = not up.endswith("down")
     said = [*known.decisions, unit_reason, up_reason, *mirrored]
-    if not level and not placed and _upright(names, positions, visible):
+    if not level and not placed and _stands_upright(names, positions, visible):
         level = True
         said.append("shoulders are straight above the ankles: the camera is taken to be level")
     elif not level:
         said.append("the frame is a camera's, which may be tilted: gravity is estimated")
     ground_known = level
     if placed:
-        ground_known, reason = _ground(names, positions, visible, level=level)
+        ground_known, reason = _ground_is_zero(names, positions, visible, level=level)
         said.append(reason)
     else:
         said.append(
@@ -101,7 +101,7 @@ def settled(
 
 
 def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
-    """The points with names of our table; others are left out and named."""
+    """The points whose names recon knows; a note lists those that are left out."""
     if not raw.names:
         chosen, reason = settle_body_layout(raw.positions, layout or raw.layout, body, raw.name)
         names = keypoint_names(chosen)
@@ -125,8 +125,8 @@ def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
     return replace(raw, names=names, positions=raw.positions[:, kept], decisions=tuple(said))
 
 
-def _neck(known: Points3D) -> Points3D:
-    """The points, with a neck that lies above the shoulders as what it is.
+def _upper_neck_renamed(known: Points3D) -> Points3D:
+    """The points, where a neck that lies above the shoulders is called the upper neck.
 
     Detectors call the middle of the shoulders a neck (OpenPose, HALPE), or its upper end
     (BODY_25B).
@@ -153,8 +153,8 @@ def _first_names(names: tuple[str, ...] | list[str]) -> str:
     return ", ".join(names[:8]) + more
 
 
-def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
-    """Metres per unit, and the reason."""
+def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
+    """Metres per unit of the file, and the reason."""
     name = known.name
     found = bone_lengths(known.positions, BodyPoints.of_names(known.names, body), body)
     unit, why = given or known.unit, "given" if given else "stated by the file"
@@ -188,14 +188,14 @@ def _unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, s
     return METRES[unit], f"unit {unit}: {why}, the body is {size:.2f} times average"
 
 
-def _up(
+def _up_axis(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
     given: Up | None,
     name: str,
 ) -> tuple[Up, str]:
-    """The direction that is up, and the reason; where it is given, whether the person lies so."""
+    """The axis that is up, and the reason; for a given one, also whether the person lies."""
     try:
         found, reason = settled_up(names, positions, visible, None, name)
     except UnitsError:
@@ -211,7 +211,7 @@ def _up(
     return given, f"up axis {given}: given" + lies * (found != given)
 
 
-def _about_the_pelvis(
+def _is_root_relative(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
@@ -230,7 +230,7 @@ def _about_the_pelvis(
     return False
 
 
-def _upright(
+def _stands_upright(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
@@ -246,14 +246,14 @@ def _upright(
     return bool(np.linalg.norm(mean[:2]) < _STRAIGHT * mean[2])
 
 
-def _ground(
+def _ground_is_zero(
     names: tuple[str, ...],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
     *,
     level: bool,
 ) -> tuple[bool, str]:
-    """Whether feet stand on z = 0, and what is said about it."""
+    """Whether the ground is known to be z = 0, and the reason."""
     if not level:
         return False, "ground: unknown, estimated from the way the person stands"
     soles = [k for k, name in enumerate(names) if name.endswith(("_heel", "_big_toe"))]

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from recon.detections.records import Detections
-from recon.reading.assignments import BEGINS, choices
+from recon.reading.assignments import BEGINS, cheapest_assignments
 from recon.reading.places import (
     FEWEST_KEYPOINTS,
     gap,
@@ -23,7 +23,7 @@ from recon.reading.places import (
     reshaping,
     size_of,
     trunk_of,
-    whole,
+    without_fragments,
 )
 
 LOST_AFTER = 60
@@ -104,7 +104,7 @@ class _Person:
 
 @dataclass(frozen=True)
 class _Frame:
-    """A frame's links, and those of the frames before it."""
+    """Which person each detection of a frame is, and the same for the frames before it."""
 
     number: int
     labels: dict[int, int]
@@ -133,13 +133,13 @@ class _Assignment:
         return frozenset(person.rows for person in self.people)
 
 
-def farthest(unseen: int) -> float:
+def farthest(unseen_frames: int) -> float:
     """The largest allowed distance from the expected place, in body sizes.
 
     Args:
-        unseen: number of frames without a detection before.
+        unseen_frames: number of frames without a detection before.
     """
-    return min(_GATE + _GATE_GROWTH * unseen, _GATE_LIMIT)
+    return min(_GATE + _GATE_GROWTH * unseen_frames, _GATE_LIMIT)
 
 
 def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> Links:
@@ -173,19 +173,22 @@ class _Linking:
             replace(one, people=tuple(p for p in one.people if frame - p.frame <= LOST_AFTER))
             for one in self.followed
         ]
-        here = whole(self.seen, every, [p.rows[-1] for p in alive[0].people])
+        here = without_fragments(self.seen, every, [p.rows[-1] for p in alive[0].people])
         here = self._distinct(here, alive[0].people, frame)
         after: list[_Assignment] = []
         for one in alive:
-            costs = self._costs(one.people, here, frame)
-            after += [self._extended(one, here, frame, pairs, costs) for pairs in choices(costs)]
-        self.followed = self._compared(after)
+            costs = self._costs_of_links(one.people, here, frame)
+            after += [
+                self._with_frame_linked(one, here, frame, pairs, costs)
+                for pairs in cheapest_assignments(costs)
+            ]
+        self.followed = self._best_distinct(after)
 
     def links(self) -> Links:
         """The best assignment; tracks that may be exchanged end there and new ones begin."""
         best, *others = self.followed
         for other in others:
-            best = _doubted(best, other)
+            best = _marked_if_doubtful(best, other)
         labels = dict[int, int]()
         step = best.frames
         while step is not None:
@@ -220,9 +223,11 @@ class _Linking:
                 kept.append(row)
         return sorted(kept)
 
-    def _is_near(self, row: int, place: Float[np.ndarray, "points 2"]) -> bool:
+    def _is_near(self, row: int, expected_pixels: Float[np.ndarray, "points 2"]) -> bool:
         known = self.seen.confidence[row] > 0
-        away = np.linalg.norm(self.seen.pixels[row, known] - place[known], axis=-1).mean()
+        away = np.linalg.norm(
+            self.seen.pixels[row, known] - expected_pixels[known], axis=-1
+        ).mean()
         return bool(away < _NEAR_PERSON * self.sizes[row])
 
     def _usual_spread(self) -> float:
@@ -239,7 +244,7 @@ class _Linking:
         usual = np.median(near) if near else np.inf
         return float(np.clip(usual, *_SPREADS))
 
-    def _costs(
+    def _costs_of_links(
         self, people: Sequence[_Person], rows: Sequence[int], frame: int
     ) -> Float[np.ndarray, "people rows"]:
         """Costs of links; infinite where somebody cannot have moved so far."""
@@ -271,16 +276,21 @@ class _Linking:
                 out[k, p] = place + pose + trunk
         return out
 
-    def _extended(
+    def _with_frame_linked(
         self,
-        one: _Assignment,
+        assignment: _Assignment,
         rows: Sequence[int],
         frame: int,
-        pairs: Mapping[int, int],
+        chosen_rows: Mapping[int, int],
         costs: Float[np.ndarray, "people rows"],
     ) -> _Assignment:
-        people, fresh, cost, labels = list(one.people), one.fresh, one.cost, dict[int, int]()
-        taken = {p: k for k, p in pairs.items()}
+        people, fresh, cost, labels = (
+            list(assignment.people),
+            assignment.fresh,
+            assignment.cost,
+            dict[int, int](),
+        )
+        taken = {p: k for k, p in chosen_rows.items()}
         for p, row in enumerate(rows):
             if p in taken:
                 k = taken[p]
@@ -289,13 +299,13 @@ class _Linking:
                 labels[row] = people[k].label
             else:
                 cost += BEGINS
-                people.append(self._new(fresh, row, frame))
+                people.append(self._new_person(fresh, row, frame))
                 labels[row] = fresh
                 fresh += 1
-        step = _Frame(frame, labels, one.frames)
-        return _Assignment(tuple(people), cost, step, fresh, one.doubts)
+        step = _Frame(frame, labels, assignment.frames)
+        return _Assignment(tuple(people), cost, step, fresh, assignment.doubts)
 
-    def _new(self, label: int, row: int, frame: int) -> _Person:
+    def _new_person(self, label: int, row: int, frame: int) -> _Person:
         known = self.seen.confidence[row] > 0
         return _Person(
             label, (row,), frame, self.seen.pixels[row], known, np.zeros(2), self.sizes[row],
@@ -327,22 +337,22 @@ class _Linking:
             trunk=trunk,
         )
 
-    def _compared(self, after: list[_Assignment]) -> list[_Assignment]:
-        """The best assignments; of those that differ in names alone, the better one."""
-        after.sort(key=lambda one: one.cost)
+    def _best_distinct(self, assignments: list[_Assignment]) -> list[_Assignment]:
+        """The cheapest assignments; of those that differ only in people's numbers, one."""
+        assignments.sort(key=lambda one: one.cost)
         kept: dict[frozenset[tuple[int, ...]], _Assignment] = {}
-        for one in after:
-            if one.cost > after[0].cost + _WORST:
+        for one in assignments:
+            if one.cost > assignments[0].cost + _WORST:
                 break
             same = kept.get(one.nameless)
             if same is None:
                 kept[one.nameless] = one
             else:
-                kept[one.nameless] = _doubted(same, one)
+                kept[one.nameless] = _marked_if_doubtful(same, one)
         return list(kept.values())[:_KEPT]
 
 
-def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
+def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     """The best assignment, marked as doubtful where another one is about as good."""
     if other.cost - best.cost >= CERTAIN:
         return best

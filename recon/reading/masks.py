@@ -30,7 +30,7 @@ class PackedMask:
 
 
 def read_packed_masks(path: Path) -> list[PackedMask]:
-    """The array `mask` (frames, height, width) of a file; not zero is the person.
+    """The array `mask` (frames, height, width) of an .npz file; the person is where it is not 0.
 
     Frames are unpacked one by one: a minute of video is as large as the memory of a computer.
 
@@ -45,7 +45,7 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
             names = archive.namelist()
             if f"{_KEY}.npy" not in names:
                 raise FormatError(f"it holds {', '.join(names)[:200]}")
-            return _frames(archive, path)
+            return _masks_of_array(archive, path)
     except DAMAGE as error:
         raise FormatError(
             f"{path}: expected an .npz file with mask of shape (frames, height, width), true or "
@@ -53,7 +53,7 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
         ) from error
 
 
-def _frames(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
+def _masks_of_array(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
     masks: list[PackedMask] = []
     with archive.open(f"{_KEY}.npy") as member:
         version = np.lib.format.read_magic(member)

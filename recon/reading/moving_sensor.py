@@ -1,4 +1,4 @@
-"""Whether a depth sensor declared fixed moves, by the ground and walls that it sees."""
+"""Finds out whether a depth sensor declared fixed moves, by the ground and walls it sees."""
 
 import math
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ _REFUSED = (5.0, 0.2)
 """Degrees and metres from which on a fit would only follow the sensor."""
 
 
-def movement(
+def sensor_movement(
     camera: CameraArrays | None, clouds: Sequence[np.ndarray], up: Float[np.ndarray, "3"]
 ) -> tuple[str, ...]:
-    """A note where a fixed sensor seems to move a little.
+    """A note if a sensor declared fixed seems to move a little; an error if it surely moves.
 
     A sensor that only turns about the vertical or moves along the ground is found out by the walls
     it sees; before a bare floor it is not.
@@ -44,7 +44,7 @@ def movement(
     shown = [cloud for cloud in clouds if len(cloud) > 0]
     every = max(1, sum(map(len, shown)) // _SAMPLE)
     middle = np.median(np.concatenate(shown)[::every], axis=0)
-    seen = _seen(shown, eye_of(camera), up)
+    seen = _planes_in_stretches(shown, eye_of(camera), up)
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
@@ -87,7 +87,7 @@ def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
     return np.zeros(3) if pose is None else np.linalg.inv(pose[0])[:3, 3]
 
 
-def _seen(
+def _planes_in_stretches(
     clouds: Sequence[np.ndarray], eye: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> list[_Stretch]:
     """Ground and walls as they are seen in some stretches of the clip."""
@@ -101,13 +101,13 @@ def _seen(
         else:
             upwards = ground.normal.double().numpy()
             grounds = ((upwards, float(ground.offset)),)
-        turn = _upright(upwards)
+        turn = _turn_to_z(upwards)
         walls = find_walls([cloud @ turn.T for cloud in stretch], turn @ eye)
         found.append(_Stretch(grounds, tuple((turn.T @ n, offset) for n, offset in walls)))
     return found
 
 
-def _upright(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def _turn_to_z(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """A rotation that turns a direction to z."""
     across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     across /= np.linalg.norm(across)

@@ -56,7 +56,7 @@ def middle_of(detections: Detections, row: int) -> Float[np.ndarray, "1 2"]:
 
 
 def gap(detections: Detections, a: int, b: int) -> float:
-    """Mean distance of the keypoints both show, in body sizes; infinite when they are too few."""
+    """Mean distance of keypoints that both detections show, in body sizes; infinite if too few."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
@@ -65,7 +65,7 @@ def gap(detections: Detections, a: int, b: int) -> float:
 
 
 def reshaping(detections: Detections, a: int, b: int) -> float:
-    """Change of the pose: the gap after removing the common displacement of all keypoints."""
+    """Change of the pose: the `gap` after removing the common displacement of all keypoints."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
@@ -84,16 +84,18 @@ def distance(detections: Detections, a: int, b: int) -> float:
     return float(np.linalg.norm(way)) / _larger(detections, a, b)
 
 
-def whole(detections: Detections, rows: Sequence[int], last: Sequence[int]) -> list[int]:
-    """Detections of a frame without those that are a lesser piece of a body seen before.
+def without_fragments(
+    detections: Detections, rows: Sequence[int], last_rows: Sequence[int]
+) -> list[int]:
+    """Detections of a frame without those that show only a part of a person shown by another.
 
     Args:
         detections: of one view.
         rows: those of the frame.
-        last: the last detections of everybody seen before.
+        last_rows: the last detections of everybody seen before.
     """
     strength = detections.confidence.sum(1)
-    near = {row: {own for own in last if gap(detections, own, row) < _PIECE} for row in rows}
+    near = {row: {own for own in last_rows if gap(detections, own, row) < _PIECE} for row in rows}
     lesser: set[int] = set()
     for a in near:
         for b in near:
@@ -115,7 +117,7 @@ _NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
 
 
 def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
-    """The views that files and folders stand for, and what was decided about folders.
+    """The files or folders of single views, and notes on how folders were read.
 
     A file is a view, and so is a folder of .json files. A folder of such folders, or of one .csv
     table per camera, stands for them; a project for those of its first folder among `annots`,
@@ -130,10 +132,10 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     for path in paths:
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file or folder")
-        inside = [path] if path.is_file() or files_of(path, (".json",)) else _inside(path)
+        inside = [path] if path.is_file() or files_of(path, (".json",)) else _views_in(path)
         project = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
         if len(inside) == 0 and project is not None:
-            inside = [project] if files_of(project, (".json",)) else _inside(project)
+            inside = [project] if files_of(project, (".json",)) else _views_in(project)
         if len(inside) == 0:
             raise ObservationError(
                 f"{path}: expected .json files of one camera, or a folder per camera with them, "
@@ -148,14 +150,14 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def view_name(path: Path) -> str:
-    """The name under which a view is matched: of its folder, or of its file without ending."""
+    """The name of a view: of its folder, or of its file without ending."""
     return path.name if path.is_dir() else path.stem
 
 
 def match_cameras(
     views: Sequence[str], cameras: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
-    """The camera of every view, and what was matched with what.
+    """The name of every view's camera, and a note that lists the matches.
 
     Names are the same when their words and numbers are: cam01_json, cam_01 and Camera 1. A view
     whose name contains that of exactly one camera (trial2_cam_01) belongs to it. One view and one
@@ -201,7 +203,7 @@ def _contains(words: tuple[str, ...], part: tuple[str, ...]) -> bool:
     return size > 0 and any(words[k : k + size] == part for k in range(len(words) - size + 1))
 
 
-def _inside(folder: Path) -> list[Path]:
+def _views_in(folder: Path) -> list[Path]:
     """Camera folders, tables and arrays of a folder, by name."""
     return sorted(
         one

@@ -41,7 +41,7 @@ def positions_of(
     hand: Hand | None = None,
     robust: float | None = None,
 ) -> Joints3D | Markers3D | Keypoints3D:
-    """The points of an observation file as an energy of one clip.
+    """The points of an observation file as a sensor of one clip.
 
     Args:
         file: as read.
@@ -81,7 +81,7 @@ def points_settled(
     up: Up | None = None,
     hand: Hand | None = None,
 ) -> PositionsFile:
-    """The points in metres and right-handed axes with z up, and what was decided.
+    """The points in metres and right-handed axes with z up, with notes on how they were read.
 
     Args:
         file: as read.
@@ -103,9 +103,9 @@ def points_settled(
     check_override(unit)
     _, rest = _places(file, path, body)
     metres = METRES[unit] if unit else 1.0
-    turned, said = _upright(file, path, up)
+    turned, said = _turned_to_z_up(file, path, up)
     positions = turned * metres
-    _check_size(positions, file.visible, rest, path, told=unit is not None)
+    _check_size(positions, file.visible, rest, path, unit_given=unit is not None)
     matched, _ = match_markers(file.names) if file.kind == "markers3d" else ({}, ())
     names = [matched.get(name, name) for name in file.names]
     factors, mirrored = right_handed(names, positions, file.visible, hand)
@@ -118,7 +118,7 @@ def points_settled(
 def _places(
     file: PositionsFile, path: str | Path, body: BodyModel
 ) -> tuple[tuple[int, ...], Tensor]:
-    """Joint numbers or vertices of the named points, and where the rest body has them."""
+    """Joint numbers or vertices of the named points, and their positions on the rest body."""
     if file.kind == "joints3d":
         if unknown := [name for name in file.names if name not in JOINTS]:
             raise ObservationError(
@@ -151,10 +151,10 @@ def _places(
     return vertices, body.template[list(vertices)]
 
 
-def _upright(
+def _turned_to_z_up(
     file: PositionsFile, path: str | Path, up: Up | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Positions with z up, and what was put right.
+    """Positions with z up, and a note if they were turned.
 
     Raises:
         ValueError: when the body stands along another axis than the file says, and may as well
@@ -168,7 +168,7 @@ def _upright(
     low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))
     if _ROOM[0] < low and high < _ROOM[1]:
         raise ObservationError(
-            f"{path}: says z is up, but the body stands along {found}; give --up {found}, "
+            f"{path}: z is up by the file, but the body stands along {found}; give --up {found}, "
             "or --up z if the person really lies or hangs"
         )
     said = f"up axis {found}: the file says z, but the body stands along it, and not above z = 0"
@@ -176,9 +176,9 @@ def _upright(
 
 
 def _check_size(
-    positions: np.ndarray, visible: np.ndarray, rest: Tensor, path: str | Path, *, told: bool
+    positions: np.ndarray, visible: np.ndarray, rest: Tensor, path: str | Path, *, unit_given: bool
 ) -> None:
-    """Refuse points that are spread unlike any body, naming the unit that would fit."""
+    """Refuse points whose spread no body has, naming the unit that would fit."""
     ratios = [
         _spread(frame[seen]) / _spread(rest.numpy()[seen])
         for frame, seen in zip(positions, visible, strict=True)
@@ -187,7 +187,7 @@ def _check_size(
     if not ratios or SIZE[0] <= (ratio := float(np.median(ratios))) <= SIZE[1]:
         return
     fitting = [name for name, metres in METRES.items() if SIZE[0] <= ratio * metres <= SIZE[1]]
-    hint = f"; give --unit {' or '.join(fitting)}" if fitting and not told else ""
+    hint = f"; give --unit {' or '.join(fitting)}" if fitting and not unit_given else ""
     raise UnitsError(
         f"{path}: expected metres, but the points spread {ratio:.3g} times as far as a "
         f"body's{hint}"
@@ -214,7 +214,7 @@ _MOMENTS = 400
 
 @dataclass(frozen=True)
 class Lengths:
-    """Distances of points along bones, against those of the average body."""
+    """Distances of points along bones, relative to those of the average body."""
 
     size: float
     """Median ratio: the unit in metres, for a body as large as the average one, inverted."""
@@ -255,7 +255,7 @@ def settle_body_layout(
     body: BodyModel,
     name: str,
 ) -> tuple[str, str]:
-    """The layout of an array without names, and the reason.
+    """The keypoint layout of an array of points without names, and the reason.
 
     Args:
         positions: in any unit and axes; NaN where not seen.
@@ -268,19 +268,21 @@ def settle_body_layout(
     """
     count = positions.shape[1]
     misfits = {
-        one: _misfit(positions, one, body) for one, names in LAYOUTS.items() if len(names) == count
+        one: _misfit_of_layout(positions, one, body)
+        for one, names in LAYOUTS.items()
+        if len(names) == count
     }
     fitting = [one for one, misfit in misfits.items() if misfit <= GOOD]
     if layout is not None:
         if len(keypoint_names(layout)) != count:
             raise FormatError(
                 f"{name}: layout {layout} has {len(keypoint_names(layout))} keypoints, the file "
-                f"{count}{_hint(fitting)}"
+                f"{count}{_hint_at_layout(fitting)}"
             )
         if misfits[layout] > GOOD:
             raise FormatError(
                 f"{name}: in the layout {layout} the points are no body: bones change their "
-                f"lengths or have lengths that no person's have{_hint(fitting)}"
+                f"lengths or have lengths that no person's have{_hint_at_layout(fitting)}"
             )
         return layout, f"layout {layout}: given"
     if not misfits:
@@ -303,10 +305,12 @@ def settle_body_layout(
     return best, f"layout {best}: {which}"
 
 
-def _hint(fitting: list[str]) -> str:
-    return f"; {' or '.join(fitting)} fits, give it with --layout" if fitting else ""
+def _hint_at_layout(fitting_layouts: list[str]) -> str:
+    return (
+        f"; {' or '.join(fitting_layouts)} fits, give it with --layout" if fitting_layouts else ""
+    )
 
 
-def _misfit(positions: np.ndarray, layout: str, body: BodyModel) -> float:
+def _misfit_of_layout(positions: np.ndarray, layout: str, body: BodyModel) -> float:
     found = bone_lengths(positions, BodyPoints.of_layout(layout, body), body)
     return np.inf if found is None else found.misfit

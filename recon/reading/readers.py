@@ -1,4 +1,4 @@
-"""Files of sensors that other packages bring: who reads which."""
+"""Finds the sensor class of another package that reads a file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,10 +12,10 @@ from recon.method.sensor import Sensor
 
 @runtime_checkable
 class Reader(Protocol):
-    """A class of sensors that have files of their own."""
+    """A sensor class that reads files of its own."""
 
     def reads(self, path: Path) -> bool:
-        """Whether a file or folder is one of these; quick, and false rather than an error."""
+        """Whether a file or folder is for this sensor; quick, and false rather than an error."""
         ...
 
     def load(self, path: Path, body: BodyModel) -> Sensor:
@@ -27,13 +27,13 @@ class Reader(Protocol):
         ...
 
 
-def readers(named: str | None) -> list[Reader]:
+def readers(named_class: str | None) -> list[Reader]:
     """The class that the caller named, then those that are registered as `recon.observations`.
 
     Raises:
         ReconError: when one of them cannot be imported, or reads no files.
     """
-    places = [*([] if named is None else [named]), *registered(SENSORS).values()]
+    places = [*([] if named_class is None else [named_class]), *registered(SENSORS).values()]
     found = [imported(place, "reader") for place in places]
     for place, kind in zip(places, found, strict=True):
         if not isinstance(kind, Reader):
@@ -43,9 +43,9 @@ def readers(named: str | None) -> list[Reader]:
     return found
 
 
-def read_by(own: Sequence[Reader], path: Path, body: BodyModel) -> Sensor | None:
-    """What the first class that knows a file reads of it, with a leading axis of clips."""
-    for reader in own:
+def read_by(classes: Sequence[Reader], path: Path, body: BodyModel) -> Sensor | None:
+    """The sensor that the first fitting class reads from a file, with a leading axis of clips."""
+    for reader in classes:
         if reader.reads(path):
             seen = reader.load(path, body)
             return seen[None] if seen.clips == () else seen

@@ -48,16 +48,16 @@ def across_views(
     pairs = _Pairs(views)
     if person is not None and not 0 <= person < len(views[0].tracks):
         raise ObservationError(
-            f"{views[0].name}: there is no person {person}; there are {_listed(views[:1])}"
+            f"{views[0].name}: there is no person {person}; there are {_listed_people(views[:1])}"
         )
-    seeds = [(0, person)] if person is not None else _seeds(views)
+    seeds = [(0, person)] if person is not None else _starting_tracks(views)
     groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
     if len(groups) == 0:
         raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
             f"each other (least median error {pairs.least():.1%} of the body, at most "
             f"{_CONSISTENT:.0%} expected). Does each view have its own camera, is the calibration "
-            f"of this recording, do the frames belong together? There are {_listed(views)}"
+            f"of this recording, do the frames belong together? There are {_listed_people(views)}"
         )
     groups.sort(key=lambda group: -_completeness(views, group))
     best = groups[0]
@@ -66,7 +66,7 @@ def across_views(
         if not same and _completeness(views, other) >= _EQUAL * _completeness(views, best):
             raise ObservationError(
                 "two persons are seen about equally well; choose one with --person, by number in "
-                f"{views[0].name}. There are {_listed(views)}"
+                f"{views[0].name}. There are {_listed_people(views)}"
             )
     pairs.check_others(best)
     error = pairs.check_body(best, up_given=up_given)
@@ -81,7 +81,7 @@ def across_views(
 def everybody_across_views(
     views: Sequence[TrackedView], *, up_given: bool
 ) -> tuple[list[tuple[int, list[Track | None]]], list[str]]:
-    """Everybody who is found in two views or more, by their number in the first that shows them.
+    """Everybody found in two or more views, numbered as in the first view that shows them.
 
     Args:
         views: as of `across_views`.
@@ -98,7 +98,7 @@ def everybody_across_views(
     taken: set[tuple[int, int]] = set()
     found: list[tuple[int, list[Track | None]]] = []
     notes: list[str] = []
-    for v, a in _seeds(views):
+    for v, a in _starting_tracks(views):
         if (v, a) in taken:
             continue
         group = pairs.group(v, a)
@@ -116,7 +116,7 @@ def everybody_across_views(
     if len(found) == 0:
         raise ObservationError(
             "no person found in one view is found in another; does each view have its own camera? "
-            f"There are {_listed(views)}"
+            f"There are {_listed_people(views)}"
         )
     return found, notes
 
@@ -124,7 +124,7 @@ def everybody_across_views(
 def _tracks_of(
     views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]]
 ) -> list[Track | None]:
-    """The tracks of a group, joined in every view; None where it has none."""
+    """One track of a person for every view, made of its pieces; None where the view has none."""
     out: list[Track | None] = []
     for v, view in enumerate(views):
         tracks = [view.tracks[k] for k in group.get(v, ())]
@@ -164,13 +164,13 @@ class _Pairs:
         for w, view in enumerate(self.views):
             if w == v:
                 continue
-            chosen = _fitting(view, self._errors(group, w))
+            chosen = _best_track(view, self._errors(group, w))
             if chosen:
                 group[w] = chosen
         if len(group) > 1:
             others = {w: members for w, members in group.items() if w != v}
             errors = self._errors(others, v) | {a: 0.0}
-            group[v] = (a, *(b for b in _fitting(self.views[v], errors) if b != a))
+            group[v] = (a, *(b for b in _best_track(self.views[v], errors) if b != a))
         return group
 
     def _errors(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
@@ -202,7 +202,7 @@ class _Pairs:
                     raise ObservationError(
                         f"{view.name} does not agree with the other views: its person {b} is "
                         "neither the one they see nor another of theirs. Is this its camera? Else "
-                        f"leave the view out. There are {_listed(self.views)}"
+                        f"leave the view out. There are {_listed_people(self.views)}"
                     )
 
     def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
@@ -220,7 +220,7 @@ class _Pairs:
                 f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
                 "each view have its own camera?"
             )
-        trunk = _trunk(pair)
+        trunk = _trunk_length(pair)
         if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:
             raise ObservationError(
                 f"the calibration makes the body's trunk {trunk:.3g} m long, not {_TRUNK[0]} to "
@@ -235,7 +235,7 @@ class _Pairs:
         return float(np.median([pair.error for pair in made]))
 
 
-def _fitting(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
+def _best_track(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
     """The best track and its continuations; short ones of similar error are left out.
 
     Raises:
@@ -261,12 +261,12 @@ def _fitting(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
                 continue
             raise ObservationError(
                 f"{view.name}: persons {rival} and {b} fit the other views about equally well; "
-                f"give fewer views or files of one person. There are {_listed([view])}"
+                f"give fewer views or files of one person. There are {_listed_people([view])}"
             )
     return tuple(chosen)
 
 
-def _seeds(views: Sequence[TrackedView]) -> list[tuple[int, int]]:
+def _starting_tracks(views: Sequence[TrackedView]) -> list[tuple[int, int]]:
     out: list[tuple[int, int]] = []
     for v, view in enumerate(views):
         most = max(track.completeness for track in view.tracks)
@@ -281,17 +281,17 @@ def _completeness(views: Sequence[TrackedView], group: Mapping[int, tuple[int, .
     return sum(views[v].tracks[k].completeness for v, members in group.items() for k in members)
 
 
-def _listed(views: Sequence[TrackedView]) -> str:
+def _listed_people(views: Sequence[TrackedView]) -> str:
     return "; ".join(f"in {view.name}: " + ", ".join(map(str, view.tracks)) for view in views)
 
 
-def _trunk(pair: Triangulated) -> float | None:
+def _trunk_length(keypoints: Triangulated) -> float | None:
     lengths: list[np.ndarray] = []
     for side in ("left", "right"):
-        if {f"{side}_shoulder", f"{side}_hip"} <= set(pair.names):
-            ends = [pair.names.index(f"{side}_{end}") for end in ("shoulder", "hip")]
-            both = pair.seen[:, ends].all(1)
-            joints = pair.points[both][:, ends]
+        if {f"{side}_shoulder", f"{side}_hip"} <= set(keypoints.names):
+            ends = [keypoints.names.index(f"{side}_{end}") for end in ("shoulder", "hip")]
+            both = keypoints.seen[:, ends].all(1)
+            joints = keypoints.points[both][:, ends]
             lengths.append(np.linalg.norm(joints[:, 0] - joints[:, 1], axis=-1))
     found = np.concatenate(lengths) if lengths else np.zeros(0)
     return float(np.median(found)) if len(found) > 0 else None

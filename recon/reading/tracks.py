@@ -43,7 +43,7 @@ class Track:
 
     @property
     def movement(self) -> float:
-        """How far the keypoints' places are spread over the film, in body sizes.
+        """How far the keypoints move about the image over time, in body sizes.
 
         Half the distance between the percentiles 16 and 84, as of a standard deviation; the
         median over the keypoints.
@@ -66,7 +66,7 @@ class Track:
         )
 
 
-def follow(detections: Detections) -> tuple[Track, ...]:
+def tracks_of_people(detections: Detections) -> tuple[Track, ...]:
     """Everybody in a view, by order of first appearance.
 
     Numbers that the producer gave to people are kept when they behave like identities; a file
@@ -94,7 +94,7 @@ def follow(detections: Detections) -> tuple[Track, ...]:
     )
 
 
-def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
+def chosen_track(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
     """The track of the person asked for, or the most complete one.
 
     Of two that are about equally complete it is the one that moves, where the other stands by.
@@ -149,7 +149,7 @@ _FEWEST_POINTS = 20
 
 @dataclass(frozen=True)
 class TrackedView:
-    """What one camera saw, followed."""
+    """The tracks of all people whom one camera saw."""
 
     name: str
     layout: str
@@ -173,7 +173,7 @@ class Triangulated:
 
     @property
     def error(self) -> float:
-        """Median of the larger misses; infinite where too little was seen."""
+        """Median over points of the largest distance from a ray; infinite if too few are seen."""
         return float(np.median(self.misses.max(0)[self.seen])) if self.seen.any() else np.inf
 
 
@@ -190,7 +190,7 @@ def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
         frames = np.intersect1d(frames, view.tracks[number].frame)
     frames = frames[:: max(1, -(-len(frames) // _FRAMES))]
     sights = [_rays_of_track(view, number, frames, names) for view, number in members]
-    seen = np.all([sight.seen for sight in sights], axis=0)
+    seen = np.all([track_rays.seen for track_rays in sights], axis=0)
     if seen.sum() < _FEWEST_POINTS:
         nothing = np.zeros((*seen.shape, 3))
         return Triangulated(nothing, np.zeros_like(seen), names, nothing[None, ..., 0])
@@ -207,8 +207,8 @@ def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
 
 
 @dataclass(frozen=True)
-class _Sight:
-    """A track in some frames, as rays."""
+class _TrackRays:
+    """Rays through the keypoints of a track in some frames."""
 
     rays: np.ndarray
     """(frames, keypoints, 2): x/z and y/z of undistorted pixels."""
@@ -221,7 +221,7 @@ class _Sight:
 
 def _rays_of_track(
     view: TrackedView, number: int, frames: np.ndarray, names: tuple[str, ...]
-) -> _Sight:
+) -> _TrackRays:
     import cv2
 
     track, camera = view.tracks[number], view.camera
@@ -238,7 +238,7 @@ def _rays_of_track(
         flat = rays.reshape(-1, 1, 2)
         straight = cv2.undistortPoints(flat, camera.camera_matrix, camera.distortion)
         rays = np.asarray(straight).reshape(rays.shape)
-    return _Sight(
+    return _TrackRays(
         rays=rays,
         seen=(confidence[:, columns] >= _CONFIDENT),
         scale=np.sqrt(np.linalg.det(camera.camera_matrix)) / size,
@@ -246,10 +246,13 @@ def _rays_of_track(
     )
 
 
-def _distance_from_rays(points: np.ndarray, sight: _Sight) -> np.ndarray:
+def _distance_from_rays(points: np.ndarray, track_rays: _TrackRays) -> np.ndarray:
     """Distance of points from the rays in body sizes; infinite behind the camera."""
-    local = np.einsum("tij,tkj->tki", sight.pose[:, :3, :3], points) + sight.pose[:, None, :3, 3]
+    local = (
+        np.einsum("tij,tkj->tki", track_rays.pose[:, :3, :3], points)
+        + track_rays.pose[:, None, :3, 3]
+    )
     front = local[..., 2] > 1e-6
     again = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
-    miss = np.linalg.norm(again - sight.rays, axis=-1) * sight.scale[:, None]
+    miss = np.linalg.norm(again - track_rays.rays, axis=-1) * track_rays.scale[:, None]
     return np.where(front, miss, np.inf)

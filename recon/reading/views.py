@@ -1,4 +1,4 @@
-"""Files of 2D keypoints and a calibration to observations: one person, one file per view."""
+"""Reads files of 2D keypoints and a calibration: one person, one file per view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,16 +15,16 @@ from recon.formats.calibration import Calibration, load_cameras
 from recon.formats.cameras import (
     CameraArrays,
     CameraPath,
+    checked_camera,
     guessed_camera,
     guessed_size,
-    settle_camera,
 )
 from recon.formats.observations import KeypointsFile
-from recon.formats.scan_times import crowded
+from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
-from recon.reading.tracks import Track, TrackedView, choose, follow
+from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
 """Share of the keypoints outside the image from which something is wrong."""
@@ -49,7 +49,7 @@ class Views:
 
 
 def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
-    """Everybody's 2D keypoints in one or more calibrated views.
+    """The 2D keypoints of all people in one or more calibrated views.
 
     Args:
         paths: files or folders of `recon.detections.reader`, one per view; a folder that
@@ -77,7 +77,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     track = None if how.camera_track is None else read_track(how.camera_track)
     if track is not None and len(folders) > 1:
         raise ObservationError(
-            f"{how.camera_track}: the track of one camera was given with {len(folders)} views; "
+            f"{how.camera_track}: this track is of one camera, there are {len(folders)} views; "
             "give one view"
         )
     if how.camera is None:
@@ -98,13 +98,15 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
     if track is not None:
-        poses, reason = track.at(first, frames, fps)
+        poses, reason = track.poses_at_frames(first, frames, fps)
         carried = (_notes_of_views(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
-    inside = [_inside(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    inside = [
+        _without_border_keypoints(one, camera) for one, camera in zip(found, cameras, strict=True)
+    ]
     found, left_out = [one for one, _ in inside], [note for _, note in inside if note]
     layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
     return SeenViews(
@@ -134,7 +136,7 @@ def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions)
         )
     if stated is not None:
         camera = replace(
-            settle_camera(stated, size, how.camera_track or path), T_camera_world=None
+            checked_camera(stated, size, how.camera_track or path), T_camera_world=None
         )
         said = (f"{how.camera_track}: its intrinsics were taken",)
     else:
@@ -149,15 +151,15 @@ def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions)
     return Calibration({view_name(path): camera}, "m", said)
 
 
-def _notes_of_views(track: CameraTrack, how: str) -> str:
-    unit = "metres" if track.metric else "of unknown unit, told by standing feet"
-    up = "its world is level" if track.level else "up is told by the person"
-    return f"camera track of {track.producer}: {how}; {unit}; {up}; the ground is unknown"
+def _notes_of_views(track: CameraTrack, matched: str) -> str:
+    unit = "metres" if track.metric else "of unknown unit, estimated from standing feet"
+    up = "its world is level" if track.level else "up is estimated from the person"
+    return f"camera track of {track.producer}: {matched}; {unit}; {up}; the ground is unknown"
 
 
 @dataclass(frozen=True)
 class SeenViews:
-    """Everybody in all views."""
+    """The detections of all people in all views."""
 
     found: tuple[Detections, ...]
     names: tuple[str, ...]
@@ -181,8 +183,8 @@ class SeenViews:
         """
         views: list[TrackedView] = []
         for name, one, camera in zip(self.names, self.found, self.cameras, strict=True):
-            if not (tracks := follow(one)):
-                choose(tracks, None, one.name)  # refuses it
+            if not (tracks := tracks_of_people(one)):
+                chosen_track(tracks, None, one.name)  # refuses it
             views.append(TrackedView(name, one.layout, camera, tracks, self.first_frame))
         posed = [one.name for one in views if one.camera.T_camera_world is None]
         if len(views) > 1 and posed:
@@ -220,7 +222,7 @@ class SeenViews:
         if len(views) > 1:
             return self.of(*across_views(views, number, up_given=self.up_given))
         tracks = next(iter(views)).tracks
-        track = choose(tracks, number, self.found[0].name)
+        track = chosen_track(tracks, number, self.found[0].name)
         who = "the only one" if len(tracks) == 1 else "given" if number is not None else "most"
         if who == "most" and track.completeness < max(one.completeness for one in tracks):
             who = "moves; a bystander is as complete"
@@ -246,8 +248,8 @@ def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) 
         return camera
     if len(pose) < first + frames:
         raise ObservationError(
-            f"camera {name}: expected 1 pose, or {frames} from frame {first} on, or more from "
-            f"frame 0 on, got {len(pose)}"
+            f"camera {name}: expected 1 pose, {frames} from frame {first} on, or all "
+            f"from frame 0 on, got {len(pose)}"
         )
     return replace(camera, T_camera_world=pose[first : first + frames])
 
@@ -265,7 +267,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
         f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
     )
     span = last - first + 1
-    if span > _SPARSE * most or not crowded(span, most):
+    if span > _SPARSE * most or not fits_memory(span, most):
         raise ObservationError(
             f"expected frame numbers that count frames, got {described}, of which {most} have a "
             "file; cut the recording at its gap, or number its frames one by one"
@@ -281,7 +283,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     return first, last - first + 1
 
 
-def _inside(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
     """The detections without keypoints at the image border or beyond, and a note about these.
 
     Detectors guess what the image does not show, and many clamp the guess to the border.

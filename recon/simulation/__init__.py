@@ -1,1 +1,1 @@
-"""Simulated observations of known motions."""
+"""Simulates what sensors observe of known motions."""

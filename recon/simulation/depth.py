@@ -1,4 +1,4 @@
-"""Simulated depth sensors: noise, holes, furniture around a known motion.
+"""Simulates depth sensors that watch a known motion: noise, holes, furniture.
 
 Depths come from the rasteriser that draws our pictures, so what hides what is exact to a pixel.
 """
@@ -25,7 +25,7 @@ POINTS = 4096
 
 @dataclass(frozen=True)
 class Shown:
-    """A body as it moves before a sensor, metres."""
+    """The moving surface that a sensor watches, metres."""
 
     vertices: Float[torch.Tensor, "time vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -33,13 +33,13 @@ class Shown:
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel) -> "Shown":
-        """Our body during a motion of one clip."""
+        """The surface of our body during a motion of one clip."""
         posed = body.pose(motion)
         return cls(posed.vertices, body.faces.cpu().numpy(), posed.joints)
 
 
 class Surface(IntEnum):
-    """What every pixel sees: body, furniture or ground, and the orientation of its surface."""
+    """The kind of surface that a pixel shows: nothing, body, furniture or ground."""
 
     NOTHING = 0
     BODY = 1
@@ -71,7 +71,7 @@ class DepthSensor:
     """Metres."""
 
     def deviation(self, depth: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """Standard deviation of a depth, metres."""
+        """Standard deviation of a measured depth, metres."""
         return self.constant + self.quadratic * np.square(depth - 0.4)
 
 
@@ -94,7 +94,7 @@ def depth_points(
     furniture: FurnitureMesh | None = None,
     shown: Shown | None = None,
 ) -> PointsFile:
-    """Points of one clip (no batch axis) that a depth sensor sees, in the world.
+    """Points that a depth sensor sees during one clip (no batch axis), in the world.
 
     The corruption's box stands in the room while it is active and hides what is behind it. Its
     height hides everything lower, as a thing does that stands before the sensor and ends at that
@@ -130,13 +130,13 @@ def depth_points(
         if there[k]:
             box = corruption.hide_box if active[k] else None
             true, surface = depth_image(shown.vertices[k], shown.faces, view, box, furniture)
-            depth = measured(true, view, sensor, random)
+            depth = measured_depth(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
-                # compare the true depth as well: noise must not make hidden surfaces visible
+                # also by true depth, so that noise cannot make hidden surfaces visible
                 kept &= heights(true, view) >= corruption.hide_below
                 kept &= heights(depth, view) >= corruption.hide_below
-            cloud = _sampled(depth, kept, view, corruption, points, random)
+            cloud = _world_points(depth, kept, view, corruption, points, random)
         clouds.append(cloud)
     if not any(map(len, clouds)):
         raise ReconError(
@@ -156,7 +156,7 @@ def depth_points(
 
 
 def without_pose(file: PointsFile) -> PointsFile:
-    """Points in the frame of a fixed sensor of unknown pose.
+    """The same points, given in the frame of a fixed sensor whose pose is unknown.
 
     Raises:
         ValueError: when it has no pose, or moves.
@@ -176,30 +176,30 @@ def depth_image(
     box: tuple[Corner, Corner] | None,
     furniture: FurnitureMesh | None = None,
 ) -> tuple[Float[np.ndarray, "height width"], Int[np.ndarray, "height width"]]:
-    """Depths (0 where there is nothing), metres, and the `Surface` that every pixel sees."""
+    """True depth of every pixel, metres (0: nothing), and the `Surface` that it shows."""
     width, height = camera.image_size
-    layers = [np.full((height, width), np.inf), _drawn(vertices, faces, camera)]
-    # world points one metre deep along every pixel's ray
+    layers = [np.full((height, width), np.inf), _depth_of_mesh(vertices, faces, camera)]
+    # world points at a depth of one metre on every pixel's ray
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2)).to(vertices)
     origin = camera.T_world_camera[:3, 3].double().numpy()
     ray = camera.unproject(pixels, torch.ones_like(pixels[:, 0])).double().numpy() - origin
     ray = np.where(np.abs(ray) < 1e-12, 1e-12, ray)
-    layers.append(_to_box(origin, ray, box).reshape(height, width))
+    layers.append(_depth_of_box(origin, ray, box).reshape(height, width))
     ground = -origin[2] / ray[:, 2]
     layers.append(np.where(ground > NEAREST, ground, np.inf).reshape(height, width))
     if furniture is not None:
         corners = torch.from_numpy(furniture.vertices).to(vertices)
-        layers.append(_drawn(corners, furniture.faces, camera))
+        layers.append(_depth_of_mesh(corners, furniture.faces, camera))
     surface = np.stack(layers).argmin(0)
     depth = np.take_along_axis(np.stack(layers), surface[None], 0)[0]
     return np.where(np.isfinite(depth), depth, 0.0), surface
 
 
-def _drawn(
+def _depth_of_mesh(
     vertices: torch.Tensor, faces: Int[np.ndarray, "faces 3"], camera: Camera
 ) -> Float[np.ndarray, "height width"]:
-    """Depths of a mesh, infinity where a pixel sees none of it; faces behind are left out."""
+    """Depth of a mesh at every pixel, infinity beside it; ignores faces behind the camera."""
     projected = camera.project(vertices)
     drawn = faces[projected.in_front.numpy()[faces].all(1)]
     pixels, depth = projected.pixels.double().numpy(), projected.depth.double().numpy()
@@ -209,7 +209,7 @@ def _drawn(
 def heights(
     depth: Float[np.ndarray, "height width"], camera: Camera
 ) -> Float[np.ndarray, "height width"]:
-    """Height above z = 0 of what every pixel shows at its depth, metres."""
+    """Height above z = 0 of the point that every pixel shows, metres."""
     v, u = np.indices(depth.shape)
     pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2) + 0.5)
     sensor = camera.to(dtype=torch.float64)
@@ -217,19 +217,19 @@ def heights(
     return points[:, 2].numpy().reshape(depth.shape)
 
 
-def measured(
+def measured_depth(
     depth: Float[np.ndarray, "height width"],
     camera: Camera,
     sensor: DepthSensor,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "height width"]:
-    """Measured depths for true depths: with noise, and 0 where the sensor returns nothing."""
+    """Simulate measured depths from true ones: with noise, and 0 where nothing is measured."""
     padded = np.pad(depth, 1, mode="edge")
     around = np.stack([padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]])
     step = np.abs(around - depth)
     edge = (step > _EDGE).any(0)
     focal = float(camera.camera_matrix[0, 0])
-    # on a slanted plane neighbouring pixels differ by z / f · tan(angle)
+    # depths of neighbouring pixels on a slanted plane differ by z / f · tan(angle)
     slope = np.where(step > _EDGE, 0.0, step).max(0) * focal / np.maximum(depth, NEAREST)
     slanted = slope > np.tan(np.radians(sensor.grazing))
     noisy = depth + sensor.deviation(depth) * random.standard_normal(depth.shape)
@@ -240,7 +240,7 @@ def measured(
     return np.where((depth > 0) & ~lost & (noisy < sensor.farthest), np.maximum(noisy, 0.0), 0.0)
 
 
-def _sampled(
+def _world_points(
     depth: Float[np.ndarray, "height width"],
     kept: Bool[np.ndarray, "height width"],
     camera: Camera,
@@ -248,7 +248,7 @@ def _sampled(
     count: int,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "points 3"]:
-    """World points of some pixels."""
+    """Points in the world of at most `count` of the kept pixels."""
     row, column = np.nonzero(kept)
     some = random.random(len(row)) >= corruption.missing_points
     row, column = row[some], column[some]
@@ -262,12 +262,12 @@ def _sampled(
     return cloud + np.where(wild[:, None], random.random(cloud.shape) - 0.5, 0.0)
 
 
-def _to_box(
+def _depth_of_box(
     origin: Float[np.ndarray, "3"],
     ray: Float[np.ndarray, "rays 3"],
     box: tuple[Corner, Corner] | None,
 ) -> Float[np.ndarray, " rays"]:
-    """Depth at which every ray meets a box; infinity where it passes by (slab test)."""
+    """Depth at which every ray meets a box; infinity if it misses (slab test)."""
     if box is None:
         return np.full(len(ray), np.inf)
     a, b = (np.asarray(box[0]) - origin) / ray, (np.asarray(box[1]) - origin) / ray

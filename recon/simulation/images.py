@@ -1,4 +1,4 @@
-"""Simulated keypoints of cameras: noise, occlusion and misses of a known motion."""
+"""Simulates keypoints that cameras see of a known motion: noise, occlusion, misses."""
 
 import math
 from dataclasses import replace
@@ -35,7 +35,7 @@ def dome(
     height: float = 1.6,
     first: float = 0.0,
 ) -> tuple[Camera, ...]:
-    """Fixed cameras evenly around one clip, near enough to fill the image, far enough to see all.
+    """Fixed cameras evenly around one clip, at distances from which it fills the image.
 
     Args:
         motion: of one clip, no batch axis.
@@ -88,7 +88,7 @@ def keypoints2d(
     seed: int,
     layout: str = "openpose25",
 ) -> KeypointsFile:
-    """What a detector finds of one clip (no batch axis) in the image; noise in pixels.
+    """Keypoints that a detector finds of one clip (no batch axis); noise in pixels.
 
     A box hides what lies behind it. Confidence falls with the error, as detectors know a little
     of their errors; what is hidden or outside the image has none.
@@ -128,7 +128,7 @@ def keypoints2d(
 
 
 def camera_arrays(camera: Camera) -> CameraArrays:
-    """A camera as files hold it."""
+    """The arrays of a camera, as files hold them."""
     poses = camera.T_camera_world
     return CameraArrays(
         camera.camera_matrix.double().numpy(),
@@ -145,7 +145,7 @@ def in_sight(
     motion: Motion,
     generator: torch.Generator,
 ) -> Bool[Tensor, "time points"]:
-    """Points that nothing hides from the camera and that lie in its image."""
+    """Mask of points that lie in the camera's image and are not hidden."""
     projected = camera.project(points)
     seen = projected.in_front & camera.in_image(projected.pixels)
     boxless = replace(corruption, hide_box=None)
@@ -160,7 +160,7 @@ def in_sight(
 def crosses(
     origin: Float[Tensor, "*#shape 3"], end: Float[Tensor, "*#shape 3"], box: tuple[Corner, Corner]
 ) -> Bool[Tensor, "*shape"]:
-    """Whether the way from one point to another leads through a box (slab test)."""
+    """Whether the line from one point to another crosses a box (slab test)."""
     low, high = end.new_tensor(box)
     way = end - origin
     way = torch.where(way.abs() < 1e-12, 1e-12, way)
@@ -177,7 +177,7 @@ _PRESETS = {"front": 0.0, "side": math.tau / 4}
 def cameras_around(
     truth: Motion, body: BodyModel, film: FilmSettings, lens: Camera | None = None
 ) -> dict[str, Camera]:
-    """The cameras of a preset or of a calibration, by name.
+    """The cameras of a preset or of a calibration, keyed by name.
 
     Args:
         truth: one clip (no batch axis).
@@ -198,7 +198,7 @@ def cameras_around(
         placed = dome(truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first)
         cameras = {f"cam{k}": camera for k, camera in enumerate(placed, 1)}
     else:
-        cameras = _calibrated(Path(film.camera), truth, body, film.views)
+        cameras = _cameras_of_calibration(Path(film.camera), truth, body, film.views)
     if film.orbit == 0:
         return cameras
     if any(camera.T_camera_world.ndim == 3 for camera in cameras.values()):
@@ -207,7 +207,9 @@ def cameras_around(
     return {n: orbiting(c, middle, truth.frames, film.orbit) for n, c in cameras.items()}
 
 
-def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[str, Camera]:
+def _cameras_of_calibration(
+    path: Path, truth: Motion, body: BodyModel, views: int
+) -> dict[str, Camera]:
     if not path.exists():
         raise FileNotFoundError(
             f"{path}: no such calibration; expected a file, or one of {', '.join(_PRESETS)}"
@@ -217,7 +219,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
         raise ReconError(f"{path} already lists the cameras ({len(found)}); leave views out")
     cameras = {}
     for name, arrays in found.items():
-        camera = _camera(arrays, truth)
+        camera = _camera_of_arrays(arrays, truth)
         if arrays.T_camera_world is None:
             if len(found) > 1:
                 raise ReconError(f"{path}: camera {name} has no pose, so it cannot be placed")
@@ -234,8 +236,8 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
     return cameras
 
 
-def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
-    """A camera as tensors; one pose has no time axis."""
+def _camera_of_arrays(arrays: CameraArrays, truth: Motion) -> Camera:
+    """A camera as tensors; a fixed camera's pose has no time axis."""
     poses = arrays.T_camera_world
     if poses is not None and len(poses) == 1:
         poses = poses[0]

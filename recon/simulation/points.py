@@ -1,4 +1,4 @@
-"""Simulated joints, markers and scans of a known motion."""
+"""Simulates joints, markers and scans of a known motion."""
 
 import math
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Corruption:
-    """How simulated data are degraded: noise, outliers, hidden stretches."""
+    """Settings that degrade simulated data: noise, outliers, missing and hidden points."""
 
     noise: float = 0.0
     """Standard deviation of every coordinate, metres; pixels in images."""
@@ -42,14 +42,14 @@ class Corruption:
         for name in ("missing_points", "missing_frames", "outliers"):
             share = getattr(self, name)
             if not 0 <= share <= 1:
-                raise ReconError(f"{name} is a share between 0 and 1, got {share}")
+                raise ReconError(f"{name} must be a share between 0 and 1, got {share}")
         if not self.noise >= 0:
-            raise ReconError(f"noise is a standard deviation, zero or more, got {self.noise}")
+            raise ReconError(f"noise must be a standard deviation, zero or more, got {self.noise}")
         if self.during is not None and not self.during[0] < self.during[1]:
-            raise ReconError(f"during is from A to B seconds with A < B, got {self.during}")
+            raise ReconError(f"during must be two times A < B in seconds, got {self.during}")
 
     def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
-        """Times at which things are hidden."""
+        """Mask of the times at which points are hidden."""
         first, last = (-math.inf, math.inf) if self.during is None else self.during
         return (times >= first) & (times < last)
 
@@ -59,7 +59,7 @@ class Corruption:
         generator: Generator,
         times: Float[Tensor, " time"],
     ) -> Bool[Tensor, "time points"]:
-        """True points that the sensor sees."""
+        """Mask of the true points that the sensor sees."""
         active = self.active(times)[:, None]
         time, count = points.shape[:2]
         seen = torch.rand(time, count, generator=generator) >= self.missing_points
@@ -82,9 +82,9 @@ class Corruption:
 
 
 def joints3d(motion: Motion, body: BodyModel, corruption: Corruption, seed: int) -> Joints3D:
-    """All 22 joints of one clip (no batch axis)."""
+    """Simulate the 22 joints of one clip (no batch axis)."""
     truth = body.pose(motion).joints
-    positions, visible = _observe(truth, corruption, seed, motion.times)
+    positions, visible = _disturbed_and_visible(truth, corruption, seed, motion.times)
     return Joints3D(positions, visible, tuple(range(22)), motion.fps, motion.start_time)
 
 
@@ -96,7 +96,7 @@ def markers3d(
     names: tuple[str, ...] = KEYPOINTS_43,
     skin_offset: float = 0.0,
 ) -> Markers3D:
-    """Points of the surface of one clip (no batch axis); by default 43 spread over the body.
+    """Simulate markers of one clip (no batch axis); by default 43 spread over the body.
 
     Each keeps one offset, N(0, skin_offset² I), in the frame of the bone that carries its vertex,
     as a person places markers beside their landmarks.
@@ -111,11 +111,11 @@ def markers3d(
     truth = posed.points(torch.tensor(vertices))
     if skin_offset > 0:
         bones = body.weights[list(vertices)].argmax(-1)
-        # a separate random generator: offsets and noise of one seed are independent
+        # a generator of its own, so that offsets do not depend on the noise
         generator = Generator().manual_seed(seed ^ 0x5EED)
         away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
         truth = truth + (posed.orientations[:, bones] @ away.to(truth)[..., None])[..., 0]
-    positions, visible = _observe(truth, corruption, seed, motion.times)
+    positions, visible = _disturbed_and_visible(truth, corruption, seed, motion.times)
     return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
 
 
@@ -128,19 +128,19 @@ def landmarks3d(
     skin_offset: float = 0.01,
     names: tuple[str, ...] = LANDMARKS_16,
 ) -> Markers3D:
-    """Markers of one clip as a person places them: beside their landmarks."""
+    """Simulate markers that are placed by hand, and so miss their landmarks a little."""
     return markers3d(motion, body, corruption, seed, names, skin_offset)
 
 
 def visible_joints(
     motion: Motion, body: BodyModel, corruption: Corruption, seed: int
 ) -> Bool[Tensor, "time 22"]:
-    """True joints that the sensor could have seen; `evaluate` splits errors by them."""
+    """Mask of the joints that the sensor could see, by which `evaluate` splits errors."""
     generator = torch.Generator().manual_seed(seed)
     return corruption.visible(body.pose(motion).joints, generator, motion.times)
 
 
-def _observe(
+def _disturbed_and_visible(
     truth: Tensor, corruption: Corruption, seed: int, times: Tensor
 ) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(seed)
@@ -161,7 +161,7 @@ def scan_points(
     *,
     points: int = POINTS,
 ) -> PointsFile:
-    """Points of one clip (no batch axis) spread evenly over the whole posed surface.
+    """Simulate scans of one clip (no batch axis): points spread evenly over the surface.
 
     Every frame has points of its own, so none can be followed from frame to frame. The
     corruption's noise is that of every coordinate, its box and height hide what is inside.
@@ -177,12 +177,13 @@ def scan_points(
         ValueError: when there are no points, or the corruption hides all of them.
     """
     if points < 1:
-        raise ReconError(f"scans have one point a frame or more, got {points}")
+        raise ReconError(f"scans need at least one point a frame, got {points}")
     random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     posed = body.pose(motion)
     faces = body.faces.cpu().numpy()
     clouds = [
-        spread(frame, faces, points, random) for frame in posed.vertices.double().cpu().numpy()
+        sampled_on_surface(frame, faces, points, random)
+        for frame in posed.vertices.double().cpu().numpy()
     ]
     true = torch.from_numpy(np.stack(clouds))
     visible = corruption.visible(true, generator, motion.times)
@@ -199,14 +200,14 @@ def scan_points(
     )
 
 
-def spread(
+def sampled_on_surface(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     count: int,
     random: np.random.Generator,
     values: Float[np.ndarray, "vertices values"] | None = None,
 ) -> Float[np.ndarray, "points values"]:
-    """Points drawn uniformly by area from a mesh, or what values of its vertices are there.
+    """Draw points uniformly by area from a mesh, or vertex values interpolated at them.
 
     A triangle is drawn by its area, then a point a + s ((1 - t) (b - a) + t (c - a)) of it with
     s² and t uniform (Osada et al. 2002).

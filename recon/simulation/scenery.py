@@ -1,4 +1,4 @@
-"""Clothes: the body's surface moved outwards by smooth random fields.
+"""Makes clothes, by smooth random offsets of the body's surface, and furniture.
 
 For scans of people whose surface no shape of the body model has. The offsets lie along the normals
 of the unposed body and move with the skin, as close-fitting clothes about do.
@@ -34,7 +34,7 @@ _WAVES = 128
 
 @dataclass(frozen=True)
 class Clothing:
-    """How clothes stand off the skin where they are loosest, metres."""
+    """Settings of clothes: how far they stand off the skin, metres."""
 
     loose: float = 0.007
     """Median distance from the skin of what hangs."""
@@ -49,18 +49,18 @@ class Clothing:
 
 
 def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> BodyModel:
-    """The body in clothes, with its joints and shape space; clothes do not depend on the shape."""
-    offset = offsets(body, seed, clothing)
+    """A body with clothes on its surface; they do not depend on its shape."""
+    offset = clothing_offsets(body, seed, clothing)
     normals = tensor_normals(body.template, body.faces)
     return body.replace(
         name=f"{body.name} clothed {seed}", template=body.template + offset[:, None] * normals
     )
 
 
-def offsets(
+def clothing_offsets(
     body: BodyModel, seed: int, clothing: Clothing | None = None
 ) -> Float[Tensor, " vertices"]:
-    """How far clothes stand off the skin at every vertex, metres.
+    """Distance between clothes and skin at every vertex, metres.
 
     cover (loose exp(spread f) + folds g) with independent random fields f and g: what hangs never
     lies inside the skin, folds may press into it a little.
@@ -78,7 +78,7 @@ def offsets(
 def random_field(
     points: Float[Tensor, "points 3"], length: float, generator: Generator
 ) -> Float[Tensor, " points"]:
-    """A smooth random function at some points, about N(0, 1) at each.
+    """Values of a smooth random function at points, about N(0, 1) at each.
 
     sqrt(2 / n) Σ cos(w·x + b) with w ~ N(0, I / length²): a Gaussian process whose correlation is
     exp(-d² / (2 length²)), by random Fourier features (Rahimi & Recht 2007).
@@ -104,7 +104,7 @@ _BEHIND, _BESIDE, _BEFORE = -0.6, 0.8, 0.55
 
 @dataclass(frozen=True)
 class FurnitureMesh:
-    """Triangles whose corners run counter-clockwise seen from outside; metres, z up."""
+    """A triangle mesh of furniture; corners counter-clockwise from outside; metres, z up."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -116,8 +116,8 @@ class FurnitureMesh:
         return FurnitureMesh(self.vertices @ turn.T + np.asarray(place, dtype=float), self.faces)
 
 
-def together(meshes: Sequence[FurnitureMesh]) -> FurnitureMesh:
-    """Several meshes as one."""
+def joined_meshes(meshes: Sequence[FurnitureMesh]) -> FurnitureMesh:
+    """Join several meshes to one."""
     if len(meshes) == 0:
         return FurnitureMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
@@ -128,27 +128,29 @@ def together(meshes: Sequence[FurnitureMesh]) -> FurnitureMesh:
 
 
 def box(size: Sequence[float], bottom: float = 0.0) -> FurnitureMesh:
-    """A box about the z axis whose lowest side is at height `bottom`; metres."""
+    """A box centred on the z axis with its lower side at height `bottom`; metres."""
     vertices = _CORNERS * np.asarray(size, dtype=float)
     return FurnitureMesh(vertices + np.array([0.0, 0.0, bottom + size[2] / 2]), _SIDES)
 
 
 def table(width: float = 1.2, depth: float = 0.7, height: float = 0.73) -> FurnitureMesh:
-    """A plate on four legs, metres."""
-    return together([box((width, depth, _LEG), height - _LEG), _legs(width, depth, height - _LEG)])
+    """A table: a plate on four legs, metres."""
+    return joined_meshes(
+        [box((width, depth, _LEG), height - _LEG), _legs(width, depth, height - _LEG)]
+    )
 
 
 def chair(width: float = 0.44, height: float = 0.45, back: float = 0.45) -> FurnitureMesh:
-    """A seat on four legs with a back at its rear (-y), metres; whoever sits on it faces +y."""
+    """A chair whose back is at its rear (-y), so that whoever sits on it faces +y; metres."""
     seat = box((width, width, _LEG), height - _LEG)
     rest = box((width, _LEG, back), height).placed((0.0, (_LEG - width) / 2, 0.0))
-    return together([seat, rest, _legs(width, width, height - _LEG)])
+    return joined_meshes([seat, rest, _legs(width, width, height - _LEG)])
 
 
 def furnished(
     names: Sequence[FurnitureName], middle: Float[np.ndarray, "3"], heading: float
 ) -> FurnitureMesh:
-    """Furniture around somebody, on the floor z = 0.
+    """Place furniture around a person, on the floor z = 0.
 
     Args:
         names: of the pieces, each at a place of its own: a chair behind, a table at the left, a
@@ -162,11 +164,11 @@ def furnished(
         "box": box((0.5, 0.5, 0.6)).placed((_BESIDE, 0.0, 0.0)),
         "board": box((0.9, 0.03, 0.45)).placed((0.0, _BEFORE, 0.0)),
     }
-    mesh = together([pieces[name] for name in names])
+    mesh = joined_meshes([pieces[name] for name in names])
     return mesh.placed((middle[0], middle[1], 0.0), heading - np.pi / 2)
 
 
 def _legs(width: float, depth: float, height: float) -> FurnitureMesh:
     x, y = (width - _LEG) / 2, (depth - _LEG) / 2
     leg = box((_LEG, _LEG, height))
-    return together([leg.placed((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)])
+    return joined_meshes([leg.placed((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)])

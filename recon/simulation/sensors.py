@@ -1,4 +1,4 @@
-"""Simulated observation files of any kind of sensor for a known motion."""
+"""Simulates the observation file of any kind of sensor for a known motion."""
 
 import math
 from dataclasses import replace
@@ -47,7 +47,7 @@ def seen_by(
     *,
     unknown_ground: bool = False,
 ) -> dict[str, ObservationFile]:
-    """One observation per camera, by its name; of sensors without cameras one without a name.
+    """Simulate observations, keyed by camera; sensors without cameras have the key "".
 
     Args:
         truth: one clip (no batch axis).
@@ -65,16 +65,20 @@ def seen_by(
     """
     check_apply(kind, film, surface, corruption)
     if kind in ("keypoints2d", "depth"):
-        return _filmed(
+        return _simulated_views(
             truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
         )
     if kind == "scans":
         if unknown_ground:
-            raise ReconError("scans stand in the world; an unknown ground does not apply to them")
+            raise ReconError(
+                "scans are given in the world, so an unknown ground does not apply to them"
+            )
         seen = _clothed_body(body, surface)
         return {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
     known = not unknown_ground
-    return {"": _tracked(truth, body, kind, corruption, seed, surface, ground_known=known)}
+    return {
+        "": _simulated_positions(truth, body, kind, corruption, seed, surface, ground_known=known)
+    }
 
 
 def check_apply(
@@ -85,12 +89,14 @@ def check_apply(
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
     bare = {"furniture": (), "left_over": ()}
     if kind != "depth" and replace(surface, **bare) != surface:
-        raise ReconError(f"furniture and left_over are of depth, not of {kind}")
+        raise ReconError(f"furniture and left_over are options for depth, not for {kind}")
     if "furniture" in surface.left_over and not surface.furniture:
-        raise ReconError("left_over: no furniture is there to be left; name some, or leave it out")
+        raise ReconError(
+            "left_over: there is no furniture to leave over; give furniture, or leave this out"
+        )
     clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset, **bare)
     if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
-        raise ReconError(f"points and clothed are of depth and scans, not of {kind}")
+        raise ReconError(f"points and clothed are options for depth and scans, not for {kind}")
     hides = corruption.hide_below is not None or corruption.hide_box is not None
     if corruption.during is not None and not hides:
         raise ReconError(
@@ -100,14 +106,14 @@ def check_apply(
     if surface.points < 1:
         raise ReconError(f"points: expected one or more, got {surface.points}")
     if kind != "landmarks" and surface.skin_offset != SURFACE_DEFAULTS.skin_offset:
-        raise ReconError(f"a skin offset is of landmarks, not of {kind}")
+        raise ReconError(f"a skin offset is an option for landmarks, not for {kind}")
 
 
 def _clothed_body(body: BodyModel, surface: SurfaceSettings) -> BodyModel:
     return body if surface.clothed is None else clothed(body, surface.clothed)
 
 
-def _tracked(
+def _simulated_positions(
     truth: Motion,
     body: BodyModel,
     kind: SensorKind,
@@ -117,7 +123,7 @@ def _tracked(
     *,
     ground_known: bool,
 ) -> PositionsFile:
-    """Joints or markers."""
+    """Simulate a file of joints or markers."""
     if kind == "joints3d":
         seen, names = joints3d(truth, body, corruption, seed), JOINTS
     else:
@@ -137,7 +143,7 @@ def _tracked(
     )
 
 
-def _filmed(
+def _simulated_views(
     truth: Motion,
     body: BodyModel,
     kind: SensorKind,
@@ -148,18 +154,18 @@ def _filmed(
     *,
     unknown_ground: bool,
 ) -> dict[str, ObservationFile]:
-    """One observation per camera, by its name."""
+    """Simulate one observation per camera, keyed by the camera's name."""
     if kind == "depth" and film.layout != FILM_DEFAULTS.layout:
-        raise ReconError("layout is of keypoints; depth has none")
+        raise ReconError("layout is an option for keypoints, not for depth")
     cameras = cameras_around(truth, body, film, depth_camera() if kind == "depth" else None)
     if unknown_ground and len(cameras) > 1:
         raise ReconError(
-            f"{len(cameras)} views without their poses cannot be put together; film with one "
+            f"{len(cameras)} views without poses cannot be combined; film with one "
             "camera, or say where the ground is"
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # seeds of views: those of the first 100 views differ from those of the next --seed
+        # so the first 100 views share no seed with those of the next --seed
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()
@@ -184,7 +190,7 @@ _LEFT = {"ground": Surface.GROUND, "furniture": Surface.FURNITURE}
 def _furniture_around(
     truth: Motion, body: BodyModel, surface: SurfaceSettings
 ) -> FurnitureMesh | None:
-    """The furniture around the middle of a motion, turned as the body is on average."""
+    """Furniture around the middle of a motion, turned to its mean heading."""
     if len(surface.furniture) == 0:
         return None
     middle = body.pose(truth).joints.flatten(0, -2).mean(0).double().numpy()
@@ -192,7 +198,7 @@ def _furniture_around(
 
 
 def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
-    """Observations of a camera of unknown pose, and its true pose.
+    """The observation with its camera's pose unknown, and kept only as the truth.
 
     Raises:
         ValueError: when the camera moves.

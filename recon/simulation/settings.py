@@ -1,4 +1,4 @@
-"""How simulated sensors look at a motion, as the command line shows it; light to import."""
+"""Settings of simulated sensors for the command line; quick to import."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,7 +16,7 @@ LeftOver = Literal["ground", "furniture"]
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """How simulated cameras look at a motion; for keypoints2d and depth."""
+    """Settings of simulated cameras, for the kinds keypoints2d and depth."""
 
     camera: str = "front"
     """`front` or `side` of the body, near enough to fill the image, or a calibration."""
@@ -33,7 +33,7 @@ FILM_DEFAULTS = FilmSettings()
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """What simulated sensors see of the surface and around it; for landmarks, depth and scans."""
+    """Settings of simulated surfaces, for the kinds landmarks, depth and scans."""
 
     points: int = 4096
     """Most points of a frame of depth and scans."""

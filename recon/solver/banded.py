@@ -143,7 +143,7 @@ class Factor:
         raised = 1.0 + damping + _ROUNDING * torch.finfo(matrix.corner.dtype).eps
         own, beside = _blocks(matrix, self._scale)
         self._shape = own.shape[:-1]
-        border = self._split(matrix.border * self._scale[..., None] * self._edge_scale)
+        border = self._in_blocks(matrix.border * self._scale[..., None] * self._edge_scale)
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
         own.diagonal(dim1=-2, dim2=-1).fill_(raised)
         corner.diagonal().fill_(raised)
@@ -164,42 +164,44 @@ class Factor:
             failures.append(failed.flatten())
             self._within.append(factor)
             if i < len(beside):
-                both = _down(factor, torch.cat((beside[i], side), -1))
+                both = _lower_solution(factor, torch.cat((beside[i], side), -1))
                 self._across.append(both[:, : len(factor)])
                 self._gathered.append(both[:, len(factor) :])
             else:
-                self._gathered.append(_down(factor, side))
+                self._gathered.append(_lower_solution(factor, side))
         self._border = torch.cat(self._gathered).flatten(0, -2)
         rest, failed = torch.linalg.cholesky_ex(corner - self._border.T @ self._border)
         bad = torch.cat((*failures, failed[None])).any() | ~self._border.isfinite().all()
         self.definite = not bool(bad)
-        self._corner = _down(rest, torch.eye(len(corner), dtype=own.dtype, device=own.device))
+        self._corner = _lower_solution(
+            rest, torch.eye(len(corner), dtype=own.dtype, device=own.device)
+        )
 
     def solve(self, right: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """H⁻¹ r."""
-        return self.up(self.down(right))
+        return self.solve_upper(self.solve_lower(right))
 
-    def down(self, gradient: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
+    def solve_lower(self, gradient: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """L⁻¹ g, which turns a gradient by x into one by u."""
-        frames, edge = self._parted(gradient)
-        right = self._split(frames[..., None] * self._scale[..., None])
+        frames, edge = self._frames_and_border(gradient)
+        right = self._in_blocks(frames[..., None] * self._scale[..., None])
         found: list[Tensor] = []
         for i, within in enumerate(self._within):
             here = right[i]
             if i > 0:
                 here = torch.addmm(here, self._across[i - 1].T, found[-1], alpha=-1)
-            found.append(_down(within, here))
+            found.append(_lower_solution(within, here))
         whole = torch.cat(found).flatten()
         edge = self._corner.mv((edge * self._edge_scale).addmv(self._border.T, whole, alpha=-1))
         return torch.cat((whole[: frames.numel()], edge))
 
-    def up(self, u: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
+    def solve_upper(self, u: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """L⁻ᵀ u, which turns a step of u into one of x."""
-        frames, edge = self._parted(u)
+        frames, edge = self._frames_and_border(u)
         edge = self._corner.T.mv(edge)
-        right = self._split(frames[..., None])
+        right = self._in_blocks(frames[..., None])
         right = right - (self._border.mv(edge)).view_as(right)
-        found = self._substituted(list(right))
+        found = self._back_substituted(list(right))
         scaled = found.flatten()[: frames.numel()].view_as(frames) * self._scale
         return torch.cat((scaled.flatten(), edge * self._edge_scale))
 
@@ -213,12 +215,12 @@ class Factor:
         time, n = self._frames
         inverses = [torch.cholesky_inverse(self._within[-1])]
         for within, across in zip(self._within[-2::-1], self._across[::-1], strict=True):
-            ahead, own = _up(within, across), torch.cholesky_inverse(within)
+            ahead, own = _upper_solution(within, across), torch.cholesky_inverse(within)
             inverses.append(torch.addmm(own, ahead @ inverses[-1], ahead.mT))
         blocks = torch.stack(inverses[::-1]).flatten(0, -3)
         blocks = blocks.unflatten(-1, (self._reach, n)).unflatten(-3, (self._reach, n))
         own = blocks.diagonal(dim1=1, dim2=3).movedim(-1, 1).flatten(0, 1)[:time]
-        onto = self._substituted(self._gathered).flatten(0, -2)[: time * n]
+        onto = self._back_substituted(self._gathered).flatten(0, -2)[: time * n]
         onto = onto.view(time, n, len(self._corner))
         scale = self._scale[..., None]
         return Inverse(
@@ -227,35 +229,37 @@ class Factor:
             border=self._corner.mT @ self._corner * self._edge_scale[:, None] * self._edge_scale,
         )
 
-    def _substituted(self, right: list[Tensor]) -> Float[Tensor, "blocks *some columns"]:
+    def _back_substituted(self, right: list[Tensor]) -> Float[Tensor, "blocks *some columns"]:
         """Columns x of L_AA ᵀ x = r, scaled, from the last block to the first."""
-        found = [_up(self._within[-1], right[-1])]
+        found = [_upper_solution(self._within[-1], right[-1])]
         for i in range(len(self._across) - 1, -1, -1):
             here = torch.addmm(right[i], self._across[i], found[-1], alpha=-1)
-            found.append(_up(self._within[i], here))
+            found.append(_upper_solution(self._within[i], here))
         return torch.stack(found[::-1])
 
-    def _parted(
+    def _frames_and_border(
         self, numbers: Float[Tensor, " numbers"]
     ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
         """The parts of frames and of the border."""
         time, n = self._frames
         return numbers[: time * n].view(time, n), numbers[time * n :]
 
-    def _split(self, frames: Float[Tensor, "time n k"]) -> Float[Tensor, "blocks *some size k"]:
+    def _in_blocks(
+        self, frames: Float[Tensor, "time n k"]
+    ) -> Float[Tensor, "blocks *some size k"]:
         """Rows of frames, block by block; zeros after the last frame."""
         time, n = self._frames
         missing = math.prod(self._shape) - time * n
         return pad(frames.flatten(0, 1), (0, 0, 0, missing)).view(*self._shape, frames.shape[-1])
 
 
-def _down(
+def _lower_solution(
     lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
 ) -> Float[Tensor, "*some size columns"]:
     return torch.linalg.solve_triangular(lower, right, upper=False)
 
 
-def _up(
+def _upper_solution(
     lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
 ) -> Float[Tensor, "*some size columns"]:
     return torch.linalg.solve_triangular(lower.mT, right, upper=True)
@@ -270,7 +274,7 @@ def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch
 def _blocks(
     matrix: Banded, scale: Float[Tensor, "time n"]
 ) -> tuple[Float[Tensor, "blocks *some size size"], Float[Tensor, "between size size"]]:
-    """Scaled diagonal blocks of some frames, and those beside them."""
+    """Scaled diagonal blocks of several frames each, and the blocks that couple neighbours."""
     inner, reach = matrix.inner, matrix.reach
     time, _, n, _ = inner.shape
     if reach == 0:

@@ -57,12 +57,12 @@ class Curvature:
         )
 
     def keep(self, rows: Int64[Tensor, " kept"]) -> None:
-        """Drop all elements but these."""
+        """Keep only these elements of the batch."""
         for name in ("pairs", "sy", "yy", "products", "live", "scale", "count"):
             setattr(self, name, getattr(self, name)[rows])
 
     def forget(self, rows: Int64[Tensor, " rows"]) -> None:
-        """Return these elements to steepest descent."""
+        """Forget the pairs of these elements, which return to steepest descent."""
         self.live[rows] = False
 
     def add(

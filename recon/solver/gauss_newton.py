@@ -51,7 +51,7 @@ class Problem(ABC, Generic[X]):
 
     @abstractmethod
     def moved(self, x: X, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> X:
-        """The whole state after steps of some problems; not longer than the model is good for."""
+        """The whole state after steps of some problems, cut to where the model is good."""
 
     def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
         """The terms of the objectives.
@@ -138,7 +138,7 @@ def _stepped(
         tried = problem.moved(x, active[waiting], trial)
         terms = problem.value(tried, active[waiting]).double().cpu()
         promise = (-0.5 * (model.gradient[waiting] * trial).sum(-1)).tolist()
-        good = [k for j, k in enumerate(waiting) if runs[k].takes(terms[j], promise[j], options)]
+        good = [k for j, k in enumerate(waiting) if runs[k].accepts(terms[j], promise[j], options)]
         if good == waiting and not taken:
             return tried
         steps[waiting] = trial
@@ -150,7 +150,7 @@ def _stepped(
 
 @dataclass
 class _Run:
-    """One problem of a batch so far."""
+    """The progress of one problem of a batch."""
 
     damping: float
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
@@ -159,7 +159,7 @@ class _Run:
     end: Termination | None = None
 
     def begin(self, terms: Float[Tensor, " terms"]) -> None:
-        """Note the terms where an iteration begins."""
+        """Record the terms at the start of an iteration."""
         self.evaluations += 1
         self.trace = self.trace or [terms]
         if not bool(terms.isfinite().all()):
@@ -176,7 +176,9 @@ class _Run:
             self._raise_damping(options)
         return torch.zeros_like(gradient)
 
-    def takes(self, terms: Float[Tensor, " terms"], promise: float, options: GaussNewton) -> bool:
+    def accepts(
+        self, terms: Float[Tensor, " terms"], promise: float, options: GaussNewton
+    ) -> bool:
         """Whether a step is taken: the objective does not rise."""
         if self.end is not None:
             return False

@@ -161,7 +161,7 @@ def _minimise(
         goes_on = reason == GOES_ON
         active.keep(goes_on)
         if (finished & goes_on).any():
-            active.turn(finished[goes_on], moved[goes_on])
+            active.restart_searches(finished[goes_on], moved[goes_on])
         if callback is None or not moved.any():
             continue
         # only `True` stops: callbacks may return anything else

@@ -89,7 +89,7 @@ class LineSearches:
         return searches
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Drop all elements but these."""
+        """Keep only these elements of the batch."""
         for field in fields(self):
             setattr(self, field.name, getattr(self, field.name)[..., rows])
 
@@ -137,11 +137,15 @@ class LineSearches:
         narrow = np.isfinite(self.high[1]) & unseen
         finished = accepted | narrow | (self.trials >= wolfe.max_trials)
         unmoved = finished & (self.low[0] == 0.0)
-        self.step = np.where(np.isfinite(width), self._within(width), self._beyond(before))
+        self.step = np.where(
+            np.isfinite(width), self._trial_in_bracket(width), self._trial_farther_out(before)
+        )
         self.width_before, self.width = self.width, width
         return Verdict(improved, finished, unmoved, unmoved & ~np.isfinite(self.high[1]))
 
-    def _within(self, width: Float64[np.ndarray, " active"]) -> Float64[np.ndarray, " active"]:
+    def _trial_in_bracket(
+        self, width: Float64[np.ndarray, " active"]
+    ) -> Float64[np.ndarray, " active"]:
         """The next trial between `low` and `high`, at the cubic's minimiser if that serves."""
         with np.errstate(all="ignore"):  # the cubic is undefined when an end is not finite
             gap = self.high[0] - self.low[0]
@@ -153,7 +157,9 @@ class LineSearches:
                 usable, np.clip(fraction, MARGIN, 1 - MARGIN), halve
             )
 
-    def _beyond(self, before: Float64[np.ndarray, "3 active"]) -> Float64[np.ndarray, " active"]:
+    def _trial_farther_out(
+        self, before: Float64[np.ndarray, "3 active"]
+    ) -> Float64[np.ndarray, " active"]:
         """The next trial farther out, after a step from `before` to `low` that still descends."""
         with np.errstate(all="ignore"):  # bracketed rows give values that are not used
             advance = self.low[0] - before[0]

@@ -76,7 +76,7 @@ class Solution:
         )
 
 
-def in_turn(solutions: Sequence[Solution]) -> Solution:
+def joined_in_turn(solutions: Sequence[Solution]) -> Solution:
     """Several minimisations of the same variables, one after the other, as one."""
     last = solutions[-1]
     return replace(

@@ -84,7 +84,7 @@ class Active:
         self.largest = np.where(rows, largest, self.largest)
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Drop all elements but these."""
+        """Keep only these elements of the batch."""
         if rows.all():
             return
         index = self.indices(rows)
@@ -106,7 +106,7 @@ class Active:
         small = old - new <= tolerance * size
         self.stalled = np.where(moved, np.where(small, self.stalled + 1, 0), self.stalled)
 
-    def turn(
+    def restart_searches(
         self, finished: Bool[np.ndarray, " active"], moved: Bool[np.ndarray, " active"]
     ) -> None:
         """Begin new line searches where one has finished.
@@ -159,7 +159,7 @@ class Ledger:
         )
 
     def step(self, active: Active, moved: Bool[np.ndarray, " active"]) -> None:
-        """Enter the iterates that these elements have just reached."""
+        """Record the new iterates of the elements that moved."""
         if not moved.any():
             return
         number, rows = active.number[moved], active.indices(moved)

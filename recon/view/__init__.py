@@ -1,4 +1,4 @@
-"""Pictures of motions: a page (`html`), images and films (`frames`)."""
+"""Draws motions: as a page (`html`), and as images and films (`frames`)."""
 
 from recon.view.scene import Figure as Figure
 from recon.view.scene import Points as Points

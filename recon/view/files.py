@@ -1,4 +1,4 @@
-"""Motion and observation files as a show, drawn to files: `recon view`."""
+"""`recon view`: draws motion and observation files to pages, pictures and films."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from recon.view.frames import write_mp4, write_png
 from recon.view.observed import observed
 from recon.view.scene import CORAL, GREY, Figure, Show
 from recon.view.timeline import write_rrd
-from recon.view.viewpoint import across
+from recon.view.viewpoint import direction_to_the_right
 
 
 def view(
@@ -68,7 +68,7 @@ def view(
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     if not asked:
         raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
-    show = shown(motion, obs=obs, compare=compare, side=beside, body=body, certainty=std)
+    show = show_of_files(motion, obs=obs, compare=compare, side=beside, body=body, certainty=std)
     read = [path for path in (motion, *obs, compare, beside, body) if path is not None]
     report = {"inputs": checksums(read), "versions": versions()}
     outputs = [output for output, _ in asked]
@@ -77,7 +77,7 @@ def view(
             draw(path, show)
 
 
-def shown(
+def show_of_files(
     motion: Path,
     *,
     obs: Sequence[Path] = (),
@@ -86,7 +86,7 @@ def shown(
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
-    """What `view` draws.
+    """Make the scene that `view` draws of motion and observation files.
 
     Raises:
         FileNotFoundError, ValueError: as there.
@@ -120,19 +120,19 @@ def shown(
 
 
 def _second_name(path: Path, first: Path) -> str:
-    """Default name of a second motion in the legend."""
+    """Name of a second motion in the legend, different from that of the first."""
     return path.stem if path.stem != first.stem else f"{path.stem} (2)"
 
 
 def _with_measures(figure: Figure) -> Figure:
-    """The figure with its height and weight in its name."""
+    """The figure, with height and weight of its body added to its name."""
     shape = figure.motion.shape
     tall, heavy = figure.body.height(shape), weight(figure.body, shape)
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 
 def draw_html(path: Path, show: Show) -> None:
-    """Draw the page; only here is its player loaded, which takes a while."""
+    """Draw the page; imports the code of its player, which is slow to load."""
     from recon.view.html import write_html
 
     write_html(path, show)
@@ -151,7 +151,7 @@ _GAP_M = 0.2
 
 
 def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Motion]:
-    """A motion and another from their own first frames on, as long as both last.
+    """Two motions, both from their first frames on and as long as the shorter one.
 
     The other takes the rate and the clock of the first.
     """
@@ -169,11 +169,11 @@ def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Mo
 
 
 def put_beside(figure: Figure, other: Figure) -> Figure:
-    """Another figure, moved to the right of the first as pictures show it, clear of it.
+    """Move another figure to the right of the first one, as far as they overlap in pictures.
 
     Their first pelvises are level with each other; nothing else about the other changes.
     """
-    right = torch.from_numpy(across(figure)).float()
+    right = torch.from_numpy(direction_to_the_right(figure)).float()
     first, second = figure.posed.joints[..., :2], other.posed.joints[..., :2]
     level = first[0, 0] - second[0, 0]
     second = second + level

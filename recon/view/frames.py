@@ -1,4 +1,4 @@
-"""Images and films of a show, drawn on the processor: no GPU, no display, no browser."""
+"""Draws images and films of a show on the processor, without GPU, display or browser."""
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -12,14 +12,14 @@ from recon.view.images import FRAME, Region, clip_region, close_ups, paint_view
 from recon.view.lettering import (
     PAPER,
     Picture,
-    head,
     join,
-    label,
     line_width,
     save_picture,
     text_size,
     with_legend,
+    write_corner_label,
     write_line,
+    write_title,
 )
 from recon.view.painter import frustum, paint
 from recon.view.scene import CAMERA, FAINT, WHITE, Show, View
@@ -32,7 +32,7 @@ MAP_SHARE = 0.13
 def write_png(
     path: str | Path, *shows: Show, frames: Sequence[int] | None = None, width: int | None = None
 ) -> None:
-    """A sheet: a row for the scene of each show, then one per camera; a column per frame.
+    """Write a sheet of pictures: a row per show and per camera, a column per frame.
 
     All scenes are seen from one place and share the longest legend. Images of cameras are
     squares around the people; a little map shows where in the image they lie.
@@ -55,15 +55,15 @@ def write_png(
         width, wanted = width or 360, 5
         size = (width, 11 * width // 9)
     chosen = _evenly_spread(show.frames, wanted) if frames is None else frames
-    _check(width, chosen, show.frames)
+    _check_width_and_frames(width, chosen, show.frames)
     stands = viewpoints(show, size)
-    rows = [_scene(one, chosen, stands) for one in shows]
+    rows = [_scene_pictures(one, chosen, stands) for one in shows]
     for view in show.cameras:
         row: list[Picture] = []
         for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
             row.append(paint_view(show, view, frame, part, width))
             _outline_of_image(row[-1], view, part)
-        _name(row[0], view)
+        _write_camera_name(row[0], view)
         rows.append(row)
     sheet = join([join(row, axis=1) for row in rows], axis=0)
     legend = max((one.legend for one in shows), key=len)
@@ -71,7 +71,7 @@ def write_png(
 
 
 def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
-    """A film in H.264 that every browser plays, one picture per frame at the show's rate.
+    """Write an H.264 film, one picture per frame at the show's frame rate.
 
     Each picture has the scene and, beside it, what every camera sees, above one legend.
 
@@ -86,7 +86,7 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
     """
     parts = [clip_region(show, view) for view in show.cameras]
     width = width or (480 if parts else 640)
-    _check(width, range(show.frames), show.frames)
+    _check_width_and_frames(width, range(show.frames), show.frames)
     size = (width, width + width // 16)
     if parts:
         size = (width, max(min(parts[0].size(width)[1], width), width // 2))
@@ -94,22 +94,22 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
     columns = int(np.ceil(np.sqrt(len(parts) + 1)))
 
     def picture(frame: int) -> Picture:
-        tiles = _scene(show, [frame], stands)
+        tiles = _scene_pictures(show, [frame], stands)
         for view, part in zip(show.cameras, parts, strict=True):
             tiles.append(paint_view(show, view, frame, part, width))
-            _name(tiles[-1], view)
+            _write_camera_name(tiles[-1], view)
         rows = [join(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
         text = text_size((width, 3 * width // 4))
-        whole = with_legend(join(rows, axis=0), show.legend, text)
-        # H.264 stores colours at half resolution, so sides must be even
-        even = [(0, side % 2) for side in whole.shape[:2]]
-        return np.pad(whole, (*even, (0, 0)), constant_values=PAPER)
+        whole_image = with_legend(join(rows, axis=0), show.legend, text)
+        # H.264 needs even sides, since it stores colours at half resolution
+        even = [(0, side % 2) for side in whole_image.shape[:2]]
+        return np.pad(whole_image, (*even, (0, 0)), constant_values=PAPER)
 
     _write_film(Path(path), map(picture, range(show.frames)), show.fps)
 
 
 def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    """Write pictures of one size, whose sides are even."""
+    """Write pictures of one size, with even sides, as a film."""
     import av
 
     with (
@@ -118,7 +118,7 @@ def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
     ):
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.pix_fmt = "yuv420p"
-        # Compared with "medium" at 19: half the time, the same file size, 0.5 dB worse.
+        # compared with "medium" at 19: half the time, the same size, 0.5 dB worse
         stream.options = {"crf": "18", "preset": "veryfast"}
         for picture in pictures:
             if stream.width != picture.shape[1]:
@@ -127,14 +127,16 @@ def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
         film.mux(stream.encode(None))
 
 
-def _scene(show: Show, frames: Sequence[int], views: Sequence[Viewpoint]) -> list[Picture]:
-    """Pictures of the scene with the names of its cameras and the time; the first has a title."""
+def _scene_pictures(
+    show: Show, frames: Sequence[int], views: Sequence[Viewpoint]
+) -> list[Picture]:
+    """Pictures of the scene with cameras' names and the time; the first also has a title."""
     row: list[Picture] = []
     for frame in frames:
         picture, view = paint(show, frame, views[frame]), views[frame]
         text, (width, height) = text_size(view.size), view.size
         for camera in show.cameras:
-            # draw the camera's name above its pyramid
+            # write the camera's name above its pyramid
             pixels, depth = view.project(frustum(camera.at(frame)).reshape(-1, 3))
             middle, top = pixels.mean(0), pixels.min(0)[1]
             if depth.min() > 0 and 0 <= middle[0] < width and text < top < height:
@@ -143,21 +145,23 @@ def _scene(show: Show, frames: Sequence[int], views: Sequence[Viewpoint]) -> lis
                 x = np.clip(middle[0] - half, text / 2, last)
                 place = (round(float(x)), round(float(top)) - text // 2)
                 write_line(picture, camera.name, place, text, colour=CAMERA)
-        label(picture, f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s")
+        write_corner_label(
+            picture, f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s"
+        )
         row.append(picture)
-    head(row[0], show.title)
+    write_title(row[0], show.title)
     return row
 
 
-def _name(picture: Picture, view: View) -> None:
-    """The camera's name, and how well its points are met."""
-    head(picture, view.name)
+def _write_camera_name(picture: Picture, view: View) -> None:
+    """Write a camera's name and the median error of its points on its picture."""
+    write_title(picture, view.name)
     if (error := view.median_error) is not None:
-        label(picture, f"median error {error:.1f} px")
+        write_corner_label(picture, f"median error {error:.1f} px")
 
 
 def _outline_of_image(picture: Picture, view: View, part: Region) -> None:
-    """The image's outline in the lower left corner, with the part of it that is shown."""
+    """Draw in the lower left corner which part of the camera's image is shown."""
     height, width = picture.shape[:2]
     size = np.array(view.camera.image_size, float)
     scale = MAP_SHARE * width / size.max()
@@ -179,7 +183,7 @@ def _evenly_spread(count: int, wanted: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 
-def _check(width: int, frames: Sequence[int], count: int) -> None:
+def _check_width_and_frames(width: int, frames: Sequence[int], count: int) -> None:
     if not 64 <= width <= 2048:
         raise ValueError(f"a picture is 64 to 2048 pixels wide, got {width}")
     if len(frames) == 0 or not all(0 <= frame < count for frame in frames):

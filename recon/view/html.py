@@ -1,4 +1,4 @@
-"""One self-contained page that plays a show in any browser, offline (viser's player inside)."""
+"""Writes a self-contained page that plays a show in any browser, by viser's player."""
 
 import contextlib
 import html
@@ -36,7 +36,7 @@ from recon.view.scene import (
     View,
     thinned,
 )
-from recon.view.viewpoint import follow, viewpoints
+from recon.view.viewpoint import following_viewpoints, viewpoints
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ DEEPEN = 0.82
 
 
 def write_html(path: str | Path, show: Show) -> None:
-    """Write the page: play, pause and scrub a timeline, turn the view, toggle the layers.
+    """Write a page with a timeline, a view that can be turned, and layers to switch.
 
     The page holds everything it needs and asks no server for anything. A body is stored once
     and skinned in the browser (its pose-dependent offsets, if it has any, are left out).
@@ -72,16 +72,16 @@ def write_html(path: str | Path, show: Show) -> None:
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
     """
-    # viser prints a greeting to stdout even when it is not verbose.
+    # viser prints a greeting even if it is not verbose
     with replacing(Path(path)) as scratch, contextlib.redirect_stdout(io.StringIO()):
         server = ViserServer(host="127.0.0.1", verbose=False)
         try:
-            page = _record(server, show)
+            page = _recorded_page(server, show)
         finally:
             server.stop()
         title = f"<title>{html.escape(visible(show.title))}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
-        page = page.replace("</body>", _legend(show) + "</body>", 1)
+        page = page.replace("</body>", _legend_html(show) + "</body>", 1)
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
 
@@ -89,7 +89,7 @@ def write_html(path: str | Path, show: Show) -> None:
 def prune_weights(
     weights: Float[np.ndarray, "vertices joints"],
 ) -> Float[np.ndarray, "vertices joints"]:
-    """The `INFLUENCES` largest weights of every vertex, scaled to sum to one again.
+    """Keep the largest skinning weights of every vertex, scaled to sum to one.
 
     Without the scaling a vertex with five influences would be drawn towards the origin.
     """
@@ -99,32 +99,34 @@ def prune_weights(
     return kept / kept.sum(1, keepdims=True)
 
 
-def _record(server: ViserServer, show: Show) -> str:
-    """Play the show once on a local server and keep every message it would send."""
+def _recorded_page(server: ViserServer, show: Show) -> str:
+    """Play the show on a local server, and return the page that replays its messages."""
     scene = server.scene
     scene.set_up_direction("+z")
     touching = any(bool(figure.touching.any()) for figure in show.figures)
     inside = SEE_THROUGH if touching or show.points is not None else 1.0
-    layers = [_ground_and_view(server, show)]
+    layers = [_add_ground_and_view(server, show)]
     for figure in show.figures:
-        layers.append(_body(scene, figure, figure.opacity * inside))
+        layers.append(_add_body(scene, figure, figure.opacity * inside))
         joints, node = figure.posed.joints, figure.node("contacts")
         if bool(figure.touching.any()):
             own = list(CONTACT_JOINTS)
             radii = CONTACT_RADIUS_M * figure.touching[:, own]
-            layers.append(_spheres(scene, node, joints[:, own], radii, CONTACT))
+            layers.append(_add_spheres(scene, node, joints[:, own], radii, CONTACT))
         if figure.joint_std is not None:
             node, std, shown = figure.node("standard deviation"), figure.joint_std, show.certainty
-            layers.append(_spheres(scene, node, joints, std, CERTAINTY, HALO_OPACITY, shown=shown))
+            layers.append(
+                _add_spheres(scene, node, joints, std, CERTAINTY, HALO_OPACITY, shown=shown)
+            )
     if (points := show.points) is not None:
         seen, node = points.visible, "/world/points/observed"
-        layers.append(_spheres(scene, node, points.positions, points.radius * seen, VISIBLE))
+        layers.append(_add_spheres(scene, node, points.positions, points.radius * seen, VISIBLE))
         if points.estimated is not None and not bool(seen.all()):
             radii, node = points.radius * ~seen, "/world/points/missing"
-            layers.append(_spheres(scene, node, points.estimated, radii, MISSING))
+            layers.append(_add_spheres(scene, node, points.estimated, radii, MISSING))
     if show.cloud is not None:
-        layers.append(_scan(scene, show.cloud))
-    layers += [_frustum(scene, view) for view in show.cameras]
+        layers.append(_add_scan(scene, show.cloud))
+    layers += [_add_frustum(scene, view) for view in show.cameras]
     serializer = server.get_scene_serializer()
     for frame in range(show.frames):
         for layer in layers:
@@ -133,13 +135,13 @@ def _record(server: ViserServer, show: Show) -> str:
     return serializer.as_html()
 
 
-def _ground_and_view(server: ViserServer, show: Show) -> Layer:
-    """The ground and a first view; the world glides so that the person stays in it.
+def _add_ground_and_view(server: ViserServer, show: Show) -> Layer:
+    """Add the ground and a first view; the world moves so that the person stays in view.
 
     Where cameras are shown, the world stands still until the page is told to follow.
     """
     view, plane = viewpoints(show, (1280, 800))[0], Plane.of(show.ground)
-    path = follow(show.figures, (1280, 800))
+    path = following_viewpoints(show.figures, (1280, 800))
     glide = np.stack([path[0].target - place.target for place in path])
     world = server.scene.add_frame("/world", show_axes=False)
     reach = float(np.abs(glide).max())
@@ -169,7 +171,7 @@ def _ground_and_view(server: ViserServer, show: Show) -> Layer:
     return show_frame
 
 
-def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
+def _add_body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     shape = figure.posed.shape
     turns = so3.to_quaternion(figure.posed.orientations).roll(1, -1).numpy()
     joints = figure.posed.joints.numpy()
@@ -181,7 +183,7 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
         bone_positions=figure.posed.rest.numpy(),
         skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
         color=_darker_colour(figure.colour),
-        # two coinciding skins would flicker, as both have the same depth
+        # two skins at the same depth would flicker
         wireframe=figure.opacity < 1,
         opacity=None if opacity == 1 else opacity,
     )
@@ -193,7 +195,7 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     return show
 
 
-def _spheres(
+def _add_spheres(
     scene: SceneApi,
     name: str,
     centres: Float[Tensor, "time points 3"],
@@ -203,7 +205,7 @@ def _spheres(
     *,
     shown: bool = True,
 ) -> Layer:
-    """Spheres of one colour; a radius of zero leaves one out. Without opacity they are solid.
+    """Add spheres of one colour, without those of radius zero.
 
     One skin with a bone per sphere moves together with the bodies. Where radii differ, every
     sphere hangs between four bones, which move apart when it grows.
@@ -246,7 +248,7 @@ def _spheres(
     return show
 
 
-def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
+def _add_scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
     def points(frame: int) -> np.ndarray:
         return thinned(cloud[frame], CLOUD_LIMIT).detach().cpu().float().numpy()
 
@@ -260,8 +262,8 @@ def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
     return show
 
 
-def _frustum(scene: SceneApi, view: View) -> Layer:
-    """A camera's pyramid; moving cameras move, lenses do not zoom."""
+def _add_frustum(scene: SceneApi, view: View) -> Layer:
+    """Add a camera's pyramid, which follows a moving camera."""
     camera, moving = view.at(0), view.camera.T_camera_world.ndim == 3
     width, height = camera.image_size
     handle = scene.add_camera_frustum(
@@ -288,14 +290,16 @@ def _darker_colour(colour: Colour) -> Colour:
     return red, green, blue
 
 
-def _legend(show: Show) -> str:
-    """Title and legend with switches, laid over the page's upper left corner."""
+def _legend_html(show: Show) -> str:
+    """HTML of the title and a legend with switches, in the page's upper left corner."""
     rows = [
-        _row(one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown)
+        _legend_row(
+            one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown
+        )
         for one in show.layers
     ]
-    follows = len(show.cameras) == 0  # cameras stand still
-    rows.append(_row("follow the person", FAINT, "data-follow", follows))
+    follows = len(show.cameras) == 0  # with cameras the view stands still
+    rows.append(_legend_row("follow the person", FAINT, "data-follow", follows))
     assets = resources.files("recon") / "assets"
     style = (assets / "layers.css").read_text(encoding="utf-8")
     script = (assets / "layers.js").read_text(encoding="utf-8")
@@ -308,7 +312,7 @@ def _legend(show: Show) -> str:
     )
 
 
-def _row(word: str, colour: Colour, data: str, shown: bool) -> str:
+def _legend_row(word: str, colour: Colour, data: str, shown: bool) -> str:
     checked = " checked" if shown else ""
     return (
         f'<label style="--colour:rgb{colour}"><input type="checkbox" role="switch" {data}'

@@ -1,4 +1,4 @@
-"""Drawings of a camera's image."""
+"""Draws what a camera's image shows: the body, detected points and their errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ LINE_PX = 2
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle in the plane of an image; it may reach beyond the image."""
+    """A rectangle in the plane of an image, pixels; it may reach beyond the image."""
 
     left: float
     top: float
@@ -57,25 +57,25 @@ class Region:
     def place(
         self, pixels: Float[np.ndarray, "points 2"], across: int
     ) -> Float[np.ndarray, "points 2"]:
-        """Pixels of the image in a picture of the region that is `across` pixels wide."""
+        """Where pixels of the image lie in a picture of the region, `across` pixels wide."""
         return (pixels - (self.left, self.top)) * (across / self.width)
 
     def size(self, across: int) -> tuple[int, int]:
-        """Width and height of such a picture."""
+        """Size of a picture of the region that is `across` pixels wide."""
         return across, max(1, round(across * self.height / self.width))
 
 
-def whole(view: View) -> Region:
-    """All of a camera's image."""
+def whole_image(view: View) -> Region:
+    """The region of a camera's whole image."""
     width, height = view.camera.image_size
     return Region(0.0, 0.0, float(width), float(height))
 
 
 def clip_region(show: Show, view: View) -> Region:
-    """The part of a camera's image, of its aspect ratio, that people are in during the clip."""
-    low, high, seen = _extents(show, view)
+    """The part of a camera's image in which people are during the clip; same aspect ratio."""
+    low, high, seen = _bounds_over_time(show, view)
     if not seen.any():
-        return whole(view)
+        return whole_image(view)
     size = np.array(view.camera.image_size, float)
     first, last = low[seen].min(0), high[seen].max(0)
     share = np.clip(((last - first) * (1 + 2 * MARGIN) / size).max(), SMALLEST, 1.0)
@@ -84,8 +84,8 @@ def clip_region(show: Show, view: View) -> Region:
 
 
 def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[Region]:
-    """A square around the people in each of some frames, all of one size."""
-    low, high, seen = (values[list(frames)] for values in _extents(show, view))
+    """Squares of one size around the people in some frames."""
+    low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)
     side = (high - low)[seen].max() * (1 + 2 * MARGIN) if seen.any() else size.max()
     side = float(np.clip(side, SMALLEST * size[0], size.max()))
@@ -96,17 +96,17 @@ def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[Region]:
 def drawable(
     camera: Camera, points: Float[Tensor, "*time points 3"]
 ) -> Bool[Tensor, "*time points"]:
-    """Points before the camera and, were the lens perfect, not far outside its image."""
+    """Mask of points in front of the camera and not far outside its image."""
     straight = camera.replace(distortion=None).project(points)
     size = straight.pixels.new_tensor(camera.image_size)
     near = (straight.pixels > -BEYOND * size) & (straight.pixels < (1 + BEYOND) * size)
     return straight.in_front & near.all(-1)
 
 
-def _extents(
+def _bounds_over_time(
     show: Show, view: View
 ) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time 2"], Bool[np.ndarray, " time"]]:
-    """Least and greatest pixel of people and sure points in the image; frames that have any."""
+    """Bounding box of people and of confident points in every frame, and a mask of frames."""
     camera = view.camera.detach().to(device="cpu", dtype=torch.float64)
     pixels: list[Tensor] = []
     counted: list[Tensor] = []
@@ -128,7 +128,7 @@ def _extents(
 
 
 def paint_view(show: Show, view: View, frame: int, part: Region, across: int) -> Picture:
-    """A part of a camera's image at one frame, without the photograph, `across` pixels wide.
+    """Draw a region of a camera's image in one frame, `across` pixels wide; no photograph.
 
     Paper lies around the image; what is drawn on it the camera could not see.
     """
@@ -155,7 +155,7 @@ def paint_view(show: Show, view: View, frame: int, part: Region, across: int) ->
 def _paint_body(
     figure: Figure, camera: Camera, frame: int, part: Region, image: np.ndarray
 ) -> None:
-    """The surface as the camera sees it, lit from the camera."""
+    """Paint the body's surface as the camera sees it, lit from the camera."""
     points = figure.posed.vertices[frame].double()
     faces = figure.body.faces.cpu().numpy()
     faces = faces[drawable(camera, points).numpy()[faces].all(1)]
@@ -174,7 +174,7 @@ def _paint_body(
 def _paint_points(
     view: View, pixels: Float[Tensor, "points 2"], frame: int, part: Region, picture: Picture
 ) -> None:
-    """Detected points, those of the body, and a line between the two of each."""
+    """Paint detected points, the body's points, and lines between them."""
     width = picture.shape[1]
     found = part.place(pixels.detach().cpu().double().numpy(), width)
     certainty = view.certainty[frame].double().numpy()

@@ -1,4 +1,4 @@
-"""`recon info`: what a file holds and what was assumed in reading it."""
+"""`recon info`: describes what a file holds and what was assumed in reading it."""
 
 import math
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ _ANY_RATE = 30.0
 def info(
     file: Path, *, unit: Unit | None = None, up: Up | None = None, hand: Hand | None = None
 ) -> dict[str, Any]:
-    """Say what a file or folder holds, and what was assumed in reading it.
+    """Describe what a file or folder holds, and what was assumed in reading it.
 
     Motions, observations, recordings, bodies, 2D keypoints, calibrations, scans, depth images:
     their format, sizes, rate, units and decisions, as plain values.
@@ -75,21 +75,25 @@ def info(
     found = producer_of(file)
     verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
     told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}
-    return {**_held(file, {"unit": unit, "up": up, "hand": hand}), **told}
+    return {**_description(file, {"unit": unit, "up": up, "hand": hand}), **told}
 
 
-def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+def _description(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if (project := project_at(file)) is not None:
-        return _project(project)
+        return _describe_project(project)
     if holds_points_3d(file):
-        return _points(read_points_3d(file), axes)
+        return _describe_points(read_points_3d(file), axes)
     if file.is_dir():
         return describe_folder(file)
     ending = file.suffix.lower()
     if ending in (".pt", ".pth", ".npy"):
-        return _estimate(file, axes["up"])
+        return _describe_estimate(file, axes["up"])
     if ending == ".pkl":
-        return _body(file) if "v_template" in read_tree(file) else _estimate(file, axes["up"])
+        return (
+            _describe_body(file)
+            if "v_template" in read_tree(file)
+            else _describe_estimate(file, axes["up"])
+        )
     if ending == ".json":
         return describe_json(file)
     if ending == ".csv" and not holds_markers(file):
@@ -97,18 +101,18 @@ def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if ending in (".toml", ".yml", ".yaml"):
         return describe_calibration(file)
     if ending != ".npz":
-        return _recording(file, axes)
+        return _describe_recording(file, axes)
     if holds_detections(file):
         return describe_detections(file)
     keys = set(load_arrays(existing(file)))
     if "kind" in keys:
-        return _observation(file, axes)
+        return _describe_observation(file, axes)
     if "trans" in keys and keys & _RATES:
-        return _motion(file)
+        return _describe_motion(file)
     if keys & {"trans", "transl"}:
-        return _estimate(file, axes["up"])
+        return _describe_estimate(file, axes["up"])
     if "v_template" in keys:
-        return _body(file)
+        return _describe_body(file)
     if "camera_matrix" in keys:
         return describe_calibration(file)
     if "mask" in keys:
@@ -121,8 +125,8 @@ def _held(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
-def _project(project: Project) -> dict[str, Any]:
-    """What the files of a project hold, and what they state of it."""
+def _describe_project(project: Project) -> dict[str, Any]:
+    """Describe the files of a project and its settings."""
     seen = project.detections or project.points
     inside = info(seen) if seen is not None else {"format": "nothing that can be fitted"}
     own = {"fps": project.fps or inside.get("fps"), "frame_range": project.frames}
@@ -130,7 +134,7 @@ def _project(project: Project) -> dict[str, Any]:
     return {**inside, **own, "decisions": said}
 
 
-def _motion(path: Path) -> dict[str, Any]:
+def _describe_motion(path: Path) -> dict[str, Any]:
     file = load_motion(path)
     motion = file.motion
     still = missing_path(motion.translation.numpy(), motion.rotations.numpy())
@@ -145,15 +149,15 @@ def _motion(path: Path) -> dict[str, Any]:
         "gender": file.gender,
         "has_contacts": file.contacts is not None,
         "has_camera": file.T_world_camera is not None,
-        **_certainty(file),
-        **_alternatives(path),
+        **_describe_certainty(file),
+        **_describe_alternatives(path),
         "units": "metres, z up",
         **({"decisions": [still]} if still else {}),
     }
 
 
-def _certainty(file: MotionFile) -> dict[str, Any]:
-    """Median standard deviations of joints, where the motion is the result of a fit."""
+def _describe_certainty(file: MotionFile) -> dict[str, Any]:
+    """Median standard deviations of joints, if the motion is the result of a fit."""
     found = JointCertainty.of(file)
     if found is None:
         return {"has_joint_std": False}
@@ -162,11 +166,11 @@ def _certainty(file: MotionFile) -> dict[str, Any]:
         "median_joint_std_seen": found.seen,
         "median_joint_std_hidden": found.hidden,
         "share_of_hidden_joints": found.hidden_share,
-        **_ground(file),
+        **_describe_ground(file),
     }
 
 
-def _ground(file: MotionFile) -> dict[str, float]:
+def _describe_ground(file: MotionFile) -> dict[str, float]:
     """Standard deviations of an estimated ground."""
     if file.ground_std is None:
         return {}
@@ -174,8 +178,8 @@ def _ground(file: MotionFile) -> dict[str, float]:
     return {"ground_normal_std_degrees": math.degrees(normal), "ground_height_std": height}
 
 
-def _alternatives(path: Path) -> dict[str, list[str]]:
-    """Other motions that explain the same data, which the report beside the file tells."""
+def _describe_alternatives(path: Path) -> dict[str, list[str]]:
+    """Other motions that explain the same data, from the report next to the file."""
     beside = path.with_name(f"{path.name}.json")
     report = read_report(beside)
     if report is None or report.checksum_if_own(path.name, path) is None:
@@ -184,7 +188,7 @@ def _alternatives(path: Path) -> dict[str, list[str]]:
     return {"alternatives": [one["message"] for one in told]} if told else {}
 
 
-def _observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+def _describe_observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     file = load_observation(path, unit=axes["unit"])
     common = {"fps": file.fps, "start_time": file.start_time}
     if isinstance(file, PositionsFile):
@@ -209,27 +213,27 @@ def _observation(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
             "layout": file.layout,
             "missing": float((file.confidence <= 0).mean()) if file.confidence.size else 1.0,
             "image_size": list(file.camera.image_size),
-            **_pose(file.camera),
+            **_describe_pose(file.camera),
         }
     return {
         "format": "observation: points",
         "frames": int(file.frame.max()) + 1,
         "points": len(file.points),
         **common,
-        **({"ground_known": True} if file.camera is None else _pose(file.camera)),
+        **({"ground_known": True} if file.camera is None else _describe_pose(file.camera)),
     }
 
 
-def _pose(camera: CameraArrays) -> dict[str, Any]:
-    """Whether the camera's pose, and therefore the ground, is known."""
+def _describe_pose(camera: CameraArrays) -> dict[str, Any]:
+    """Describe whether the camera's pose, and with it the ground, is known."""
     poses = camera.T_camera_world
     return {"poses": 0 if poses is None else len(poses), "ground_known": poses is not None}
 
 
-def _recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     recording = read_recording(path, unit=axes["unit"], up=axes["up"])
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
-        return _points(from_recording(recording), {"hand": axes["hand"]})
+        return _describe_points(from_recording(recording), {"hand": axes["hand"]})
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )
@@ -254,7 +258,7 @@ def _recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     return facts
 
 
-def _body(path: Path) -> dict[str, Any]:
+def _describe_body(path: Path) -> dict[str, Any]:
     arrays = load_smpl(path)
     return {
         "format": "body model",
@@ -265,8 +269,8 @@ def _body(path: Path) -> dict[str, Any]:
     }
 
 
-def _estimate(path: Path, up: Up | None) -> dict[str, Any]:
-    """The person of most frames, as `recon refine` takes them; plain values.
+def _describe_estimate(path: Path, up: Up | None) -> dict[str, Any]:
+    """Describe the person with most frames in a file of body parameters.
 
     Raises:
         ValueError: when the file holds no such parameters.
@@ -285,8 +289,8 @@ def _estimate(path: Path, up: Up | None) -> dict[str, Any]:
     }
 
 
-def _points(points: Points3D, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Keypoints, sizes, rate and decisions; without a rate, all that does not depend on it.
+def _describe_points(points: Points3D, axes: Mapping[str, Any]) -> dict[str, Any]:
+    """Describe 3D keypoints: names, sizes, frame rate and how they were read.
 
     Raises:
         ValueError: when layout, unit or axis cannot be told; the message says what was found.

@@ -1,4 +1,4 @@
-"""What detections, calibrations, scans and depth images hold, and what was assumed in reading."""
+"""Describes detections, calibrations, scans and depth images for `recon info`."""
 
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
 from recon.formats.scan_times import timed
-from recon.formats.scans import CLOUDS, naturally, read_cloud, scan_paths
+from recon.formats.scans import CLOUDS, naturally_sorted, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
-from recon.reading.tracks import follow
+from recon.reading.tracks import tracks_of_people
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
 _LOOKED_AT = 5
@@ -25,16 +25,16 @@ _LOOKED_AT = 5
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """Describe the content of a folder, by the suffixes of its files.
+    """Describe what a folder holds, by the suffixes of its files.
 
     Raises:
         ValueError: when it holds nothing that recon reads, or something damaged.
     """
     endings = {one.suffix.lower() for one in files_of(path)}
     if endings & CLOUDS.keys():
-        return _scans(path)
+        return _describe_scans(path)
     if ".png" in endings:
-        return _images(path)
+        return _describe_images(path)
     views, notes = [], ()
     try:
         views, notes = expand([path])
@@ -65,7 +65,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
 
 
 def describe_json(path: Path) -> dict[str, Any]:
-    """A calibration as in PROX, or detections.
+    """Describe a JSON file: PROX's calibration, or detections.
 
     Raises:
         ValueError: when it is damaged or neither.
@@ -82,9 +82,9 @@ def describe_detections(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `read_keypoints` does.
     """
-    # coordinates may stay fractions of the image: what is reported does not depend on its size
+    # the image's size does not matter for what is described
     found = read_keypoints(path, image_size=(1, 1))
-    people = follow(found)
+    people = tracks_of_people(found)
     first, last = int(found.frame_numbers[0]), int(found.frame_numbers[-1])
     return {
         "format": "2D keypoints of one view",
@@ -101,7 +101,7 @@ def describe_detections(path: Path) -> dict[str, Any]:
 
 
 def describe_calibration(path: Path) -> dict[str, Any]:
-    """Cameras, where they stand, and the unit.
+    """Describe the cameras of a calibration, their positions and the unit.
 
     Raises:
         FileNotFoundError, ValueError: as `load_cameras` does.
@@ -110,26 +110,28 @@ def describe_calibration(path: Path) -> dict[str, Any]:
     return {
         "format": "calibration",
         "cameras": list(found.cameras),
-        **{f"camera {name}": _camera(camera) for name, camera in found.cameras.items()},
+        **{f"camera {name}": _describe_camera(camera) for name, camera in found.cameras.items()},
         "unit": found.unit,
         "decisions": list(found.decisions),
     }
 
 
-def _camera(camera: CameraArrays) -> str:
+def _describe_camera(camera: CameraArrays) -> str:
     width, height = camera.image_size
     focal = f"focal length {camera.camera_matrix[0, 0]:.0f} pixels"
     lens = "no distortion" if camera.distortion is None else "with distortion"
     poses = camera.T_camera_world
     place = "no pose"
     if poses is not None:
-        x, y, z = np.round(-poses[0, :3, :3].T @ poses[0, :3, 3], 2) + 0.0  # + 0.0 avoids "-0"
+        x, y, z = (
+            np.round(-poses[0, :3, :3].T @ poses[0, :3, 3], 2) + 0.0
+        )  # adding 0.0 turns -0.0 into 0.0
         moving = "" if len(poses) == 1 else f", moving, {len(poses)} poses"
         place = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m{moving}"
     return f"{width} x {height}, {focal}, {lens}, {place}"
 
 
-def _scans(path: Path) -> dict[str, Any]:
+def _describe_scans(path: Path) -> dict[str, Any]:
     paths = scan_paths(path)
     times, fps, decisions = path / "times.csv", None, []
     if times.exists():
@@ -147,7 +149,7 @@ def _scans(path: Path) -> dict[str, Any]:
         decisions.append(f"unit {unit}: by the size of the clouds")
         try:
             scaled = [cloud * METRES[unit] for cloud in clouds]
-            decisions += up_of_clouds(scaled, str(path), told=False)[1] or ("up axis z",)
+            decisions += up_of_clouds(scaled, str(path), unit_given=False)[1] or ("up axis z",)
         except ValueError as error:
             decisions.append(str(error))
     return {
@@ -160,9 +162,9 @@ def _scans(path: Path) -> dict[str, Any]:
     }
 
 
-def _images(path: Path) -> dict[str, Any]:
-    """Depth images, or pictures of other depth that may be masks, by the first of them."""
-    paths = naturally(files_of(path, (".png",)))
+def _describe_images(path: Path) -> dict[str, Any]:
+    """Describe a folder of images as depth images or masks, by the first image."""
+    paths = naturally_sorted(files_of(path, (".png",)))
     image = read_png(paths[0])
     size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
     if image.dtype != np.uint16:

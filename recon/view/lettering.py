@@ -1,4 +1,4 @@
-"""Words, dots and legends on pictures, and pictures joined to sheets."""
+"""Draws words, dots and legends on pictures, and joins pictures to sheets."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -31,7 +31,7 @@ def draw_dots(
     colour: Colour,
     thickness: int = -1,
 ) -> None:
-    """Filled discs or, with a thickness, rings; the centre of the first pixel is at 0.5."""
+    """Draw discs or, with a thickness, rings; the first pixel's centre is at 0.5."""
     near = places[np.abs(places).max(1) < FARTHEST_PX]
     size = round(radius * 2**FRACTION_BITS)
     for x, y in fixed_point(near).tolist():
@@ -39,12 +39,12 @@ def draw_dots(
 
 
 def fixed_point(places: Float[np.ndarray, "*n 2"]) -> np.ndarray:
-    """OpenCV's fixed point; its first pixel has its centre at 0, ours at 0.5."""
+    """Pixel positions as OpenCV's fixed-point numbers, whose first pixel's centre is at 0."""
     return np.round((places - 0.5) * 2**FRACTION_BITS).astype(np.int32)
 
 
 def save_picture(path: Path, picture: Picture) -> None:
-    """Write a PNG.
+    """Write a picture as a PNG file.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
@@ -57,12 +57,12 @@ def save_picture(path: Path, picture: Picture) -> None:
 
 
 def text_size(size: tuple[int, int]) -> int:
-    """Height of the letters that suits a picture, pixels."""
+    """Height of letters for a picture of this size, pixels."""
     return min(max(10, min(size) // 26), 24)
 
 
 def join(pictures: list[Picture], axis: int) -> Picture:
-    """One after the other along an axis with a thin gap, the shorter ones filled up with paper."""
+    """Join pictures along an axis with thin gaps; smaller ones are padded with white."""
     longest = max(picture.shape[1 - axis] for picture in pictures)
     parts: list[Picture] = []
     for picture in pictures:
@@ -74,7 +74,7 @@ def join(pictures: list[Picture], axis: int) -> Picture:
 
 
 def with_legend(picture: Picture, entries: Iterable[tuple[str, Colour]], text: int) -> Picture:
-    """A picture above its legend: coloured discs with words, on as many lines as they need.
+    """A picture with a legend below it: coloured discs with words, on several lines.
 
     Args:
         picture: what is explained.
@@ -106,18 +106,18 @@ def write_line(
     colour: Colour = FAINT,
 ) -> None:
     """Write one line whose baseline starts at `place`."""
-    # OpenCV aborts the process at invalid Unicode, which names of files may contain
+    # OpenCV would abort the process at invalid Unicode, which file names may contain
     cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
 
-def head(picture: Picture, title: str) -> None:
+def write_title(picture: Picture, title: str) -> None:
     """Write a title into the upper left corner."""
     height, width = picture.shape[:2]
     text = text_size((width, height))
     write_line(picture, title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
 
 
-def label(picture: Picture, words: str) -> None:
+def write_corner_label(picture: Picture, words: str) -> None:
     """Write one line into the lower right corner."""
     height, width = picture.shape[:2]
     text = text_size((width, height))

@@ -1,4 +1,4 @@
-"""Points, clouds and cameras of observation files, at the frames of a scene."""
+"""Reads points, clouds and cameras of observation files at the frames of a motion."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ Cloud = tuple[Float[Tensor, "_ 3"], ...]
 def observed(
     paths: Sequence[Path], file: MotionFile, body: BodyModel
 ) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
-    """Points, scan and cameras of observation files at the frames of a motion.
+    """Read points, a scan and cameras of observation files at the frames of a motion.
 
     Cameras of unknown pose take that of the motion file.
 
@@ -44,15 +44,15 @@ def observed(
     for path in paths:
         seen = load_observation(path)
         if isinstance(seen, PositionsFile):
-            points.append(_points(seen, path, file.motion, body))
+            points.append(_points_at_frames(seen, path, file.motion, body))
             continue
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.stem}"
         if isinstance(seen, KeypointsFile):
-            camera = _camera(seen, path, file)
-            cameras.append(_keypoints(seen, camera, path, name, file, body))
+            camera = _camera_at_frames(seen, path, file)
+            cameras.append(_view_of_keypoints(seen, camera, path, name, file, body))
             continue
-        camera = None if seen.camera is None else _camera(seen, path, file)
-        clouds.append(_cloud(seen, camera, file.motion))
+        camera = None if seen.camera is None else _camera_at_frames(seen, path, file)
+        clouds.append(_cloud_at_frames(seen, camera, file.motion))
         if camera is not None:
             cameras.append(View(name, camera))
     merged = tuple(torch.cat(parts) for parts in zip(*clouds, strict=True))
@@ -63,23 +63,23 @@ def observed(
     return together, merged or None, tuple(cameras)
 
 
-def _points(
+def _points_at_frames(
     seen: PositionsFile, path: Path, motion: Motion, body: BodyModel
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Points where they were seen, whether they were, and where they are on the body."""
+    """Observed positions of points, a mask, and their positions on the body."""
     observation = positions_of(seen, path, body)
-    at = _times(observation.positions.shape[1], observation.start_time, observation.fps)
+    at = _sample_times(observation.positions.shape[1], observation.start_time, observation.fps)
     nearest, close = nearest_samples(motion.times, at)
     visible = observation.visible[0, nearest] & close[:, None]
     predicted = observation.predicted(Estimate.of_clip(motion, body))[0]
     return observation.positions[0, nearest], visible, predicted
 
 
-def _keypoints(
+def _view_of_keypoints(
     seen: KeypointsFile, camera: Camera, path: Path, name: str, file: MotionFile, body: BodyModel
 ) -> View:
     nearest, close = nearest_samples(
-        file.motion.times, _times(len(seen.pixels), seen.start_time, seen.fps)
+        file.motion.times, _sample_times(len(seen.pixels), seen.start_time, seen.fps)
     )
     try:
         places = BodyPoints.of_layout(seen.layout, body)
@@ -97,10 +97,12 @@ def _keypoints(
     return View(name, camera, pixels[:, known], confidence[:, known], projection)
 
 
-def _cloud(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:
-    """The points of every frame in the world; none where the sensor has no sample."""
+def _cloud_at_frames(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:
+    """The points of every frame in the world; none in frames without a sample."""
     frames = int(seen.frame.max()) + 1
-    nearest, close = nearest_samples(motion.times, _times(frames, seen.start_time, seen.fps))
+    nearest, close = nearest_samples(
+        motion.times, _sample_times(frames, seen.start_time, seen.fps)
+    )
     order = np.argsort(seen.frame, kind="stable")
     parts = np.split(seen.points[order], np.searchsorted(seen.frame[order], np.arange(1, frames)))
     clouds = [
@@ -113,8 +115,8 @@ def _cloud(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:
     return tuple(transform(T, cloud) for T, cloud in zip(poses, clouds, strict=True))
 
 
-def _camera(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> Camera:
-    """The camera at the motion's frames; a moving one stands still beyond its poses."""
+def _camera_at_frames(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> Camera:
+    """The camera at the motion's frames; a moving one stays at its first and last poses."""
     arrays = seen.camera
     assert arrays is not None
     lens = None if arrays.distortion is None else torch.from_numpy(arrays.distortion).float()
@@ -125,17 +127,17 @@ def _camera(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> C
         raise ValueError(f"{path}: {error}") from error
     if arrays.T_camera_world is None:
         known = camera.replace(T_camera_world=_known_poses(file, path))
-        poses = known.T_world_camera  # the inverse of the stored pose
+        poses = known.T_world_camera  # the property that inverts the stored pose
     else:
         poses = torch.from_numpy(arrays.T_camera_world).float()
         if len(poses) > 1:
-            at = _times(len(poses), seen.start_time, seen.fps)
+            at = _sample_times(len(poses), seen.start_time, seen.fps)
             poses = poses[nearest_samples(file.motion.times, at)[0]]
     return camera.replace(T_camera_world=poses[0] if len(poses) == 1 else poses)
 
 
 def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
-    """T_world_camera of the motion file: one, or one per frame."""
+    """The camera poses of the motion file: one, or one per frame."""
     if file.T_world_camera is None:
         raise ValueError(
             f"{path}: the camera has no pose and the motion file has none (T_world_camera) "
@@ -149,6 +151,6 @@ def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
     return file.T_world_camera.float()
 
 
-def _times(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
-    """Times of samples, seconds."""
+def _sample_times(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
+    """Times of `count` samples, seconds."""
     return start_time + torch.arange(count, dtype=torch.float64) / fps

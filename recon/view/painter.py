@@ -1,4 +1,4 @@
-"""One picture of one frame: lit surfaces over a floor of tiles, on the processor.
+"""Paints one frame of a show: lit surfaces over a tiled floor, on the processor.
 
 Bodies, points and cameras are all faces whose vertices have a light; whatever lies between them is
 interpolated. Only the pixels around them are painted finely.
@@ -54,7 +54,7 @@ Mesh = tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]
 
 @dataclass(frozen=True)
 class Plane:
-    """The floor: n·x = d with two directions along its tiles."""
+    """The plane of the floor, n·x = d, with two directions along its tiles."""
 
     normal: Float[np.ndarray, "3"]
     offset: float
@@ -62,7 +62,7 @@ class Plane:
 
     @classmethod
     def of(cls, ground: Ground | None) -> "Plane":
-        """A ground; None is z = 0."""
+        """The floor plane of a ground; None is z = 0."""
         if ground is None:
             ground = Ground(torch.tensor([0.0, 0.0, 1.0]), torch.tensor(0.0))
         ground = ground.detach().to(device="cpu", dtype=torch.float64)
@@ -70,27 +70,33 @@ class Plane:
         return cls(ground.normal.numpy(), float(ground.offset), basis.numpy())
 
     def depth(self, view: Viewpoint, sunk: float = 0.0) -> Float[np.ndarray, "height width"]:
-        """Depth of the floor, metres, where it is `sunk` metres lower; far above the horizon."""
+        """Depth of the floor at every pixel, metres, if it is `sunk` metres lower."""
         above = float(view.position @ self.normal - self.offset) + sunk
         width, height = view.size
         unit = np.ones((height, width), np.float32)
-        fall = above - view.seen(self.normal[None], unit)[0] + np.float32(self.offset - sunk)
+        fall = (
+            above
+            - view.coordinates_along(self.normal[None], unit)[0]
+            + np.float32(self.offset - sunk)
+        )
         if above <= 0:
             return np.full_like(fall, FARTHEST_M)
         return above / np.maximum(fall, above / FARTHEST_M)
 
 
-def lamp(view: Viewpoint) -> Float[np.ndarray, "3"]:
-    """Unit vector toward a lamp far above the viewer's left shoulder."""
+def direction_to_lamp(view: Viewpoint) -> Float[np.ndarray, "3"]:
+    """Unit vector towards a lamp far above the viewer's left shoulder."""
     right, _, forward = view.R_camera_world
     level = np.array([-forward[0], -forward[1], 0.0])
     toward = 0.75 * level / np.linalg.norm(level) - 0.65 * right + np.array([0, 0, 1.1])
     return toward / np.linalg.norm(toward)
 
 
-def shadow(bodies: list[Mesh], plane: Plane, view: Viewpoint) -> Float[np.ndarray, "height width"]:
-    """Share of the lamp's light that bodies keep from every pixel of the floor."""
-    toward = lamp(view)
+def shadow_on_floor(
+    bodies: list[Mesh], plane: Plane, view: Viewpoint
+) -> Float[np.ndarray, "height width"]:
+    """Share of the lamp's light that bodies block at every pixel of the floor."""
+    toward = direction_to_lamp(view)
     dark = np.zeros(view.size[::-1], np.float32)
     for vertices, faces in bodies:
         along = (vertices @ plane.normal - plane.offset) / (toward @ plane.normal)
@@ -101,20 +107,22 @@ def shadow(bodies: list[Mesh], plane: Plane, view: Viewpoint) -> Float[np.ndarra
     return cv2.GaussianBlur(dark, (0, 0), PENUMBRA_M * view.focal / away)
 
 
-def floor(
-    plane: Plane, view: Viewpoint, dark: Float[np.ndarray, "height width"]
+def floor_picture(
+    plane: Plane, view: Viewpoint, shadow: Float[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width 3"]:
-    """Picture of the floor alone: tiles that fade into the sky, with the bodies' shadow."""
+    """Paint the floor alone: tiles that fade into the sky, darkened by a shadow."""
     fine = view.scaled(SUPERSAMPLING)
-    number = np.floor(fine.seen(plane.tiles.T / TILE_M, plane.depth(fine))).astype(np.int32)
+    number = np.floor(fine.coordinates_along(plane.tiles.T / TILE_M, plane.depth(fine))).astype(
+        np.int32
+    )
     odd = (number.sum(0) & 1).astype(np.float32)
     odd = cv2.resize(odd, view.size, interpolation=cv2.INTER_AREA)[..., None]
-    places = view.seen(plane.tiles.T, plane.depth(view))
+    places = view.coordinates_along(plane.tiles.T, plane.depth(view))
     places -= (view.target @ plane.tiles)[:, None, None]
     reach = max(FADE_M, FADE_SHARE * float(np.linalg.norm(view.target - view.position)))
     fade = np.exp(-np.square(places / reach).sum(0))[..., None]
     tiles = TILES[0] + odd * (TILES[1] - TILES[0])
-    return SKY + fade * (tiles * (1 - SHADE * dark[..., None]) - SKY)
+    return SKY + fade * (tiles * (1 - SHADE * shadow[..., None]) - SKY)
 
 
 DIRECT = 0.95
@@ -139,7 +147,7 @@ EDGE_PX = 1.8
 
 @dataclass(frozen=True)
 class LitSurface:
-    """Faces in the world, with the light that comes from every vertex."""
+    """A surface in the world, with the light that each vertex emits towards the viewer."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -152,35 +160,35 @@ class LitSurface:
 
 
 def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height width 3"]:
-    """The show at one frame, red green blue."""
+    """Paint one frame of a show as an RGB picture."""
     plane = Plane.of(show.ground)
     bodies: list[Mesh] = [
         (figure.posed.vertices[frame].double().numpy(), figure.body.faces.cpu().numpy())
         for figure in show.figures
     ]
-    picture = floor(plane, view, shadow(bodies, plane, view))
+    picture = floor_picture(plane, view, shadow_on_floor(bodies, plane, view))
     surfaces = [
         _lit_body(figure, mesh, frame, view)
         for figure, mesh in zip(show.figures, bodies, strict=True)
     ]
     surfaces.sort(key=lambda surface: -surface.front)
-    surfaces += [*_spheres(show, frame, view), *_pyramids(show, frame, view)]
+    surfaces += [*_lit_points(show, frame, view), *_pyramids(show, frame, view)]
     left, top, right, bottom = _bounding_box(np.concatenate([s.vertices for s in surfaces]), view)
     if right > left and bottom > top:
-        # only drawings on the floor need the finer pixels
+        # supersample only the rectangle that bodies cover
         fine = view.part(left, top, right, bottom).scaled(SUPERSAMPLING)
         beneath = picture[top:bottom, left:right]
         image = cv2.resize(beneath, fine.size, interpolation=cv2.INTER_NEAREST)
         depth = plane.depth(fine, FLOOR_SLACK_M)
         for surface in surfaces:
-            _draw(surface, image, depth, fine)
+            _paint_surface(surface, image, depth, fine)
         size = (right - left, bottom - top)
         picture[top:bottom, left:right] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     return cv2.convertScaleAbs(picture)
 
 
-def linear(colour: Colour) -> Float[np.ndarray, "3"]:
-    """A colour as amounts of light, 0 to 1."""
+def linear_light(colour: Colour) -> Float[np.ndarray, "3"]:
+    """A colour as linear amounts of light, 0 to 1."""
     return (np.array(colour) / 255) ** 2.2
 
 
@@ -189,20 +197,20 @@ def blend(
     light: Float[np.ndarray, "height width 3"],
     opacity: Float[np.ndarray, "height width"],
 ) -> None:
-    """Paint amounts of light over a picture of colours, 0 to 255."""
+    """Blend linear light, converted to colours (0 to 255), into a picture."""
     painted = 255 * cv2.pow(np.clip(light, DARKEST, 1), 1 / 2.2)
     image += opacity[..., None] * (painted - image)
 
 
 def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """The figure's colour at every vertex, and that of contacts around joints that touch."""
+    """Linear colour of every vertex: the figure's, or that of contacts near touching joints."""
     touching = figure.touching[frame].to(figure.body.weights)
     share = (figure.body.weights @ touching).double().numpy()[:, None]
-    return linear(figure.colour) * (1 - share) + linear(CONTACT) * share
+    return linear_light(figure.colour) * (1 - share) + linear_light(CONTACT) * share
 
 
 def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
-    """Edges of a camera's pyramid: from its centre to the image's corners, and round these.
+    """Edges of a camera's pyramid: from its centre to the image's corners, and between these.
 
     World, metres. The lens is left out: its inverse need not exist at the corners.
     """
@@ -218,12 +226,12 @@ def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
 
 
 def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
-    """A body in the light of the sky, of the floor and of the lamp, with a little gloss."""
+    """The body's surface, lit by sky, floor and lamp, with a little gloss."""
     vertices, faces = mesh
     normals = vertex_normals(vertices, faces)
     eye = view.position - vertices
     eye /= np.linalg.norm(eye, axis=1, keepdims=True)
-    toward = lamp(view)
+    toward = direction_to_lamp(view)
     halfway = eye + toward
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
     rim = 0.10 * (1 - np.clip((normals * eye).sum(1), 0, 1)) ** 3
@@ -235,8 +243,8 @@ def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSur
     return LitSurface(vertices, faces, light, front=figure.opacity)
 
 
-def _spheres(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
-    """Standard deviations, scan and points; points often lie in the body, and shine through."""
+def _lit_points(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
+    """Surfaces of standard deviations, scan and points, which shine through the body."""
     found: list[LitSurface] = []
     if show.certainty:
         for figure in show.figures:
@@ -259,23 +267,23 @@ def _balls(
     radii: float | Float[np.ndarray, " balls"],
     colour: Colour,
     view: Viewpoint,
-    front: float = 1.0,
-    through: float = 0.62,
+    opacity_in_front: float = 1.0,
+    opacity_behind: float = 0.62,
 ) -> LitSurface:
-    """Spheres lit from the viewer's upper left; none is smaller than what a picture can show."""
+    """Spheres lit from the viewer's upper left, not smaller than a pixel."""
     places = centres.detach().cpu().double().numpy()
     ball = trimesh.creation.icosphere(subdivisions=1 if len(places) > 200 else 2)
     across, down, away = view.R_camera_world @ ball.vertices.T
-    lamp = np.clip(-0.35 * across - 0.45 * down - 0.75 * away, 0, 1)
+    direction_to_lamp = np.clip(-0.35 * across - 0.45 * down - 0.75 * away, 0, 1)
     depth = np.abs((places - view.position) @ view.R_camera_world[2])
     radii = np.maximum(radii, SMALLEST_PX * depth / (SUPERSAMPLING * view.focal))
     vertices = places[:, None] + radii[:, None, None] * ball.vertices
-    light = linear(colour) * (0.45 + 0.7 * lamp)[:, None]
-    return _copies(vertices, ball.faces, light[None], front, through)
+    light = linear_light(colour) * (0.45 + 0.7 * direction_to_lamp)[:, None]
+    return _copies(vertices, ball.faces, light[None], opacity_in_front, opacity_behind)
 
 
 def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
-    """Cameras as pyramids of thin rods, faint where a surface is nearer."""
+    """Cameras as pyramids of thin rods, faint where a surface hides them."""
     found: list[LitSurface] = []
     for camera in show.cameras:
         lines = frustum(camera.at(frame))
@@ -283,8 +291,8 @@ def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
         radius = EDGE_PX * depth / (SUPERSAMPLING * view.focal)
         rods = [trimesh.creation.cylinder(radius, sections=6, segment=line) for line in lines]
         vertices = np.stack([rod.vertices for rod in rods])
-        light = np.broadcast_to(linear(CAMERA), vertices.shape)
-        found.append(_copies(vertices, rods[0].faces, light, through=0.2))
+        light = np.broadcast_to(linear_light(CAMERA), vertices.shape)
+        found.append(_copies(vertices, rods[0].faces, light, opacity_behind=0.2))
     return found
 
 
@@ -292,20 +300,22 @@ def _copies(
     vertices: Float[np.ndarray, "copies vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     light: Float[np.ndarray, "#copies vertices 3"],
-    front: float = 1.0,
-    through: float = 0.0,
+    opacity_in_front: float = 1.0,
+    opacity_behind: float = 0.0,
 ) -> LitSurface:
     """Many copies of one mesh as a single surface."""
     copies, count = vertices.shape[:2]
     every = np.arange(copies)[:, None, None] * count + faces
     light = np.broadcast_to(light, vertices.shape).reshape(-1, 3)
-    return LitSurface(vertices.reshape(-1, 3), every.reshape(-1, 3), light, front, through)
+    return LitSurface(
+        vertices.reshape(-1, 3), every.reshape(-1, 3), light, opacity_in_front, opacity_behind
+    )
 
 
 def _bounding_box(
     points: Float[np.ndarray, "points 3"], view: Viewpoint
 ) -> tuple[int, int, int, int]:
-    """Bounding box of points in a picture: left, top, right, bottom.
+    """Bounding box of points in a picture, pixels: left, top, right, bottom.
 
     It is the whole picture where one is not well before the viewer.
     """
@@ -317,13 +327,13 @@ def _bounding_box(
     return left, top, right, bottom
 
 
-def _draw(
+def _paint_surface(
     surface: LitSurface,
     image: Float[np.ndarray, "height width 3"],
     depth: Float[np.ndarray, "height width"],
     view: Viewpoint,
 ) -> None:
-    """Paint a surface over a picture whose pixels have a depth, which solid bodies change."""
+    """Paint a surface into a picture and, if it is opaque, into its depth buffer."""
     pixels, away = view.project(surface.vertices)
     faces = surface.faces[(away > NEAREST_M)[surface.faces].all(1)]
     raster = rasterise(pixels, away, faces, view.size, surface.light)

@@ -1,4 +1,4 @@
-"""The content of a picture: bodies, points and contacts; `html` and `frames` draw it."""
+"""The scene that `html` and `frames` draw: bodies, points, contacts and cameras."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +42,7 @@ UNSURE = 0.3
 
 @dataclass(frozen=True)
 class Figure:
-    """One body in one motion."""
+    """A body in motion, with name, colour, contacts and standard deviations."""
 
     body: BodyModel
     motion: Motion
@@ -66,7 +66,7 @@ class Figure:
             )
         if motion.frames == 0 or not bool(motion.valid.all()):
             raise ValueError(
-                f"figure {self.name!r} needs frames that all exist, "
+                f"figure {self.name!r} needs valid frames only, "
                 f"{int(motion.valid.sum())} of {motion.frames} do; cut the padding with window"
             )
         if not 0 < self.opacity <= 1:
@@ -85,12 +85,12 @@ class Figure:
         return self.body.detach().to(device="cpu", dtype=torch.float32).pose(motion)
 
     def node(self, part: str) -> str:
-        """Name of a part of the figure in the tree of the scene."""
-        return f"/world/{_node(self.name)}/{part}"
+        """Path of a part of the figure in the viewer's scene tree."""
+        return f"/world/{_tree_name(self.name)}/{part}"
 
     @property
     def touching(self) -> Bool[Tensor, "time 22"]:
-        """Joints that carry weight."""
+        """Mask of joints that touch the ground."""
         if self.contacts is None:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         return self.contacts.detach().cpu() >= 0.5
@@ -98,7 +98,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Points:
-    """Observed points; where one was not seen, the place the estimate gives it."""
+    """Points over time: observed positions, and estimated ones where they were not seen."""
 
     positions: Float[Tensor, "time points 3"]
     """World, metres."""
@@ -113,12 +113,14 @@ class Points:
         if self.estimated is not None:
             shapes.add(tuple(self.estimated.shape[:2]))
         if len(shapes) != 1:
-            raise ValueError(f"points need one (time, points) everywhere, got {sorted(shapes)}")
+            raise ValueError(
+                f"points differ in their numbers of frames or points, got {sorted(shapes)}"
+            )
 
 
 @dataclass(frozen=True)
 class View:
-    """One camera of a scene, fixed or moving, with the points of its images if there are any."""
+    """A camera of a scene, fixed or moving, perhaps with detected and reprojected points."""
 
     name: str
     """Shown beside the camera and above its images."""
@@ -146,8 +148,10 @@ class View:
         given = {"pixels": self.pixels, "confidence": self.confidence, "reprojected": own}
         shapes = {name: tuple(one.shape[:2]) for name, one in given.items() if one is not None}
         if len(set(shapes.values())) > 1:
-            raise ValueError(f"view {self.name!r} needs one (time, points), got {shapes}")
-        counts = {shape[0] for shape in shapes.values()} | set(_poses(self.camera))
+            raise ValueError(
+                f"view {self.name!r} has arrays of different lengths (time, points), got {shapes}"
+            )
+        counts = {shape[0] for shape in shapes.values()} | set(_frame_counts(self.camera))
         if len(counts) > 1:
             raise ValueError(
                 f"view {self.name!r} needs as many camera poses as frames, got {sorted(counts)}"
@@ -155,18 +159,18 @@ class View:
 
     @property
     def node(self) -> str:
-        """Its name in the tree of the scene."""
-        return f"/world/cameras/{_node(self.name)}"
+        """The camera's path in the viewer's scene tree."""
+        return f"/world/cameras/{_tree_name(self.name)}"
 
     @property
     def frames(self) -> int | None:
         """Number of frames; None for a fixed camera without points, which fits any clip."""
         if self.pixels is not None:
             return len(self.pixels)
-        return next(iter(_poses(self.camera)), None)
+        return next(iter(_frame_counts(self.camera)), None)
 
     def at(self, frame: int) -> Camera:
-        """The camera as it was in one frame, in double precision."""
+        """The camera of one frame, in double precision."""
         camera = self.camera.detach().to(device="cpu", dtype=torch.float64)
         matrix, lens, pose = camera.camera_matrix, camera.distortion, camera.T_camera_world
         return camera.derived(
@@ -186,7 +190,7 @@ class View:
 
     @property
     def median_error(self) -> float | None:
-        """Median distance of detected to reprojected points, pixels; rings do not count."""
+        """Median distance of confident detected points from reprojected ones, pixels."""
         if self.pixels is None or self.reprojected is None:
             return None
         counted = (self.certainty >= UNSURE) & self.reprojected.in_front.cpu()
@@ -198,7 +202,7 @@ class View:
 
 @dataclass(frozen=True)
 class LegendLayer:
-    """Something that is shown, explained by one word of the legend."""
+    """A layer of the scene, with its word and colour in the legend."""
 
     word: str
     colour: Colour
@@ -210,7 +214,7 @@ class LegendLayer:
 
 @dataclass(frozen=True)
 class Show:
-    """One scene over time: z up, everything on the same frames."""
+    """A scene over time: figures, points, cloud and cameras with common frames; z up."""
 
     title: str
     figures: tuple[Figure, ...]
@@ -235,7 +239,9 @@ class Show:
                 raise ValueError(f"{what} of one show need different names, got {names}")
         rates = {figure.motion.fps for figure in self.figures}
         if len(rates) != 1:
-            raise ValueError(f"figures of one show need one rate, got {rates}; resample them")
+            raise ValueError(
+                f"figures of one show need the same frame rate, got {rates}; resample them"
+            )
         counts = {figure.name: figure.motion.frames for figure in self.figures}
         if self.points is not None:
             counts["points"] = len(self.points.positions)
@@ -257,7 +263,7 @@ class Show:
 
     @property
     def layers(self) -> tuple[LegendLayer, ...]:
-        """Everything that is shown, in the order of the legend."""
+        """The layers of the scene in the order of the legend."""
         figures, points = self.figures, self.points
         found = [LegendLayer(f.name, f.colour, (f.node("body"),)) for f in figures]
         nodes = tuple(f.node("contacts") for f in figures if bool(f.touching.any()))
@@ -277,7 +283,7 @@ class Show:
 
     @property
     def legend(self) -> tuple[tuple[str, Colour], ...]:
-        """Words for the colours that occur in pictures; the ground needs none."""
+        """Words and colours of the legend of pictures, without the ground."""
         shown = [layer for layer in self.layers if layer.shown and layer.word != "ground"]
         entries = [(layer.word, layer.colour) for layer in shown]
         if any(view.pixels is not None for view in self.cameras):
@@ -290,23 +296,23 @@ class Show:
         return tuple(entries)
 
 
-def _node(name: str) -> str:
-    """A name as part of a node's; a slash would open a new level of the tree."""
+def _tree_name(name: str) -> str:
+    """A name as one level of the viewer's scene tree, without slashes."""
     return visible(name).replace("/", "-").strip() or "unnamed"
 
 
 def nearest_samples(
     times: Float[Tensor, " frames"], observed_at: Float[Tensor, " time"]
 ) -> tuple[Int[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """The sample nearest to every moment, and whether it is at most half a sample away."""
+    """Index of the sample nearest to every time, and whether it is within half a sample."""
     gap = (times[:, None].double() - observed_at[None].double()).abs()
     distance, nearest = gap.min(1)
     step = observed_at.double().diff().median() if len(observed_at) > 1 else gap.new_tensor(0)
     return nearest, distance <= 0.5 * step + 1e-6
 
 
-def _poses(camera: Camera) -> set[int]:
-    """Numbers of frames that the camera's tensors have, those of a fixed one left out."""
+def _frame_counts(camera: Camera) -> set[int]:
+    """Numbers of frames of the camera's tensors that have an axis of frames."""
     tensors = (camera.camera_matrix, camera.distortion, camera.T_camera_world)
     dims = (3, 2, 3)
     return {
@@ -317,5 +323,5 @@ def _poses(camera: Camera) -> set[int]:
 
 
 def thinned(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
-    """Every second, third ... point, so that no more than `most` are left."""
+    """Every n-th point, so that at most `most` points are left."""
     return points[:: max(1, -(-len(points) // most))]

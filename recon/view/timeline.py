@@ -1,4 +1,4 @@
-"""A show as a file for the Rerun viewer (.rrd): meshes, joints, points and contacts over time.
+"""Writes a show for the Rerun viewer (.rrd): meshes, joints, points and contacts.
 
 It needs the package rerun-sdk (`pip install motion-recon[rerun]`), which is loaded when a file is
 written.
@@ -32,7 +32,7 @@ JOINT_RADIUS_M, BONE_RADIUS_M, CONTACT_RADIUS_M, CLOUD_RADIUS_M = 0.015, 0.006, 
 
 
 def write_rrd(path: Path, show: Show) -> None:
-    """Write every figure with mesh, joints, bones and contacts, what was seen, and cameras.
+    """Write figures (mesh, joints, bones, contacts), observed points and cameras over time.
 
     Everything is an entity of its own below `world`, which the viewer shows and hides: metres,
     z up.
@@ -76,7 +76,7 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
 
 def _log_figure(rerun: Any, stream: Any, figure: Figure, frame: int) -> None:
     node = figure.node
-    # one frame at a time: all surfaces of a long motion would need gigabytes
+    # one frame at a time, since all meshes of a long motion would need gigabytes
     posed = figure.body.pose(figure.motion.window(frame, frame + 1).detach())
     vertices, joints = _array(posed.vertices[0]), _array(posed.joints[0])
     normals = vertex_normals(vertices, figure.body.faces.cpu().numpy())

@@ -1,4 +1,4 @@
-"""The viewpoint: a pinhole camera at three-quarter view that follows the person."""
+"""Viewpoints of pictures: a pinhole camera at three-quarter view that follows the person."""
 
 import dataclasses
 import math
@@ -42,7 +42,7 @@ class Viewpoint:
     """Pixel that the viewing axis goes through."""
 
     def scaled(self, factor: int) -> "Viewpoint":
-        """The view with `factor` times as many pixels along each side."""
+        """The same view with `factor` times as many pixels along each side."""
         x, y = self.centre
         return dataclasses.replace(
             self,
@@ -52,7 +52,7 @@ class Viewpoint:
         )
 
     def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
-        """A rectangle of the picture; `right` and `bottom` are the first column and row beyond."""
+        """The view of a rectangle of the picture, without column `right` and row `bottom`."""
         x, y = self.centre
         size, centre = (right - left, bottom - top), (x - left, y - top)
         return dataclasses.replace(self, size=size, centre=centre)
@@ -60,16 +60,16 @@ class Viewpoint:
     def project(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-        """Pixels (the centre of the first pixel is 0.5) and depth in metres."""
+        """Pixels of points (the first pixel's centre is 0.5) and their depths, metres."""
         local = (points - self.position) @ self.R_camera_world.T
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-6, 1e-6, depth)
         return local[:, :2] / safe[:, None] * self.focal + self.centre, depth
 
-    def seen(
+    def coordinates_along(
         self, axes: Float[np.ndarray, "axes 3"], depth: Float[np.ndarray, "height width"]
     ) -> Float[np.ndarray, "axes height width"]:
-        """Coordinates along some axes of the world of what pixels show at these depths, metres."""
+        """Coordinates, along some axes, of the points that pixels show at given depths; metres."""
         x = (np.arange(self.size[0]) + 0.5 - self.centre[0]) / self.focal
         y = (np.arange(self.size[1]) + 0.5 - self.centre[1]) / self.focal
         x, y = x.astype(np.float32), y.astype(np.float32)[:, None]
@@ -83,26 +83,28 @@ class Viewpoint:
 
 
 def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """One camera per frame: following, or standing where cameras are shown too."""
+    """One viewpoint per frame: one that follows, or a fixed one if cameras are shown, too."""
     centres = [
         view.at(frame).T_world_camera[:3, 3].numpy()
         for view in show.cameras
         for frame in (range(show.frames) if view.camera.T_camera_world.ndim == 3 else (0,))
     ]
     if centres:
-        return overview(show.figures, np.stack(centres), size)
-    return follow(show.figures, size)
+        return fixed_viewpoint(show.figures, np.stack(centres), size)
+    return following_viewpoints(show.figures, size)
 
 
-def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """One camera per frame that keeps all figures in view from a constant direction.
+def following_viewpoints(
+    figures: Sequence[Figure], size: tuple[int, int]
+) -> tuple[Viewpoint, ...]:
+    """Viewpoints per frame that keep all figures in view from a constant direction.
 
     The direction is `AZIMUTH` from the first figure's mean heading, the distance the smallest at
     which the surface stays within `MARGIN` of the picture in 98 % of the frames.
     """
-    surface = np.concatenate([_outline(figure) for figure in figures], 1)
+    surface = np.concatenate([_sparse_vertices(figure) for figure in figures], 1)
     pelvis = np.mean([figure.posed.joints[:, 0].numpy() for figure in figures], 0)
-    target = _smooth(pelvis.astype(np.float64), figures[0].motion.fps * FOLLOW_SECONDS)
+    target = _smoothed_path(pelvis.astype(np.float64), figures[0].motion.fps * FOLLOW_SECONDS)
     target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
 
     R_camera_world = _three_quarter(figures[0], ELEVATION)
@@ -112,16 +114,16 @@ def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint,
     return tuple(Viewpoint(R_camera_world, place - back, place, *lens) for place in target)
 
 
-def overview(
+def fixed_viewpoint(
     figures: Sequence[Figure],
     others: Float[np.ndarray, "points 3"],
     size: tuple[int, int],
 ) -> tuple[Viewpoint, ...]:
-    """One standing camera, repeated for every frame, that sees the figures and other points.
+    """A fixed viewpoint, repeated for every frame, that shows figures and other points.
 
     Points farther than `OVERVIEW_REACH` from everybody are left out of it.
     """
-    surface = np.concatenate([_outline(figure) for figure in figures], 1).reshape(-1, 3)
+    surface = np.concatenate([_sparse_vertices(figure) for figure in figures], 1).reshape(-1, 3)
     middle = (surface.min(0) + surface.max(0)) / 2
     reach = OVERVIEW_REACH + np.ptp(surface, axis=0).max() / 2
     kept = others[np.linalg.norm(others - middle, axis=1) < reach]
@@ -137,7 +139,7 @@ def overview(
 
 
 def _focal(size: tuple[int, int]) -> float:
-    """Focal length of a portrait lens for a picture of this size, pixels."""
+    """Focal length, pixels, for the constant field of view and a picture of this size."""
     return min(size) / 2 / math.tan(FIELD_OF_VIEW / 2)
 
 
@@ -152,13 +154,13 @@ def _distance_needed(
     return (np.abs(local[..., :2]) / reach).max(-1) - local[..., 2]
 
 
-def across(figure: Figure) -> Float[np.ndarray, "3"]:
-    """The level direction that is to the right in pictures of a figure, unit length."""
+def direction_to_the_right(figure: Figure) -> Float[np.ndarray, "3"]:
+    """Horizontal unit vector that points to the right in pictures of a figure."""
     return _three_quarter(figure, ELEVATION)[0]
 
 
 def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """R_camera_world of a camera `AZIMUTH` from a figure's mean heading, looking down on it."""
+    """R_camera_world of a camera at an angle to a figure's mean heading, looking down."""
     front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
     heading = math.atan2(front[1], front[0]) - AZIMUTH
     level = np.array([math.cos(heading), math.sin(heading), 0.0])
@@ -167,19 +169,21 @@ def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]
     return np.stack([right, np.cross(-toward, right), -toward])
 
 
-def _outline(figure: Figure) -> Float[np.ndarray, "time points 3"]:
-    """Every fortieth vertex: enough to know how far a body reaches."""
+def _sparse_vertices(figure: Figure) -> Float[np.ndarray, "time points 3"]:
+    """Every fortieth vertex over time, enough to know how far a body reaches."""
     some = torch.arange(0, len(figure.body.template), 40)
     return figure.posed.points(some).double().numpy()
 
 
-def _smooth(path: Float[np.ndarray, "time 3"], deviation: float) -> Float[np.ndarray, "time 3"]:
-    """Local straight-line fits under a Gaussian window: no lag at the ends of a walk."""
+def _smoothed_path(
+    path: Float[np.ndarray, "time 3"], window_std: float
+) -> Float[np.ndarray, "time 3"]:
+    """A path smoothed by local linear regression with a Gaussian window, without lag."""
     offset = np.arange(len(path))[None] - np.arange(len(path))[:, None]
-    window = np.exp(-0.5 * (offset / max(deviation, 1e-3)) ** 2)
+    window = np.exp(-0.5 * (offset / max(window_std, 1e-3)) ** 2)
     first, second = window * offset, window * offset**2
     first = first.sum(1)
-    second = second.sum(1) + 1e-6  # avoids 0/0 for a single frame
-    # Weighted least squares of position on offset; the value at offset zero, scaled to sum 1.
+    second = second.sum(1) + 1e-6  # no 0/0 for a single frame
+    # weights of a local linear regression, evaluated at offset zero, with sum 1
     weights = window * (second[:, None] - first[:, None] * offset)
     return (weights / weights.sum(1, keepdims=True)) @ path

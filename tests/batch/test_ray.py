@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.batch.ray_cluster import absolute
+from recon.batch.ray_cluster import with_absolute_paths
 from recon.cli import BAD_INPUT, run
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
@@ -37,10 +37,10 @@ def test_files_of_settings_are_named_from_the_root(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own.safetensors").write_bytes(b"")
     settings = FitSettings(camera=Path("camera.toml"), weights="own.safetensors")
-    found = absolute(settings)
+    found = with_absolute_paths(settings)
     assert found.camera == tmp_path / "camera.toml"
     assert found.weights == str(tmp_path / "own.safetensors")
-    assert absolute(FitSettings()) == FitSettings()
+    assert with_absolute_paths(FitSettings()) == FitSettings()
 
 
 def in_cluster(folder: Path, kind: str, *arguments: str) -> subprocess.CompletedProcess[str]:

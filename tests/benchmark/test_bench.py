@@ -154,7 +154,7 @@ def test_unknown_names_are_answered_with_those_there_are():
         bench("gap", ("possum",))
     with pytest.raises(ReconError, match="cannot be imported"):
         method_named("no_such_module:Mine", BODY)
-    with pytest.raises(ReconError, match="name of its own"):
+    with pytest.raises(ReconError, match="need different names"):
         bench("gap", {"truth": Zeros()})
 
 
@@ -208,4 +208,4 @@ def test_the_command_judges_a_class_of_the_current_folder(tmp_path, monkeypatch,
     assert found["windows"]["names"] == ["16_32@0.00"]
     assert found["methods"]["linear"]["mean"]["joints_all"]["mean"] > 0
     assert cli.run(["bench", "gap", "--write", "seen", "--method", "linear"]) == cli.BAD_INPUT
-    assert "--write only writes the observations" in capsys.readouterr().err
+    assert "--write writes observations only" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from recon.body.angles import ISB_ANGLES, isb_angles, isb_slopes
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.opensim import about_axes, opensim_coordinates
-from recon.body.segments import cardan, elevation
+from recon.body.segments import cardan, elevation_angles
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR, joint_index
@@ -149,11 +149,11 @@ def test_elevation_is_the_sequence_of_the_shoulder():
     time = np.linspace(0, 4, 100)
     angles = np.stack((0.5 + time, -1.5 - 1.4 * np.sin(time), 0.3 * time), -1)
     r = Rotation.from_euler("YXY", angles).as_matrix()
-    found = elevation(r)
+    found = elevation_angles(r)
     assert np.abs(found - angles * [1, -1, 1]).max() < 1e-9
     for lifted in (0.0, np.pi):
         one = Rotation.from_euler("YXY", [[0.3, -lifted, 0.5]]).as_matrix()
-        q1, e, q3 = elevation(one)[0]
+        q1, e, q3 = elevation_angles(one)[0]
         assert np.abs(Rotation.from_euler("YXY", [q1, -e, q3]).as_matrix() - one).max() < 1e-9
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recon.body.cycles import find_cycles, hip_flexion, warp
+from recon.body.cycles import find_cycles, hip_flexion, warping_costs
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import MIRROR
@@ -39,7 +39,7 @@ def test_an_inserted_warped_template_is_found_within_two_frames():
     inserted = np.stack([np.sin(math.tau * phase), np.cos(math.tau * phase)], -1)
     row = 2 + 0.1 * random.standard_normal((150, 2))
     row[60:100] = inserted
-    cost, first = warp(template, row)
+    cost, first = warping_costs(template, row)
     last = int(cost.argmin())
     assert abs(last - 99) <= 2
     assert abs(first[last] - 60) <= 2

@@ -134,6 +134,6 @@ def test_other_specifications_are_refused_in_words(spec, words):
 
 def test_a_body_of_one_sex_has_no_other():
     neutral = replace(BODY, male=torch.zeros(16), female=torch.zeros(16))
-    with pytest.raises(ValueError, match="has one sex"):
+    with pytest.raises(ValueError, match="no mean shapes of men and women"):
         identity("man", neutral)
     assert float(neutral.height(identity("tall", neutral))) > 1.85

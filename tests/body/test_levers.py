@@ -6,7 +6,7 @@ from torch import Tensor
 
 from recon.body.derivatives import CarriedPoints
 from recon.body.kinematics import forward_kinematics
-from recon.body.levers import COORDINATES, Levers, ShapeLevers, affine, turned
+from recon.body.levers import COORDINATES, Levers, ShapeLevers, bone_affines, turned
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -45,7 +45,7 @@ class Posed:
             rotations = turned(self.rotations, orientations, steps[:, 3:])
             orientations, joints = forward_kinematics(rotations, rest)
             translation = translation + steps[:, :3]
-        return affine(orientations, joints + translation[:, None])
+        return bone_affines(orientations, joints + translation[:, None])
 
     def jacobian(self) -> Tensor:
         """Central differences, (frames, points, 3, 69)."""
@@ -75,7 +75,7 @@ def test_derivatives_by_steps(posed: Posed) -> None:
     close = {"atol": 1e-7, "rtol": 0}
     torch.testing.assert_close(levers.jacobian(bones), expected, **close)
     pull = torch.einsum("tdv,tvdk->tk", posed.forces, expected)
-    torch.testing.assert_close(levers.pull(bones, posed.forces), pull, atol=1e-6, rtol=0)
+    torch.testing.assert_close(levers.gradient_of(bones, posed.forces), pull, atol=1e-6, rtol=0)
     weighted = expected * posed.weights[..., None, None]
     stiffness = torch.einsum("tvdk,tvdl->tkl", weighted, expected)
     torch.testing.assert_close(
@@ -83,7 +83,7 @@ def test_derivatives_by_steps(posed: Posed) -> None:
     )
     found = torch.ones_like(stiffness)
     some = torch.tensor([0, 2])
-    levers.add_rising(found, some, bones[some], posed.weights[some])
+    levers.add_height_hessian(found, some, bones[some], posed.weights[some])
     rising = torch.einsum("tvk,tvl->tkl", weighted[:, :, 2], expected[:, :, 2])
     torch.testing.assert_close(found[some], 1 + rising[some], atol=1e-6, rtol=0)
     assert (found[1] == 1).all()

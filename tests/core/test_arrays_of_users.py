@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import recon
-from recon.core.arrays import device_at_hand
+from recon.core.arrays import usable_device
 
 
 def test_masked_coordinates_are_not_visible():
@@ -29,7 +29,7 @@ def test_tensors_with_gradients_and_from_inference_are_taken():
 
 
 def test_devices_that_are_not_there_and_inference_are_told():
-    assert device_at_hand("cpu").type == "cpu"
+    assert usable_device("cpu").type == "cpu"
     seen = recon.Joints3D(torch.zeros(4, 22, 3), np.ones((4, 22), bool), range(22), 30.0)
     for name in ("nowhere", "cpu:x", *(() if torch.cuda.is_available() else ("cuda",))):
         with pytest.raises(recon.ReconError, match="cannot be used here"):

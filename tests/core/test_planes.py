@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from recon.core.planes import above, clusters, find_ground, find_walls
+from recon.core.planes import above_ground, clusters, find_ground, find_walls
 
 pytestmark = pytest.mark.numerics
 
@@ -43,7 +43,7 @@ def test_what_stands_on_the_ground_comes_apart():
     points, _ = scene()
     ground = find_ground([points], UP).ground
     assert ground is not None
-    kept = points[above(points, ground)]
+    kept = points[above_ground(points, ground)]
     assert 8000 < len(kept) < 9200
     person = kept[np.linalg.norm(kept[:, :2] + 0.6, axis=1) < 0.7]
     heap = np.concatenate([person, person[:200] + 3.0])

@@ -325,7 +325,7 @@ def test_a_limb_that_the_quick_fit_lost_reaches_for_its_points_before_they_are_b
     turned = truth.rotations.clone()
     turned[..., JOINTS.index("left_shoulder"), :, :] @= so3.exp(torch.tensor([0.0, 2.0, 0.0]))
     lost = Estimate.of_clip(truth.replace(rotations=turned), body)
-    found = quick.pursued(quick.QuickFit(points, lost, cost=1.0), body)
+    found = quick.with_second_start(quick.QuickFit(points, lost, cost=1.0), body)
     wrist = index("left_wrist")
     before, after = (
         Predicted.of(NamedPoints.of(points, body), points, estimate).typical[wrist]

@@ -8,7 +8,13 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import joint_index
-from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
+from recon.fitting.interpolation import (
+    curve_correlation,
+    cycles_of,
+    foot_lift,
+    interpolated_cycle,
+    motion_of_cycle,
+)
 from recon.formats.motions import load_motion, save_motion
 from tests.priors.tiny_anchor import tiny_prior
 from tests.verbs import report_of
@@ -64,7 +70,7 @@ def test_the_ends_are_the_decoded_ends(prior, body):
     a = encoded(prior, cycle(body))
     b = encoded(prior, cycle(body, turn=1.0, side=0.5))
     for share, end in ((0.0, a), (1.0, b)):
-        mixed = between(prior, a, b, share)
+        mixed = interpolated_cycle(prior, a, b, share)
         torch.testing.assert_close(mixed.latent, end.latent)
         torch.testing.assert_close(mixed.base, end.base, atol=1e-5, rtol=1e-5)
 
@@ -74,7 +80,7 @@ def test_codes_shapes_headings_and_places_are_halfway(prior, body):
     other = cycle(body, turn=1.0)
     tall = torch.full((body.shape_size,), 0.5)
     b = encoded(prior, other.replace(shape=tall, translation=other.translation + 2.0))
-    mixed = between(prior, a, b, 0.5)
+    mixed = interpolated_cycle(prior, a, b, 0.5)
     torch.testing.assert_close(mixed.latent, (a.latent + b.latent) / 2)
     torch.testing.assert_close(mixed.shape, (a.shape + b.shape) / 2)
     relative = [float(so3.log(a.base[:, :3, :3].mT @ x.base[:, :3, :3])[0, 2]) for x in (mixed, b)]
@@ -88,7 +94,7 @@ def test_codes_shapes_headings_and_places_are_halfway(prior, body):
 
 def test_a_played_cycle_lasts_as_long_as_its_anchors(prior, body):
     x = encoded(prior, cycle(body))
-    motion = played(prior, x, 60.0)
+    motion = motion_of_cycle(prior, x, 60.0)
     duration = float(prior.anchors(x).duration[0])
     assert (motion.frames - 1) / 60 == pytest.approx(duration, abs=1 / 60)
     torch.testing.assert_close(
@@ -111,7 +117,7 @@ def test_feet_agree_with_themselves_and_not_with_the_other_side(body):
             torch.zeros(body.shape_size), ANCHORS - 1.0)).joints)
         for about in ({}, {"phase": math.pi})
     ])  # fmt: skip
-    agree = agreement(lifts, lifts)
+    agree = curve_correlation(lifts, lifts)
     torch.testing.assert_close(agree.diagonal(), torch.ones(2))
     assert agree[0, 1] < -0.8
 

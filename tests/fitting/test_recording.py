@@ -18,8 +18,8 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting import gait
 from recon.fitting.cycles import NAMED_NOISE, moments_per_second, on_fast_clock
-from recon.fitting.gait import CompletedCycle, stretches, told_by_cycles
-from recon.fitting.recording import WholeRecording, noise_told
+from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches
+from recon.fitting.recording import WholeRecording, given_or_usual_noise
 from recon.simulation.points import Corruption, landmarks3d
 from tests.walk_prior import one_cycle, tiny_weights, walk
 
@@ -112,11 +112,11 @@ def test_scans_at_odd_times_count_as_much_on_a_fast_clock(truth):
     shown = torch.zeros_like(fast.visible)
     shown[:, ::40] = fast.visible[:, ::40]
     odd = Markers3D(fast.positions, shown, fast.vertices, 200.0)
-    noises = [noise_told(one, None, few=True) for one in (slow, odd)]
+    noises = [given_or_usual_noise(one, None, few_moments=True) for one in (slow, odd)]
     assert noises[0] == pytest.approx(NAMED_NOISE)
     assert noises[1] == pytest.approx(NAMED_NOISE * 0.15**0.5)
-    assert noise_told(odd, 0.02, few=True) == pytest.approx(0.02 * 0.15**0.5)
-    assert noise_told(fast, None, few=False) is None
+    assert given_or_usual_noise(odd, 0.02, few_moments=True) == pytest.approx(0.02 * 0.15**0.5)
+    assert given_or_usual_noise(fast, None, few_moments=False) is None
 
 
 def test_cycles_that_overlap_or_follow_are_one_stretch():
@@ -137,7 +137,7 @@ def test_cycles_fade_into_each_other_and_out(truth):
             Cycle(0.7, 1.7, "right", 0.0), moved.at(_times(0.7, 1.7), 60.0), 0.0, 0.0, 0.0
         ),
     ]
-    told = told_by_cycles(cycles, motion, BODY)
+    told = joints_of_cycles(cycles, motion, BODY)
     assert isinstance(told, Joints3D)
     assert told.std is not None
     there = told.visible[0, :, 0]

@@ -8,7 +8,7 @@ import torch
 
 import recon
 from recon import cli
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.core.skeleton import JOINTS
 from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import save_motion
@@ -25,7 +25,7 @@ def fitted():
     std[:, 0] = 0.01
     observed = torch.ones(FRAMES, 22, dtype=torch.bool)
     observed[:, [7, 8]] = False
-    return described(walk(FRAMES), bundled(), observed=observed, joint_std=std)
+    return motion_file_of(walk(FRAMES), bundled(), observed=observed, joint_std=std)
 
 
 def rows_of(path):

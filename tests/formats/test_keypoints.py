@@ -10,7 +10,7 @@ import pytest
 from recon.core.layouts import keypoint_names
 from recon.detections.reader import read_keypoints
 from recon.detections.records import cleaned
-from recon.detections.tables import normalised
+from recon.detections.tables import plain_part_name
 from recon.formats.json_files import frame_numbers
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose
 
@@ -149,8 +149,8 @@ def test_spellings_of_body_parts():
         "LEFT_HIP",
         "LEFT HIP",
     ):
-        assert normalised(spelling) == "left_hip", spelling
-    assert normalised("LBigToe") == "left_big_toe"
+        assert plain_part_name(spelling) == "left_hip", spelling
+    assert plain_part_name("LBigToe") == "left_big_toe"
 
 
 def test_easymocap_annots(tmp_path):
@@ -181,7 +181,7 @@ def test_frame_numbers_are_what_differs_between_names():
         ("{}", "all 1 frames are empty"),
         ('{"bodies": []}', "expected OpenPose"),
         ('[{"keypoints": [[1, 2]], "keypoint_scores": [1, 2]}]', "with scores"),
-        ('{"people": [{"pose_keypoints_2d": [1, 2, 1]}]}', "1 keypoints are no layout"),
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 1]}]}', "no known layout has 1 keypoints"),
         ("3", "expected OpenPose"),
         ("[]", "expected OpenPose"),
         ("null", "expected OpenPose"),

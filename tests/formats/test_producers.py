@@ -58,8 +58,8 @@ def test_the_four_verbs_give_one_answer(tmp_path, producer):
             verb(path)
         assert time.perf_counter() - begun < 0.5
         answers[name] = str(refused.value)
-    assert set(answers.values()) <= {f"{path}: {producer.answer()}"}
-    assert producer.verbs or producer.note in producer.answer()
+    assert set(answers.values()) <= {f"{path}: {producer.how_to_read()}"}
+    assert producer.verbs or producer.note in producer.how_to_read()
 
 
 @every

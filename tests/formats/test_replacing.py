@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from recon.formats.replacing import clear_leftovers, part_of, replacing, save_arrays
+from recon.formats.replacing import clear_leftovers, replacing, save_arrays, temporary_path
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_a_link_stays_a_link(tmp_path):
 def test_leftovers_of_dead_processes_go_and_others_stay(tmp_path, dead):
     """What a killed run had half written stayed for ever."""
     path = tmp_path / "m.npz"
-    mine = part_of(path)
+    mine = temporary_path(path)
     ours = str(os.getpid())
     names = [
         mine.name.replace(f"-{ours}.", f"-{os.getppid()}."),
@@ -64,7 +64,7 @@ def test_leftovers_of_dead_processes_go_and_others_stay(tmp_path, dead):
 
 def test_writing_a_motion_clears_what_a_killed_run_left(tmp_path, dead):
     path = tmp_path / "m.npz"
-    left = part_of(path).name.replace(f"-{os.getpid()}.", f"-{dead}.")
+    left = temporary_path(path).name.replace(f"-{os.getpid()}.", f"-{dead}.")
     (tmp_path / left).mkdir()
     (tmp_path / left / "m.npz").write_text("half")
     save_arrays(path, {"a": np.zeros(3)})

@@ -61,7 +61,7 @@ def test_every_tracker_tells_the_same_path(tmp_path) -> None:
         found = read_track(path)
         assert found.producer == producer
         assert found.metric == found.level == (producer == "ARKit")
-        T, _ = found.at(1, FRAMES, 30.0)
+        T, _ = found.poses_at_frames(1, FRAMES, 30.0)
         true = poses() if found.metric else in_units(poses())
         np.testing.assert_allclose(T, true, atol=2e-6)
         if producer in ("COLMAP", "ARKit"):
@@ -76,11 +76,11 @@ def test_every_tracker_tells_the_same_path(tmp_path) -> None:
 def test_keyframes_are_joined_by_straight_ways(tmp_path) -> None:
     T = in_units(poses())
     np.savez(tmp_path / "key.npz", poses=seven(T)[::3], tstamps=np.arange(FRAMES)[::3])
-    found, _ = read_track(tmp_path / "key.npz").at(0, FRAMES, 30.0)
+    found, _ = read_track(tmp_path / "key.npz").poses_at_frames(0, FRAMES, 30.0)
     np.testing.assert_allclose(found[::3], T[::3], atol=1e-6)
     assert np.abs(found - T)[: FRAMES - 2].max() < 0.02
     with pytest.raises(ValueError, match="poses of the same film"):
-        read_track(tmp_path / "key.npz").at(500, FRAMES, 30.0)
+        read_track(tmp_path / "key.npz").poses_at_frames(500, FRAMES, 30.0)
 
 
 @pytest.mark.parametrize(

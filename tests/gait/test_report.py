@@ -11,7 +11,7 @@ import torch
 
 import recon
 from recon import cli
-from recon.api.result import described
+from recon.api.result import motion_file_of
 from recon.body.angles import ISB_ANGLES
 from recon.body.motion_files import load_motion_of
 from recon.formats.reports import report_text
@@ -72,7 +72,7 @@ def test_standard_deviations_of_a_fit_are_bands():
     body = recon.BodyModel.load()
     motion = load_motion_of(DEMO, body).motion
     std = torch.full((motion.frames, len(ISB_ANGLES)), 2.0)
-    file = described(motion, body, angle_std=std)
+    file = motion_file_of(motion, body, angle_std=std)
     sure = recon.report(file)
     assert sure.gait.angle_std["knee_flexion_l"].mean() == pytest.approx(2.0)
     assert "SD of the fit" in sure.page()
@@ -138,7 +138,7 @@ def test_what_is_no_motion_is_refused(tmp_path, found):
     np.savez(tmp_path / "seen.npz", kind="joints3d", positions=np.zeros((4, 22, 3)))
     with pytest.raises(recon.FormatError, match="recon fit"):
         recon.report(tmp_path / "seen.npz")
-    with pytest.raises(recon.FormatError, match="are of recordings"):
+    with pytest.raises(recon.FormatError, match="are options for recordings"):
         recon.report(DEMO, unit="mm")
     with pytest.raises(ValueError, match="would both be written"):
         found.save(tmp_path / "gait.csv")

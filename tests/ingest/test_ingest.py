@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from recon.batch.collection import SourceClip, collections, contents, skeleton_key
-from recon.batch.corpus import config_hash, convert_corpus
+from recon.batch.corpus import conversion_checksum, convert_corpus
 from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
@@ -23,7 +23,7 @@ from recon.core.skeleton import JOINTS, LEGS
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
-from recon.ingest.conversion import glitches, resampled
+from recon.ingest.conversion import jump_frames, resampled
 from recon.ingest.maps import alignments_from_rest, recognise
 from recon.ingest.marker_sets import STANDOFF, full_body_markers, nominal_offsets
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
@@ -207,11 +207,11 @@ def test_turning_the_world(planted: Motion, bundled: BodyModel) -> None:
 
 
 def test_jumps_split_a_recording(recording: SkeletonRecording) -> None:
-    assert glitches(recording) == ()
+    assert jump_frames(recording) == ()
     jumpy = recording.positions.copy()
     jumpy[62:] += 2.0
     broken = dataclasses.replace(recording, positions=jumpy)
-    assert glitches(broken) == (61,)
+    assert jump_frames(broken) == (61,)
     pieces, rejected = split(SourceClip("c", "clip", Path("clip.bvh")), broken)
     assert [(p.name, p.recording.frames) for p in pieces] == [("clip.0", 62)]
     assert rejected[0]["kept"] is False
@@ -264,7 +264,7 @@ def test_a_corpus_is_resumed(recording: SkeletonRecording, tmp_path: Path) -> No
 
 def test_settings_have_a_hash(bundled: BodyModel) -> None:
     other = dataclasses.replace(bundled, checksum="another")
-    assert config_hash(bundled) != config_hash(other)
+    assert conversion_checksum(bundled) != conversion_checksum(other)
 
 
 def marker_recording(planted: Motion, body: BodyModel) -> tuple[MarkerRecording, Tensor]:

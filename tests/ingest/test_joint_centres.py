@@ -7,7 +7,7 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
-from recon.detections.tables import normalised
+from recon.detections.tables import plain_part_name
 from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.marker_sets import keypoint_places
@@ -18,7 +18,7 @@ from tests.ingest.walker import MARKERS
 @pytest.mark.parametrize("label", ["RHip", "LKnee", "Nose", "CHip", "Neck", "left_big_toe", "Hip"])
 def test_keypoints_are_known_by_name(label: str) -> None:
     assert meant_keypoints([label]) != [None]
-    assert normalised("RHip") == "right_hip"
+    assert plain_part_name("RHip") == "right_hip"
 
 
 def test_marker_sets_are_no_keypoints(single: BodyModel) -> None:

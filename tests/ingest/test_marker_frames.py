@@ -20,13 +20,13 @@ def lifted(markers: MarkerRecording, metres: float) -> MarkerRecording:
 
 def test_calibration_frames_are_even_where_all_markers_are_seen() -> None:
     visible, every = torch.ones(301, 4, dtype=torch.bool), torch.ones(301, dtype=torch.bool)
-    chosen = fit._well_seen(visible, every)
+    chosen = fit._frames_with_most_markers(visible, every)
     assert len(chosen) == fit.CALIBRATION_FRAMES
     assert (chosen[0], chosen[-1]) == (0, 300)
     assert int(chosen.diff().max()) <= 3
     placed = every.clone()
     placed[:100] = False
-    assert int(fit._well_seen(visible, placed)[0]) == 100
+    assert int(fit._frames_with_most_markers(visible, placed)[0]) == 100
 
 
 def test_poor_frames_calibrate_a_marker_that_is_seen_in_no_others() -> None:
@@ -36,23 +36,26 @@ def test_poor_frames_calibrate_a_marker_that_is_seen_in_no_others() -> None:
     visible[20:36, 0] = False
     visible[:4, 1] = False
     # all frames with three markers are taken, so that the fourth is seen in 16
-    assert fit._well_seen(visible, every).tolist() == list(range(4, 40))
+    assert fit._frames_with_most_markers(visible, every).tolist() == list(range(4, 40))
     visible[20:36, 1] = False  # these show half of the most, so that even they are needed
-    chosen = fit._well_seen(visible, every).tolist()
+    chosen = fit._frames_with_most_markers(visible, every).tolist()
     assert set(range(20, 36)) <= set(chosen)
     visible[20:36, 3] = False
-    assert fit._well_seen(visible, every).tolist() == [*range(4, 20), *range(36, 40)]
+    assert fit._frames_with_most_markers(visible, every).tolist() == [
+        *range(4, 20),
+        *range(36, 40),
+    ]
 
 
 def test_a_ground_is_where_the_lowest_markers_are_as_high_as_those_of_feet(
     markers: MarkerRecording, single: BodyModel
 ) -> None:
-    assert fit.stands_on_zero(markers)
+    assert fit.ground_is_zero(markers)
     low = np.where(markers.visible, markers.positions[..., 2], np.inf).min(-1)
     for metres, stands in ((0.07, True), (0.09, False), (-0.01, False)):
-        assert fit.stands_on_zero(lifted(markers, metres - float(np.quantile(low, 0.1)))) is stands
+        assert fit.ground_is_zero(lifted(markers, metres - float(np.quantile(low, 0.1)))) is stands
     unseen = dataclasses.replace(markers, visible=np.zeros_like(markers.visible))
-    assert not fit.stands_on_zero(unseen)
+    assert not fit.ground_is_zero(unseen)
     known = full_body_markers(markers, single)
     assert fit._energies(markers, known, single).under is not None
     assert fit._energies(lifted(markers, 1.0), known, single).under is None
@@ -73,7 +76,7 @@ def test_calibration_frames_are_apart_and_count_as_thirty_a_second(
     for rate in (markers.fps, 4 * markers.fps):
         subject = fit._energies(dataclasses.replace(markers, fps=rate), known, single)
         with pytest.raises(InterruptedError):
-            fit._calibrated(subject.frames(torch.arange(5)), known.bones)
+            fit._calibrated_to_frames(subject.frames(torch.arange(5)), known.bones)
     for one in poses:
         assert one.weight == 1.0
         assert not one.linked.any()

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from recon.body.derivatives import logarithm_by
+from recon.body.derivatives import inverse_right_jacobian
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.ingest.marker_fit import fit_markers
 from recon.ingest.marker_gaps import observed_joints
 from recon.ingest.marker_neighbours import (
-    _precision,
-    _smoothed,
+    _precision_band,
+    _smoothed_over_time,
     frames_about_gaps,
 )
 from recon.ingest.marker_sets import full_body_markers
@@ -84,7 +84,7 @@ def test_the_jacobian_of_rotation_vectors() -> None:
     turns = torch.tensor(
         [[0.0, 0.0, 0.0], [1e-3, 2e-3, 0.0], [0.4, -1.1, 0.8], [1.6, 2.2, -1.5]]
     ).double()
-    found = logarithm_by(turns)
+    found = inverse_right_jacobian(turns)
     for axis in range(3):
         step = torch.zeros(3).double()
         step[axis] = 1e-6
@@ -102,8 +102,8 @@ def test_a_joint_is_smoothed_as_its_process_asks() -> None:
     known = torch.from_numpy(root @ root.swapaxes(-1, -2))
     known[2] = 0.0
     values = torch.from_numpy(random.standard_normal((6, 21, 3)))
-    found = _smoothed(known, values, moments, step)
-    band = _precision(41, step)
+    found = _smoothed_over_time(known, values, moments, step)
+    band = _precision_band(41, step)
     full = sum(np.diag(band[k, : 123 - k], -k) for k in range(7))
     full = full + np.tril(full, -1).T
     right = np.zeros(123)
@@ -116,7 +116,7 @@ def test_a_joint_is_smoothed_as_its_process_asks() -> None:
     sure = 1e6 * torch.eye(3).double().expand(3, 21, 3, 3).clone()
     sure[1] = 0.0
     ends = torch.tensor([1.0, 0.0, 1.0]).double()[:, None, None].expand(3, 21, 3)
-    near = _smoothed(sure, ends, torch.tensor([0, 2, 4]), step)
-    far = _smoothed(sure, ends, torch.tensor([0, 40, 80]), step)
+    near = _smoothed_over_time(sure, ends, torch.tensor([0, 2, 4]), step)
+    far = _smoothed_over_time(sure, ends, torch.tensor([0, 40, 80]), step)
     assert near[1].min() > 0.9
     assert far[1].abs().max() < 0.01

@@ -106,7 +106,7 @@ def energies_of(
 
 
 def total(energies: PoseEnergies, poses: Poses) -> Tensor:
-    value, _ = energies.look(poses, torch.arange(len(poses.translation)))
+    value, _ = energies.energies_and_gradients(poses, torch.arange(len(poses.translation)))
     return value.sum() + energies.tied(poses)[0].sum()
 
 
@@ -140,7 +140,7 @@ def test_energies_are_those_of_the_terms(anybody: BodyModel) -> None:
     batch = motion.map(lambda tensor: tensor[None])
     estimate = Estimate(Decoded(batch), anybody.pose(batch), Scene(offsets[None]))
     expected = sum(term.weight * term.energy(estimate) for term in terms_of(seen, soles))
-    found = total(energies, energies.begun(motion.translation, motion.rotations))
+    found = total(energies, energies.poses_of(motion.translation, motion.rotations))
     torch.testing.assert_close(found, expected[0])  # pyright: ignore[reportIndexIssue]
 
 
@@ -150,8 +150,8 @@ def test_gradients(anybody: BodyModel) -> None:
         seen, 0.02 * random(len(vertices), 3), motion.shape, torch.arange(5), anybody
     )
     energies = replace(energies, linked=torch.tensor([True, False, True]))
-    poses, rows = energies.begun(motion.translation, motion.rotations), torch.arange(FRAMES)
-    gradient = energies.look(poses, rows)[1] + energies.tied(poses)[1]
+    poses, rows = energies.poses_of(motion.translation, motion.rotations), torch.arange(FRAMES)
+    gradient = energies.energies_and_gradients(poses, rows)[1] + energies.tied(poses)[1]
     for k in range(gradient.shape[1]):
         step = torch.zeros_like(gradient)
         for frame in (k % 2, 2 + k % 2):
@@ -171,7 +171,7 @@ def test_equations_of_the_subject(body: BodyModel) -> None:
         random(len(vertices)).square(), 0.1, replace(poses, weight=1.0), with_offsets=True,
     )  # fmt: skip
     state = Calibrated(
-        energies.of(motion.shape, offsets).begun(motion.translation, motion.rotations),
+        energies.of(motion.shape, offsets).poses_of(motion.translation, motion.rotations),
         motion.shape, offsets,
     )  # fmt: skip
     rows = torch.arange(1)
@@ -235,10 +235,12 @@ def test_the_optimum_is_that_of_lbfgs(walker: tuple[BodyModel, Markers3D, Tensor
     estimate, _ = run_stages((stage,), body, batch, Scene(offsets[None]))
     energies = energies_of(seen, offsets, motion.shape, soles, body)
     settings = LevenbergMarquardt(tolerance=1e-6)
-    found = minimise_frames(energies, energies.begun(start.translation, start.rotations), settings)
+    found = minimise_frames(
+        energies, energies.poses_of(start.translation, start.rotations), settings
+    )
     assert found.converged.all()
     assert found.iterations < 30
-    theirs = energies.begun(estimate.motion.translation[0], estimate.motion.rotations[0])
+    theirs = energies.poses_of(estimate.motion.translation[0], estimate.motion.rotations[0])
     assert found.total < float(total(energies, theirs)) * (1 + 1e-4)
     away = (found.state.bones - theirs.bones).unflatten(-1, (-1, 4))[..., 3]
     assert away.norm(dim=1).mean() < 2e-3
@@ -261,5 +263,5 @@ def test_a_real_recording_is_met_as_lbfgs_met_it(data: Path) -> None:
     fit = fit_markers(some, markers, body)
     away = np.linalg.norm(fit.predicted.numpy() - some.positions, axis=-1)[some.visible]
     assert away.mean() < 0.0062
-    assert not fit.mended.any()
-    assert not fit.unmade.any()
+    assert not fit.repaired.any()
+    assert not fit.unsupported.any()

@@ -19,14 +19,14 @@ from recon.core.skeleton import JOINTS, joint_index
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
-from recon.ingest.conversion import floored
+from recon.ingest.conversion import on_ground
 from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     mirrored,
     side_pairs,
     steady_labels,
 )
-from recon.ingest.marker_gaps import bridged, gap_findings, observed_joints, placed_frames
+from recon.ingest.marker_gaps import gap_findings, observed_joints, placed_frames, with_gaps_filled
 from recon.ingest.marker_observation import seen_markers
 from recon.ingest.marker_poses import natural_pose
 from recon.ingest.marker_sets import full_body_markers
@@ -185,7 +185,7 @@ def test_a_limb_is_joined_over_its_own_gap(walk: Motion) -> None:
     turned = torch.ones(walk.frames, 22, dtype=torch.bool)
     arm = joint_index("left_shoulder")
     turned[10:20, arm] = False
-    found = bridged(walk, torch.arange(walk.frames), turned)
+    found = with_gaps_filled(walk, torch.arange(walk.frames), turned)
     others = [j for j in range(22) if j != arm]
     assert torch.equal(found.rotations[:, others], walk.rotations[:, others])
     assert torch.equal(found.rotations[:10, arm], walk.rotations[:10, arm])
@@ -317,11 +317,11 @@ def test_contacts_on_a_belt_are_not_told(walk: Motion, single: BodyModel, tmp_pa
     drift = (whole.translation[-1] - whole.translation[0]) / seconds[-1]
     drift[2] = 0.0
     belt = whole.replace(translation=whole.translation - seconds[:, None] * drift)
-    found = floored(belt, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
+    found = on_ground(belt, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
     assert codes(found.warnings) == ["treadmill"]
     found.save(tmp_path / "m.npz", single)
     assert load_motion(tmp_path / "m.npz").contacts is None
-    still = floored(whole, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
+    still = on_ground(whole, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
     assert still.warnings == ()
     # the belt's stance gives the same ground as the floor's
     low, floor = (f.joints[..., 2].amin() for f in (found, still))

@@ -11,7 +11,7 @@ from recon.ingest.maps import recognise
 from recon.mocap.reader import (
     NEEDED,
     known_skeletons,
-    plain,
+    plain_joint_name,
     read_recording,
     refuse_unknown_skeleton,
     skeleton_among,
@@ -47,9 +47,9 @@ def test_every_known_skeleton_is_recognised_and_is_a_whole_body(name: str) -> No
     theirs = [joint for part in table.values() for joint in part.values()]
     found = skeleton_among([f"Actor:{joint.upper()}" for joint in theirs], "clip")
     # tables of fewer joints may be part of others
-    assert {plain(j) for part in known_skeletons()[found].values() for j in part.values()} <= {
-        plain(joint) for joint in theirs
-    }
+    assert {
+        plain_joint_name(j) for part in known_skeletons()[found].values() for j in part.values()
+    } <= {plain_joint_name(joint) for joint in theirs}
     positions = {**table.get("joints", {}), **table.get("positions", {})}
     assert set(NEEDED) <= set(positions)
     assert {joint for part in table.values() for joint in part} <= set(JOINTS)

@@ -42,7 +42,7 @@ class _Bent(TiedFrames[_Points]):
         rows = (-20 * a, torch.full_like(a, 10.0), -torch.ones_like(a), torch.zeros_like(a))
         return torch.stack(rows, -1).unflatten(-1, (2, 2))
 
-    def look(self, state: _Points, rows: Tensor) -> tuple[Tensor, Tensor]:
+    def energies_and_gradients(self, state: _Points, rows: Tensor) -> tuple[Tensor, Tensor]:
         x = state.x[rows]
         away = self.residuals(x) - self.data[rows]
         return 0.5 * away.square().sum(-1), (self.jacobian(x).mT @ away[..., None])[..., 0]
@@ -51,7 +51,7 @@ class _Bent(TiedFrames[_Points]):
         jacobian = self.jacobian(state.x[rows])
         return jacobian.mT @ jacobian
 
-    def alike(self, some: Tensor, others: Tensor) -> Tensor:
+    def share_data_kind(self, some: Tensor, others: Tensor) -> Tensor:
         return self.kinds[some] == self.kinds[others]
 
     def tied(self, state: _Points) -> tuple[Tensor, Tensor]:
@@ -72,7 +72,7 @@ def bent() -> _Bent:
 
 
 def total(bent: _Bent, x: Tensor) -> Tensor:
-    value, _ = bent.look(_Points(x), torch.arange(len(x)))
+    value, _ = bent.energies_and_gradients(_Points(x), torch.arange(len(x)))
     between, _ = bent.tied(_Points(x))
     return value.sum() + between.sum()
 

@@ -245,7 +245,7 @@ def test_options_of_other_sensors_are_refused(kind, surface, words, clip, tmp_pa
         ("depth", FilmSettings(layout="coco17"), False, "layout is"),
         ("keypoints2d", FilmSettings(layout="frobnicate"), False, "frobnicate"),
         ("keypoints2d", FilmSettings(views=0), False, "views:"),
-        ("keypoints2d", FilmSettings(views=2), True, "cannot be put together"),
+        ("keypoints2d", FilmSettings(views=2), True, "cannot be combined"),
         ("keypoints2d", FilmSettings(orbit=1.0), True, "moving camera"),
         ("keypoints2d", FilmSettings(views=2), False, "give a folder"),
     ],

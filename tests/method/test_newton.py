@@ -15,7 +15,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.marquardt import factorised, marquardt, preconditioned
-from recon.method.newton import Local, NoHessian
+from recon.method.newton import NoHessian, StageProblem
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage
@@ -85,7 +85,7 @@ def test_the_hessian_is_that_of_the_residuals(body: BodyModel, kind: str) -> Non
         fps = 18.0 if kind == "slower clock" else 30.0
         seen = seen_by(body, 3 if kind == "slower clock" else 5, fps)
     stage = pose_stage([seen.to(dtype=torch.float64)], exact)
-    local, base = Local.about(stage, exact, start_of(stage, motion, exact))
+    local, base = StageProblem.about(stage, exact, start_of(stage, motion, exact))
 
     def at(steps: Tensor) -> Tensor:
         moved = local.stepped(base, steps[None])
@@ -184,7 +184,7 @@ def test_without_a_known_hessian_first_order_goes_on(body: BodyModel) -> None:
     stage = pose_stage([seen_by(body)], body)
     stage = replace(stage, terms=(Term("own", energy, 1.0), *stage.terms[1:]))
     start = start_of(stage, swinging(6, 0)[None], body)
-    local, base = Local.about(stage, body, start)
+    local, base = StageProblem.about(stage, body, start)
     with pytest.raises(NoHessian):
         local.model(base, torch.arange(1))
     variables, _, _ = laws.minimised(stage, body, start.variables, start.scene)
@@ -195,4 +195,4 @@ def test_a_hessian_that_cannot_be_factorised_scales_nothing() -> None:
     bad = Banded.zero(4, 2, 69, 1, torch.zeros(0))
     bad.inner[:, 0] = torch.nan
     u = torch.randn(4 * 69 + 1)
-    torch.testing.assert_close(factorised(bad).up(u), u, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(factorised(bad).solve_upper(u), u, rtol=1e-4, atol=1e-5)

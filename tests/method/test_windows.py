@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.method.windows import Windows, fade, join
+from recon.method.windows import Windows, join, smooth_ramp
 from tests import laws
 
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_joined_is_refused(toy_body):
 
 def test_a_fade_is_a_partition_and_bounded():
     times = torch.linspace(-1, 3, 41, dtype=torch.float64)
-    weight = fade(times, 0.0, 2.0)
+    weight = smooth_ramp(times, 0.0, 2.0)
     assert weight.min() == 0
     assert weight.max() == 1
-    assert torch.allclose(weight + fade(2 - times, 0.0, 2.0), torch.ones(41).double())
+    assert torch.allclose(weight + smooth_ramp(2 - times, 0.0, 2.0), torch.ones(41).double())

@@ -70,7 +70,7 @@ def test_points_without_a_place_are_refused(body, walk):
     unplaced = PointsFile(
         scans.points, scans.frame, 30.0, type(camera)(camera.camera_matrix, camera.image_size)
     )
-    with pytest.raises(ValueError, match="without pose"):
+    with pytest.raises(ValueError, match="whose pose is unknown"):
         chamfer_of_clip(walk, body, unplaced)
     nothing = PointsFile(np.zeros((0, 3)), np.zeros(0, np.int64), 30.0)
     with pytest.raises(ValueError, match="none"):

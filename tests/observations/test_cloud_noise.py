@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
-from observations.surfels import Surfels, bounded
+from observations.surfels import Surfels, fixed_scale_kernel
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.reading.clouds import cloud_of
@@ -25,7 +25,7 @@ def noisy(body, motion, spread, **fields):
 def test_moments_of_a_noisy_sensor_count_less(toy_body, monkeypatch):
     """A person 6 m away, seen with 7 cm of noise, was followed as one at 2 m is."""
     motion = laws.a_motion(toy_body)
-    cloud = noisy(toy_body, motion, 0.02, kernel=bounded)
+    cloud = noisy(toy_body, motion, 0.02, kernel=fixed_scale_kernel)
     estimate = laws.estimate_of(toy_body, motion)
     moments = cloud.present.shape[:-1]
     alike = cloud.replace(std=torch.zeros(moments))
@@ -35,7 +35,7 @@ def test_moments_of_a_noisy_sensor_count_less(toy_body, monkeypatch):
     # the kernel lets through more of what is known to be noisy, so energies are compared where
     # distances are small
     monkeypatch.setattr("observations.depth.to_discs", lambda away, *_: away.square().sum(-1))
-    near = noisy(toy_body, motion, 3e-3, kernel=bounded)
+    near = noisy(toy_body, motion, 3e-3, kernel=fixed_scale_kernel)
     share = near.replace(std=far.std)(estimate) / near(estimate)
     assert share.numpy() == pytest.approx(1 / (1 + 25 * CLOUD_WORTH / count), rel=0.01)
 

@@ -130,13 +130,13 @@ def test_scans_of_a_walker_are_turned_and_scaled(up: Up) -> None:
         clouds = [cloud @ to_z_up(up) / METRES[unit] for cloud in scans]
         assert unit_of_clouds(clouds, "scans") == unit
         metres = [cloud * METRES[unit] for cloud in clouds]
-        found, said = up_of_clouds(metres, "scans", told=False)
+        found, said = up_of_clouds(metres, "scans", unit_given=False)
         assert found == up
         assert bool(said) == (up != "z")
     small = [0.55 * (cloud - np.concatenate(metres).mean(0)) for cloud in metres]
     with pytest.raises(UnitsError, match="unit height"):
-        up_of_clouds(small, "scans", told=False)
-    assert up_of_clouds(small, "scans", told=True)[0] == up
+        up_of_clouds(small, "scans", unit_given=False)
+    assert up_of_clouds(small, "scans", unit_given=True)[0] == up
 
 
 def test_scans_of_who_crouches_have_z_up_where_the_floor_is() -> None:
@@ -146,10 +146,10 @@ def test_scans_of_who_crouches_have_z_up_where_the_floor_is() -> None:
         random.uniform((shift - 0.5, -0.5, 0.0), (shift + 0.5, 0.5, 0.9), (200, 3))
         for shift in np.linspace(0.0, 1.0, 20)
     ]
-    assert up_of_clouds(clouds, "scans", told=False) == ("z", ())
+    assert up_of_clouds(clouds, "scans", unit_given=False) == ("z", ())
     aside = [cloud[:, [1, 2, 0]] for cloud in clouds]
     with pytest.raises(UnitsError, match="--up"):
-        up_of_clouds(aside, "scans", told=False)
+        up_of_clouds(aside, "scans", unit_given=False)
 
 
 def test_scans_that_another_axis_explains_as_well_are_asked_for() -> None:
@@ -157,11 +157,11 @@ def test_scans_that_another_axis_explains_as_well_are_asked_for() -> None:
     random = np.random.default_rng(0)
     lying = [random.uniform((0.0, -0.5, 0.0), (1.5, 0.9, 0.5), (200, 3)) for _ in range(20)]
     with pytest.raises(UnitsError, match="--up"):
-        up_of_clouds(lying, "scans", told=False)
+        up_of_clouds(lying, "scans", unit_given=False)
     climber = [random.uniform((-0.3, -0.3, 0.9), (0.3, 0.3, 2.3), (200, 3)) for _ in range(20)]
-    assert up_of_clouds(climber, "scans", told=False) == ("z", ())
+    assert up_of_clouds(climber, "scans", unit_given=False) == ("z", ())
     with pytest.raises(UnitsError, match=r"0.9 m below the origin.*--up"):
-        up_of_clouds([-cloud for cloud in climber], "scans", told=False)
+        up_of_clouds([-cloud for cloud in climber], "scans", unit_given=False)
 
 
 def test_no_laboratory_is_mirrored_but_one(data) -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from observations.depth import PointCloud
-from observations.surfels import Surfels, bounded, tukey
+from observations.surfels import Surfels, fixed_scale_kernel, tukey
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
@@ -67,7 +67,7 @@ def test_golden_gradient(golden, monkeypatch):
     )
 
 
-@pytest.mark.parametrize("kernel", [tukey, bounded])
+@pytest.mark.parametrize("kernel", [tukey, fixed_scale_kernel])
 def test_the_energy_keeps_its_contract(toy_body, kernel):
     motion = laws.a_motion(toy_body)
     cloud = toy_cloud(toy_body, motion, kernel=kernel)
@@ -92,7 +92,7 @@ def test_what_is_not_there_counts_nothing(toy_body):
     assert torch.allclose(kept(estimate), fewer(estimate), rtol=1e-12)
 
 
-@pytest.mark.parametrize("kernel", [bounded, tukey])
+@pytest.mark.parametrize("kernel", [fixed_scale_kernel, tukey])
 def test_the_gradient_is_that_of_the_value(body, kernel, monkeypatch):
     monkeypatch.setattr(
         "observations.surfels.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
@@ -155,7 +155,7 @@ def test_only_what_faces_the_sensor_is_seen(body):
 def test_another_clock_and_windows(toy_body):
     motion = laws.a_motion(toy_body, frames=31)
     fine = laws.a_motion(toy_body, frames=61, fps=60.0)
-    cloud = toy_cloud(toy_body, fine, kernel=bounded)
+    cloud = toy_cloud(toy_body, fine, kernel=fixed_scale_kernel)
     slow = cloud(laws.estimate_of(toy_body, motion))
     whole = cloud(laws.estimate_of(toy_body, fine))
     assert torch.allclose(slow, whole, rtol=0.05)
@@ -170,7 +170,7 @@ def test_a_tilted_ground_moves_the_body_into_the_recording(toy_body):
     motion = laws.a_motion(toy_body)
     ground = UnknownGround.create(torch.zeros(2, 3).double()).replace(lift=torch.ones(2).double())
     scene = Scene(torch.zeros(2, 0, 3).double(), ground)
-    cloud = toy_cloud(toy_body, motion, noise=0.0, kernel=bounded)
+    cloud = toy_cloud(toy_body, motion, noise=0.0, kernel=fixed_scale_kernel)
     lower = cloud.replace(points=cloud.points - torch.tensor([0.0, 0.0, 1.0]).double())
     assert lower(laws.estimate_of(toy_body, motion, scene)).max() < 1e-12
     assert cloud(laws.estimate_of(toy_body, motion, scene)).min() > 1e-3

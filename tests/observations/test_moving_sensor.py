@@ -8,7 +8,7 @@ import pytest
 
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile
-from recon.reading.moving_sensor import movement
+from recon.reading.moving_sensor import sensor_movement
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -32,7 +32,7 @@ def scans(degrees: float, rise: float = 0.0, frames: int = 20):
 
 def moves(file: PointsFile) -> tuple[str, ...]:
     clouds = [file.points[file.frame == k] for k in range(int(file.frame.max()) + 1)]
-    return movement(file.camera, clouds, UP)
+    return sensor_movement(file.camera, clouds, UP)
 
 
 def test_a_sensor_that_stands_still_is_not_said_to_move():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from recon.detections.records import Detections, Row, gather
-from recon.reading.tracks import Track, choose, follow
+from recon.detections.records import Detections, Row, detections_of_rows
+from recon.reading.tracks import Track, chosen_track, tracks_of_people
 from tests.keypoint_scene import camera, figure, image
 
 
@@ -17,7 +17,7 @@ def seen(place: tuple[float, float], keep: slice = slice(None)) -> np.ndarray:
 
 
 def scene(rows: list[Row], frames: int = 20) -> Detections:
-    return gather("cam", range(frames), rows, layout="coco17")
+    return detections_of_rows("cam", range(frames), rows, layout="coco17")
 
 
 def test_two_people_in_any_order_stay_themselves():
@@ -27,17 +27,17 @@ def test_two_people_in_any_order_stay_themselves():
         people = [seen((0, -1 + 0.02 * t)), seen((0, 1 - 0.02 * t))]
         order = [0, 1] if t == 0 else rng.permutation(2).tolist()
         rows += [(t, people[k], -1) for k in order]
-    tracks = follow(scene(rows))
+    tracks = tracks_of_people(scene(rows))
     assert [track.number for track in tracks] == [0, 1]
     for track, side in zip(tracks, (-1, 1), strict=True):
         assert track.frame.tolist() == list(range(20))
         true = np.stack([seen((0, side * (1 - 0.02 * t)))[:, :2] for t in range(20)])
         assert np.allclose(track.pixels, true)
     with pytest.raises(ValueError, match=r"persons 0 and 1 .*--person.*20 frames from 0 to 19"):
-        choose(tracks, None, "cam")
-    assert choose(tracks, 1, "cam") is tracks[1]
+        chosen_track(tracks, None, "cam")
+    assert chosen_track(tracks, 1, "cam") is tracks[1]
     with pytest.raises(ValueError, match=r"no person 2; there are person 0: 20 frames"):
-        choose(tracks, 2, "cam")
+        chosen_track(tracks, 2, "cam")
 
 
 def test_somebody_who_moves_is_preferred_to_a_bystander():
@@ -52,14 +52,14 @@ def test_somebody_who_moves_is_preferred_to_a_bystander():
             rows.append((t, judge, -1))
             if t > 0:  # the judge is even more complete
                 rows.append((t, seen((0, steps * t)), -1))
-        return follow(scene(rows))
+        return tracks_of_people(scene(rows))
 
-    walker = choose(both(0.05), None, "cam")
+    walker = chosen_track(both(0.05), None, "cam")
     assert walker.number == 1
     assert walker.movement > 0.1
     assert both(0.05)[0].movement < 0.04
     with pytest.raises(ValueError, match="--person"):
-        choose(both(0.0), None, "cam")
+        chosen_track(both(0.0), None, "cam")
 
 
 def test_gaps_and_hidden_legs_do_not_break_a_track_and_the_more_complete_is_chosen():
@@ -69,9 +69,9 @@ def test_gaps_and_hidden_legs_do_not_break_a_track_and_the_more_complete_is_chos
         if not 8 <= t < 12
     ]
     rows += [(t, seen((0, -1.5)), -1) for t in range(5)]
-    tracks = follow(scene(rows))
+    tracks = tracks_of_people(scene(rows))
     assert [len(track.frame) for track in tracks] == [16, 5]
-    assert choose(tracks, None, "cam").number == 0
+    assert chosen_track(tracks, None, "cam").number == 0
 
 
 def test_people_who_pass_each_other_are_followed():
@@ -82,7 +82,7 @@ def test_people_who_pass_each_other_are_followed():
             rows += [(t, seen((0, 1 - 0.1 * t)), -1), (t, seen((0, -1 + 0.1 * t)), -1)]
         else:
             rows.append((t, seen((0, 0)), -1))
-    tracks = follow(scene(rows, 21))
+    tracks = tracks_of_people(scene(rows, 21))
     assert sorted(len(track.frame) for track in tracks) == [20, 21]
     assert all(track.ended_by is None for track in tracks)
     for track in tracks:
@@ -104,7 +104,7 @@ def test_the_one_behind_is_followed_though_only_some_keypoints_are_found():
         both = [(t, front, -1), (t, behind, -1)]
         given.append((front, behind))
         rows += both if rng.random() < 0.5 else both[::-1]
-    tracks = follow(scene(rows, 30))
+    tracks = tracks_of_people(scene(rows, 30))
     assert len(tracks) == 2
     assert min(len(track.frame) for track in tracks) >= 29
     for track in tracks:
@@ -126,7 +126,7 @@ def test_people_who_stand_together_end_their_tracks_instead_of_swapping():
         else:
             away = 0.1 * (20 - t if t < 20 else t - 59)
             rows += [(t, seen((0, -away)), -1), (t, seen((0, away)), -1)]
-    tracks = follow(scene(rows, 80))
+    tracks = tracks_of_people(scene(rows, 80))
     assert len(tracks) >= 4
     assert any(track.ended_by is not None for track in tracks)
     sides = [np.sign((track.pixels[:, :, 0].mean(1) - 640).round()) for track in tracks]
@@ -139,7 +139,7 @@ def test_one_body_found_twice_or_in_two_pieces_is_one_person():
     rows: list[Row] = [(t, seen((0, 0)), -1) for t in range(20) if t != 9]
     rows += [(9, seen((0, 0), slice(0, 11)), -1), (9, seen((0, 0), slice(11, 17)), -1)]
     rows += [(4, seen((0, 0.01)), -1), (5, seen((0, 0), slice(0, 3)), -1)]
-    tracks = follow(scene(sorted(rows, key=lambda row: row[0])))
+    tracks = tracks_of_people(scene(sorted(rows, key=lambda row: row[0])))
     assert [len(track.frame) for track in tracks] == [20]
 
 
@@ -147,18 +147,18 @@ def test_numbers_of_the_producer_are_believed_unless_they_count_the_people_of_a_
     crossing: list[Row] = []
     for t in range(20):
         crossing += [(t, seen((0, -1 + 0.1 * t)), 7), (t, seen((-2, 1 - 0.1 * t)), 3)]
-    tracks = follow(scene(crossing))
+    tracks = tracks_of_people(scene(crossing))
     assert [len(track.frame) for track in tracks] == [20, 20]
     counted: list[Row] = []
     for t in range(20):
         people = [seen((0, -1)), seen((0, 1))]
         counted += [(t, one, k) for k, one in enumerate(people[:: 1 if t % 2 else -1])]
-    tracks = follow(scene(counted))
+    tracks = tracks_of_people(scene(counted))
     assert all(np.ptp(track.pixels[:, 0, 0]) < 1 for track in tracks)
 
 
 def test_detections_of_a_few_points_are_nobody():
-    tracks = follow(scene([(0, seen((0, 0), slice(0, 3)), -1)]))
+    tracks = tracks_of_people(scene([(0, seen((0, 0), slice(0, 3)), -1)]))
     assert tracks == ()
     with pytest.raises(ValueError, match="nobody shows 4 keypoints"):
-        choose(tracks, None, "cam")
+        chosen_track(tracks, None, "cam")

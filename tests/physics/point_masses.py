@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.physics.dynamics import Dynamics, inner, second_differences
+from recon.physics.dynamics import Dynamics, inner_frames, second_differences
 
 
 def points_dynamics(
@@ -15,7 +15,7 @@ def points_dynamics(
     """Dynamics of point masses."""
     total = masses.sum(-1)
     share = (masses / total[..., None])[..., None, :, None]
-    accelerations, places = second_differences(points, fps), inner(points, fps)
+    accelerations, places = second_differences(points, fps), inner_frames(points, fps)
     centre = (share * places).sum(-2)
     arms = places - centre[..., None, :]
     spin = (share * torch.linalg.cross(arms, accelerations, dim=-1)).sum(-2)

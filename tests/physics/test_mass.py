@@ -53,7 +53,7 @@ def test_second_differences_span_a_twentieth_of_a_second_at_any_rate() -> None:
 def test_clips_too_short_for_accelerations_have_none() -> None:
     for frames in (0, 1, 2):
         assert second_differences(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
-        assert dynamics.inner(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
+        assert dynamics.inner_frames(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
 
 
 def test_masses_are_shares_by_part_and_published_ones_too(body) -> None:

@@ -32,7 +32,7 @@ def test_cosines_are_orthonormal():
 def test_the_basis_gives_its_own_cycles_back():
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 12)])
     basis = fitted_basis(rows, 6)
-    back = basis.metric(basis.synthesise(basis.analyse(rows)))
+    back = basis.denormalised(basis.synthesise(basis.analyse(rows)))
     assert float((back - rows).abs().max()) < 0.02
     assert torch.allclose(back[:, -1, -1], rows[:, -1, -1], atol=1e-3)
 

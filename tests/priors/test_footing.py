@@ -40,8 +40,8 @@ def test_the_draw_whose_feet_rest_is_kept(stands) -> None:
     )
     footing = Footing(draws=4, strictness=50.0)
     random = torch.Generator().manual_seed(0)
-    kept = footing.kept(before, after, touching.expand(8, -1), random)
-    assert kept.tolist() == [1, 6]
+    selected = footing.selected(before, after, touching.expand(8, -1), random)
+    assert selected.tolist() == [1, 6]
 
 
 def test_bodies_come_nearer_to_the_ground_but_fly_where_they_fly(stands) -> None:

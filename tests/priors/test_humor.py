@@ -94,10 +94,10 @@ def test_latents_are_posterior_means_along_the_roll_out(body: BodyModel) -> None
     states = states_of(motion, body)
     pelvis = rest_pelvis(states[:, 0])
     frame = Frame.of(states[:, 0])
-    start = frame.enter(states[:, 0], pelvis).pack()
+    start = frame.to_frame(states[:, 0], pelvis).pack()
     decoder = FrozenDecoder.of(prior.networks.decoder)
     rollout = roll_out(decoder, start, pelvis, variables.latents)
-    inside = rollout.frames(frame).enter(states[:, 1:], pelvis[:, None]).pack()
+    inside = rollout.frames(frame).to_frame(states[:, 1:], pelvis[:, None]).pack()
     mean, _ = prior.networks.posterior(rollout.inputs, inside)
     torch.testing.assert_close(variables.latents, mean, rtol=0, atol=1e-9)
 

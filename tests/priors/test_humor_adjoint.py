@@ -20,7 +20,7 @@ def problem(clips: int) -> tuple[FrozenDecoder, Tensor, Tensor]:
     names = ("trans", "trans_vel", "root_orient", "root_orient_vel", "pose_body", "joints")
     packed = torch.cat([g[f"init_canonical_{name}"] for name in (*names, "joints_vel")], -1)
     latents = torch.randn(STEPS, clips, 48, dtype=torch.float64)
-    added = decoder.add(latents, torch.zeros(clips, 3, dtype=torch.float64))
+    added = decoder.constant_inputs(latents, torch.zeros(clips, 3, dtype=torch.float64))
     return decoder, packed[:clips, STATE_ORDER].requires_grad_(), added.requires_grad_()
 
 

@@ -7,7 +7,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import explain
+from priors.humor.steps import posterior_outputs
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -60,7 +60,7 @@ def test_steps_agree_with_the_rollout(body: BodyModel) -> None:
     prior = humor(body)
     made = prior.decode(prior.encode(motions(6)))
     states = states_of(made.motion, body)
-    found = explain(prior.networks, states, prior.pelvis(made.motion.shape))
+    found = posterior_outputs(prior.networks, states, prior.pelvis(made.motion.shape))
     assert found.error.shape == (2, 5, 207)
     assert (found.surprise >= 0).all()
     still = humor(body, still=True)
@@ -68,7 +68,7 @@ def test_steps_agree_with_the_rollout(body: BodyModel) -> None:
         translation=made.motion.translation[:, :1].expand(-1, 6, -1),
         rotations=made.motion.rotations[:, :1].expand(-1, 6, -1, -1, -1),
     )
-    found = explain(still.networks, states_of(held, body), still.pelvis(held.shape))
+    found = posterior_outputs(still.networks, states_of(held, body), still.pelvis(held.shape))
     assert found.error.abs().max() < 1e-9  # a decoder that never moves explains who never moves
 
 
@@ -77,7 +77,7 @@ def test_whitened_errors_have_about_unit_variance(body: BodyModel) -> None:
     states = states_of(pad([swinging(60, k) for k in range(8)]), body)
     pelvis = prior.pelvis(torch.zeros(8, body.shape_size, dtype=torch.float64))
     whitening = error_whitening(prior.networks, states, pelvis)
-    errors = explain(prior.networks, states, pelvis).error.flatten(0, 1) @ whitening
+    errors = posterior_outputs(prior.networks, states, pelvis).error.flatten(0, 1) @ whitening
     assert errors.square().mean() <= 1.0
     assert errors.square().mean(0).max() > 0.9
 

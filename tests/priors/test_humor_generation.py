@@ -43,7 +43,7 @@ def test_steps_as_predicted_are_those_of_the_roll_out(
     monkeypatch.setattr(generation, "body_at_joints", as_predicted)
     found = roll_from(prior, state, shape, 5, None, footing=None)
     pelvis, frame = prior.pelvis(shape), Frame.of(state)
-    start = frame.enter(state, pelvis).pack()
+    start = frame.to_frame(state, pelvis).pack()
     decoder = FrozenDecoder.of(prior.networks.decoder)
     latents = torch.zeros(2, 4, 48, dtype=torch.float64)
     for step in range(4):

@@ -27,7 +27,7 @@ def world_rollout(networks: HumorNetworks, start: State, z: Tensor) -> tuple[Rol
     pelvis = rest_pelvis(start)
     frame = Frame.of(start)
     rollout = roll_out(
-        FrozenDecoder.of(networks.decoder), frame.enter(start, pelvis).pack(), pelvis, z
+        FrozenDecoder.of(networks.decoder), frame.to_frame(start, pelvis).pack(), pelvis, z
     )
     return rollout, rollout.in_world(frame, pelvis)
 
@@ -101,7 +101,7 @@ def test_inference_along_a_sequence_equals_the_reference(networks: HumorNetworks
     past, future = world[:, :-1], world[:, 1:]
     pelvis = rest_pelvis(world[:, :1])
     frame = Frame.of(past)
-    start, following = (frame.enter(s, pelvis).pack() for s in (past, future))
+    start, following = (frame.to_frame(s, pelvis).pack() for s in (past, future))
     mean, log_variance = networks.prior(start)
     torch.testing.assert_close(mean, g["infer_exact_prior_mean"], rtol=0, atol=1e-10)
     torch.testing.assert_close(log_variance.exp(), g["infer_exact_prior_var"], rtol=0, atol=1e-10)
@@ -114,9 +114,9 @@ def test_canonical_frames_are_undone_by_leaving_them() -> None:
     g = golden("humor_rollout")
     world = State.unpack(packed(g, "seq"))
     frame, pelvis = Frame.of(world), rest_pelvis(world)
-    inside = frame.enter(world, pelvis)
+    inside = frame.to_frame(world, pelvis)
     torch.testing.assert_close(
-        frame.leave(inside, pelvis).pack(), world.pack(), rtol=0, atol=1e-12
+        frame.from_frame(inside, pelvis).pack(), world.pack(), rtol=0, atol=1e-12
     )
     assert inside.translation[..., :2].abs().max() < 1e-15  # metres
     assert inside.root[..., 1, 0].abs().max() < 1e-12  # the right side is along +x

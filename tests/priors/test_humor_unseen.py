@@ -8,7 +8,7 @@ import torch
 from observations.correspondences import BodyPoints
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
-from priors.humor.collocation import Collocation, seen_whole
+from priors.humor.collocation import Collocation, all_joints_located
 from priors.humor.likely import LikelyStates
 from priors.humor.limbs import LimbDraws, ParticleFilter, UnseenLimbs, unseen_limbs
 from priors.humor.prior import Humor
@@ -88,7 +88,7 @@ def test_bones_are_aimed_at_what_was_drawn(body: BodyModel) -> None:
     rest = body.rest_joints(motion.shape)
     draws = LimbDraws.of(prior, motion.shape, BOTH_LEGS)
     asked = draws.completed(states[:, 0], turned[:, 0])
-    pose = draws._aimed(states[:, 0], asked.joints)  # pyright: ignore[reportPrivateUsage]
+    pose = draws._bones_pointing_at(states[:, 0], asked.joints)  # pyright: ignore[reportPrivateUsage]
     met = draws.completed(states[:, 0], asked.replace(pose=pose))
     assert rest.shape == (1, 22, 3)
     torch.testing.assert_close(met.joints, asked.joints, rtol=0, atol=1e-9)
@@ -179,7 +179,7 @@ def test_legs_that_no_camera_sees_are_searched_for(body: BodyModel) -> None:
     other = view.replace(confidence=torch.full((2, 6, 22), 0.3))
     assert unseen_limbs([Term("data", view, 1.0), Term("other", other, 1.0)], body) is None
     # a place in an image is no place in space
-    assert not seen_whole((Term("other", other, 1.0),), body)
+    assert not all_joints_located((Term("other", other, 1.0),), body)
 
 
 def test_likely_states_keep_the_contract_of_energies(body: BodyModel) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humos.collocation import CollocatedHumos
-from priors.humos.frames import lowest_of
+from priors.humos.frames import lowest_heights
 from priors.humos.networks import load_weights
 from priors.humos.prior import FPS, Humos
 from recon.body.model import BodyModel
@@ -54,7 +54,7 @@ def test_another_body_stands_on_the_ground(prior):
     found = prior.encode(motion)
     shape = torch.randn(motion.shape.shape, generator=torch.Generator().manual_seed(0))
     made = prior.decode(found.replace(shape=shape)).motion
-    before, after = lowest_of(BODY.pose(motion)), lowest_of(BODY.pose(made))
+    before, after = lowest_heights(BODY.pose(motion)), lowest_heights(BODY.pose(made))
     legs = leg_length(BODY, shape) / leg_length(BODY, motion.shape)
     torch.testing.assert_close(after, before * legs[:, None], atol=2e-3, rtol=0)
 
@@ -102,7 +102,7 @@ def test_density_is_that_of_codes_one_after_the_other():
     flat = u.double().flatten()
     expected = 0.5 * flat @ torch.linalg.solve(full, flat)
     assert float(density.energy(u, exists)) == pytest.approx(float(expected), rel=1e-4)
-    torch.testing.assert_close(density.white(density.codes(u)), u, atol=1e-4, rtol=0)
+    torch.testing.assert_close(density.whitened(density.codes(u)), u, atol=1e-4, rtol=0)
     first = exists & (torch.arange(3) < 1)
     assert float(density.energy(u, first)) == pytest.approx(
         0.5 * float(u[0, 0].square().sum()), rel=1e-5
@@ -111,7 +111,7 @@ def test_density_is_that_of_codes_one_after_the_other():
 
 def test_codes_of_long_clips_do_not_grow():
     density = Humos.load("open").weights.density
-    white = density.white(density.drawn(64, 300, torch.Generator().manual_seed(0)))
+    white = density.whitened(density.drawn_codes(64, 300, torch.Generator().manual_seed(0)))
     assert float(white[:, 0].square().mean()) == pytest.approx(1, rel=0.1)
     assert float(white[:, -1].square().mean()) == pytest.approx(1, rel=0.1)
     assert float(torch.linalg.matrix_norm(density.follow, 2)) < 1
@@ -119,8 +119,8 @@ def test_codes_of_long_clips_do_not_grow():
 
 def test_drawn_codes_are_spread_as_the_density_says():
     weights = tiny_weights(BODY)
-    drawn = weights.density.drawn(4000, 3, torch.Generator().manual_seed(0))
-    white = weights.density.white(drawn)
+    drawn = weights.density.drawn_codes(4000, 3, torch.Generator().manual_seed(0))
+    white = weights.density.whitened(drawn)
     exists = torch.ones(4000, 3, dtype=torch.bool)
     mean = float(weights.density.energy(white, exists).mean())
     assert mean == pytest.approx(0.5 * white[0].numel(), rel=0.05)
@@ -135,7 +135,7 @@ def test_samples_are_motions_of_their_bodies():
     assert made.frames == 31
     assert bool(made.translation.isfinite().all())
     torch.testing.assert_close(made.translation, again.translation)
-    assert float(lowest_of(BODY.pose(made)).abs().max()) < 0.2
+    assert float(lowest_heights(BODY.pose(made)).abs().max()) < 0.2
     with pytest.raises(ValueError, match="at least 1 second"):
         prior.sample(shape, 0.5, torch.Generator())
 

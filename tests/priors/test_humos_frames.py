@@ -11,15 +11,15 @@ from priors.humos.frames import (
     BodyFrames,
     LappedBasis,
     levers,
-    lowest_of,
-    windows_of,
+    lowest_heights,
+    window_count,
 )
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
-from training.humos.corpus import begun_anew, mirrored
+from training.humos.corpus import mirrored, relative_to_first_frame
 from training.humos.train import fitted_basis
 
 BODY = BodyModel.load()
@@ -71,10 +71,10 @@ def test_features_do_not_see_heading_and_place(angle):
 def test_beginning_anew_is_what_a_window_is_encoded_as():
     whole, _ = BodyFrames.of(turned(wild(), 0.5), BODY)
     later = whole.map(lambda rows: rows[20:])
-    again = begun_anew(later)
+    again = relative_to_first_frame(later)
     assert float(again.place[0].abs().max()) == 0
     close(again.direction[0], torch.tensor([1.0, 0.0]), atol=1e-6)
-    close(begun_anew(again).pack(), again.pack(), atol=1e-6)
+    close(relative_to_first_frame(again).pack(), again.pack(), atol=1e-6)
     c, s = later.direction[0]
     back = torch.stack((torch.stack((c, s)), torch.stack((-s, c))))
     close(again.place, (later.place - later.place[0]) @ back.mT, atol=1e-5)
@@ -97,7 +97,7 @@ def test_any_body_stands_as_high_above_the_ground():
         shape = torch.randn(BODY.shape_size, generator=torch.Generator().manual_seed(seed))
         made = frames.motion(shape, BODY, 20.0, base)
         legs = leg_length(BODY, shape) / leg_length(BODY, motion.shape)
-        close(lowest_of(BODY.pose(made)), lowest_of(BODY.pose(motion)) * legs, atol=1e-5)
+        close(lowest_heights(BODY.pose(made)), lowest_heights(BODY.pose(motion)) * legs, atol=1e-5)
 
 
 def test_joints_are_those_of_the_motion_about_the_pelvis():
@@ -123,7 +123,7 @@ def test_windows_add_up_to_the_motion(frames):
     rows = torch.randn(2, frames, NUMBERS, generator=random)
     every = LappedBasis(torch.zeros(size), torch.eye(size), torch.ones(size))
     coefficients = every.analyse(rows)
-    assert coefficients.shape == (2, windows_of(frames), size)
+    assert coefficients.shape == (2, window_count(frames), size)
     close(every.synthesise(coefficients, frames), rows, atol=1e-5)
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from priors.labels.looking import CloudLabeller, around, standard
+from priors.labels.looking import CloudLabeller, in_network_frame, neighbouring_moments
 from priors.labels.networks import LabelNetwork, kernel, patches, spread_points, squared_distances
 from priors.labels.regions import MIRRORED_REGIONS
 from recon.body.model import BodyModel
@@ -65,8 +65,8 @@ def test_the_standard_frame_forgets_how_the_world_was_turned(has_eye, level):
     # about the median, which turns with the cloud up to a few millimetres
     points = points - points.sum(1, keepdim=True) / present.sum(-1)[:, None, None]
     points = points.where(present[..., None], 0.0)
-    one = standard(points, present, eyes, *flags)
-    other = standard(points @ matrix.T, present, eyes @ matrix.T, *flags)
+    one = in_network_frame(points, present, eyes, *flags)
+    other = in_network_frame(points @ matrix.T, present, eyes @ matrix.T, *flags)
     assert (one.points - other.points).abs().max() < 0.1
     if has_eye and level:
         assert one.eyes[:, 1].abs().max() < 1e-5
@@ -141,12 +141,12 @@ def test_clips_are_labelled_alike_alone_and_together(labeller, monkeypatch):
 def test_moments_look_at_those_around_them_in_time():
     shown = torch.tensor([True] * 9)
     shown[1] = False
-    index, known = around(shown, [-6, -3, 0, 3, 6], 10.0)
+    index, known = neighbouring_moments(shown, [-6, -3, 0, 3, 6], 10.0)
     assert index[4].tolist() == [0, 1, 4, 7, 8]
     assert known[4].tolist() == [False, False, True, True, False]
     assert known[1].tolist() == [False, False, True, True, True]
     # one moment a second: no other one is near 0.3 s
-    _, known = around(shown, [-1, 0, 0, 0, 1], 1.0)
+    _, known = neighbouring_moments(shown, [-1, 0, 0, 0, 1], 1.0)
     assert known.tolist() == [[False, False, True, False, False]] * 9
 
 

@@ -88,11 +88,11 @@ def test_conditioning_divides_densities() -> None:
     known = torch.tensor([True, False, False, True, False])
     x = torch.randn(7, 7, generator=random).double()
     x[:, features[known]] = torch.tensor([0.4, -1.2]).double()
-    others = mixture.given(known, x[0, features[known]], torch.full((2,), 1e-9))
+    others = mixture.conditioned_on(known, x[0, features[known]], torch.full((2,), 1e-9))
     assert others.features.tolist() == [2, 3, 6]
     apart = mixture.energy(x) - others.energy(x)
     torch.testing.assert_close(apart, apart[:1].expand(7), rtol=0, atol=1e-6)
-    loose = mixture.given(known, x[0, features[known]], torch.full((2,), 1e6))
+    loose = mixture.conditioned_on(known, x[0, features[known]], torch.full((2,), 1e6))
     free = mixture.sample(20_000, random)[:, ~known]
     drawn = loose.sample(20_000, random)
     torch.testing.assert_close(drawn.mean(0), free.mean(0), rtol=0, atol=0.15)

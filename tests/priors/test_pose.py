@@ -177,10 +177,10 @@ def test_a_checkpoint_fills_a_network_or_names_the_layer(tmp_path: Path) -> None
     path = tmp_path / "net.safetensors"
     save_checkpoint(path, "net", torch.nn.Linear(3, 2).state_dict(), {})
     network = torch.nn.Linear(3, 2)
-    load_checkpoint(path, "net").into(network)
+    load_checkpoint(path, "net").copy_into(network)
     assert torch.equal(network.weight, load_checkpoint(path, "net").tensors["weight"])
     with pytest.raises(ValueError, match="weight has shape"):
-        load_checkpoint(path, "net").into(torch.nn.Linear(4, 2))
+        load_checkpoint(path, "net").copy_into(torch.nn.Linear(4, 2))
 
 
 def test_mirroring_shows_the_mirrored_body(body: BodyModel) -> None:

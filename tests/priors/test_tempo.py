@@ -10,7 +10,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.likely import FASTEST, tempo
 from priors.humor.prior import Humor
-from priors.humor.state import as_read, at_tempo, states_of
+from priors.humor.state import at_tempo, on_network_clock, states_of
 from recon.body.model import BodyModel
 from recon.core.skeleton import LEGS
 from recon.method.reconstruction import solve
@@ -72,7 +72,7 @@ def test_networks_see_frames_and_not_the_clock(body: BodyModel) -> None:
     """What they think of a motion read at a rate is what they think of it slowed down to 30 Hz."""
     clip = swinging(9, 3)[None]
     fast = clip.replace(fps=45.0)
-    slow, quick = states_of(clip, body), states_of(as_read(fast), body)
+    slow, quick = states_of(clip, body), states_of(on_network_clock(fast), body)
     torch.testing.assert_close(quick.pack(), slow.pack(), rtol=0, atol=0)
     method = Collocation(humor(body))
     prior = method.stages((travelling(8.0, hidden=tuple(LEGS)),))[-1].prior

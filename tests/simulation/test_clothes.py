@@ -4,7 +4,7 @@ import torch
 
 from recon.body.landmarks import landmark
 from recon.core.skeleton import joint_index
-from recon.simulation.scenery import clothed, offsets, random_field
+from recon.simulation.scenery import clothed, clothing_offsets, random_field
 
 
 def carried_by(body, *names):
@@ -14,7 +14,7 @@ def carried_by(body, *names):
 
 def test_clothes_are_where_people_wear_them(body):
     for seed in range(4):
-        away = offsets(body, seed)
+        away = clothing_offsets(body, seed)
         assert 0.003 < away.mean() < 0.012
         loose = away[carried_by(body, "pelvis", "spine1", "left_hip", "right_hip")]
         assert 0.003 < loose.median() < 0.015
@@ -30,7 +30,7 @@ def test_only_the_surface_changes_and_only_outwards(body):
     assert dressed.name != body.name
     assert torch.equal(dressed.joint_template, body.joint_template)
     moved = dressed.template - body.template
-    assert torch.allclose(moved.norm(dim=-1), offsets(body, 3).abs(), atol=1e-12)
+    assert torch.allclose(moved.norm(dim=-1), clothing_offsets(body, 3).abs(), atol=1e-12)
     belly, back = landmark("navel"), landmark("t10")
     assert moved[belly, 2] > 0.0005  # the body faces +z
     assert moved[back, 2] < -0.0005

@@ -14,7 +14,7 @@ from recon.simulation.depth import (
     Surface,
     depth_image,
     depth_points,
-    measured,
+    measured_depth,
     without_pose,
 )
 from recon.simulation.points import Corruption
@@ -104,16 +104,18 @@ def test_hiding_leaves_what_is_above_the_height_as_it_was(body, motion, camera):
 def test_noise_grows_with_the_square_of_the_depth(camera):
     sensor = DepthSensor()
     for depth in (1.0, 4.0):
-        noisy = measured(np.full((200, 200), depth), camera, sensor, np.random.default_rng(0))
+        noisy = measured_depth(
+            np.full((200, 200), depth), camera, sensor, np.random.default_rng(0)
+        )
         assert noisy.std() == pytest.approx(0.0012 + 0.0019 * (depth - 0.4) ** 2, rel=0.03)
-    far = measured(np.full((20, 20), 30.0), camera, sensor, np.random.default_rng(0))
+    far = measured_depth(np.full((20, 20), 30.0), camera, sensor, np.random.default_rng(0))
     assert (far == 0).all()
 
 
 def test_edges_have_holes_and_flying_pixels(body, motion, camera):
     vertices, faces = body.pose(motion).vertices[0], body.faces.numpy()
     depth, surface = depth_image(vertices, faces, camera, None)
-    seen = measured(depth, camera, DepthSensor(), np.random.default_rng(0))
+    seen = measured_depth(depth, camera, DepthSensor(), np.random.default_rng(0))
     person = surface == Surface.BODY
     lost = (seen[person] == 0).mean()
     assert 0.01 < lost < 0.25

@@ -8,7 +8,7 @@ from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
 from recon.simulation.depth import PERFECT, Surface, depth_image, depth_points
 from recon.simulation.points import Corruption
-from recon.simulation.scenery import box, chair, furnished, table, together
+from recon.simulation.scenery import box, chair, furnished, joined_meshes, table
 from recon.simulation.sensors import check_apply
 from recon.simulation.settings import FILM_DEFAULTS, SurfaceSettings
 from tests import laws
@@ -67,16 +67,16 @@ def test_a_board_hides_what_is_behind_it(body):
 
 
 def test_meshes_together_keep_their_faces():
-    both = together([chair(), table()])
+    both = joined_meshes([chair(), table()])
     assert both.faces.max() == len(both.vertices) - 1
-    assert len(together([]).faces) == 0
+    assert len(joined_meshes([]).faces) == 0
 
 
 @pytest.mark.parametrize(
     ("kind", "surface", "words"),
     [
-        ("scans", SurfaceSettings(furniture=("chair",)), "are of depth"),
-        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture is there"),
+        ("scans", SurfaceSettings(furniture=("chair",)), "are options for depth"),
+        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture to leave"),
     ],
 )
 def test_options_without_effect_are_refused(kind, surface, words):

@@ -9,7 +9,14 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.filmed import walk
-from training.labels.people import Postures, drawn_shape, made_up, turned_over, wardrobe, with_hair
+from training.labels.people import (
+    Postures,
+    drawn_shape,
+    random_motion,
+    turned_over,
+    wardrobe,
+    with_hair,
+)
 from training.labels.rooms import all_around, drawn_room, glimpse
 from training.labels.shards import Source, draw_clouds
 
@@ -67,7 +74,7 @@ def test_made_up_limbs_bend_as_joints_do():
     body = BodyModel.load()
     random = np.random.default_rng(0)
     for _ in range(20):
-        turns = torch.from_numpy(made_up(1, random))
+        turns = torch.from_numpy(random_motion(1, random))
         rest = body.joint_template
         for side, knee, ankle, hip in (("left", 4, 7, 1), ("right", 5, 8, 2)):
             shank = turns[0, knee] @ (rest[ankle] - rest[knee])

@@ -6,7 +6,7 @@ import torch
 
 from recon.formats.observations import PointsFile
 from recon.formats.scans import read_scans, write_scans
-from recon.simulation.points import Corruption, scan_points, spread
+from recon.simulation.points import Corruption, sampled_on_surface, scan_points
 from tests import laws
 
 
@@ -38,7 +38,7 @@ def test_points_are_uniform_by_area():
     """A square of one large and many small triangles is covered evenly."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.9, 0.9, 0]])
     faces = np.array([[0, 1, 2], [1, 3, 4], [3, 2, 4], [1, 4, 2]])
-    points = spread(corners, faces, 40_000, np.random.default_rng(0))
+    points = sampled_on_surface(corners, faces, 40_000, np.random.default_rng(0))
     counts = np.histogram2d(points[:, 0], points[:, 1], bins=4, range=[[0, 1], [0, 1]])[0]
     assert np.abs(counts / 2500 - 1).max() < 0.08  # 4 standard deviations
     assert (points[:, 2] == 0).all()

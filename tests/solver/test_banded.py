@@ -72,8 +72,8 @@ def test_down_is_the_transpose_of_up() -> None:
     """A minimiser in the variables u needs the exact adjoint, or its slopes are wrong."""
     matrix = random_matrix(5, 2, 3, 2)
     factor = Factor(Banded(matrix.inner.float(), matrix.border.float(), matrix.corner.float()))
-    up = torch.stack([factor.up(row) for row in torch.eye(17)])
-    down = torch.stack([factor.down(row) for row in torch.eye(17)])
+    up = torch.stack([factor.solve_upper(row) for row in torch.eye(17)])
+    down = torch.stack([factor.solve_lower(row) for row in torch.eye(17)])
     torch.testing.assert_close(up, down.mT, rtol=1e-5, atol=1e-6)
 
 

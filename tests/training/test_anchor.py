@@ -15,7 +15,7 @@ from recon.formats.motions import save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.anchor.train import AnchorTraining, export_weights, linear
+from training.anchor.train import AnchorTraining, export_weights, principal_components
 
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
 """No variation."""
@@ -112,7 +112,7 @@ def test_a_mirrored_walk_begins_with_the_other_foot(folder):
 
 @pytest.fixture(scope="module")
 def weights(folder: Path) -> AnchorWeights:
-    return linear(settings_of(folder, folder / "run"), corpus_of(folder))
+    return principal_components(settings_of(folder, folder / "run"), corpus_of(folder))
 
 
 def test_cycles_are_their_components(folder, weights):

@@ -10,7 +10,14 @@ from recon.benchmark.dataset import SPLITS, Splits
 from recon.core.motion import MotionFile
 from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
-from training.manifest import MANIFEST, Row, minutes, read_manifest, taught, write_manifest
+from training.manifest import (
+    MANIFEST,
+    Row,
+    minutes,
+    read_manifest,
+    stretches_to_teach,
+    write_manifest,
+)
 from training.settings import CorpusSettings, identity
 
 ROW = Row("02_01", "cmu", 0, 30, 1.0, True, True, True, True, "")
@@ -55,12 +62,12 @@ def test_a_damaged_manifest_is_refused_by_its_line(tmp_path: Path) -> None:
 def test_each_lesson_takes_its_own_stretches(tmp_path: Path) -> None:
     path = corpus_with(tmp_path, "02_01") / "02_01.npz"
     rows = rows_of("02_01")
-    assert [file.motion.frames for file in taught(path, rows, "poses")] == [90]
-    with_contacts, without = taught(path, rows, "steps")
+    assert [file.motion.frames for file in stretches_to_teach(path, rows, "poses")] == [90]
+    with_contacts, without = stretches_to_teach(path, rows, "steps")
     assert with_contacts.motion.frames == without.motion.frames == 30
     assert with_contacts.contacts is not None
     assert without.contacts is None
-    (whole,) = taught(path, None, "steps")
+    (whole,) = stretches_to_teach(path, None, "steps")
     assert whole.motion.frames == 120
     torch.testing.assert_close(without.motion.rotations, whole.motion.rotations[30:60])
 

@@ -11,7 +11,7 @@ from training.humor.train import HumorTraining
 from training.humor.variation import Variation
 from training.humos.train import HumosTraining
 from training.labels.train import LabelTraining
-from training.settings import FREE, identity, same_run, told_settings
+from training.settings import FREE, identity, same_run, settings_to_store
 
 KINDS = (HumorTraining, HumosTraining, LabelTraining)
 CHECKPOINT = Path("run/checkpoint.pt")
@@ -115,6 +115,6 @@ def test_checkpoints_that_do_not_say_what_they_learned_from_are_refused(tmp_path
 
 def test_weights_do_not_tell_where_they_were_trained(tmp_path):
     """Weights that were begun with others told where those lay on the trainer's disk."""
-    told = told_settings(settings_of(HumorTraining, tmp_path))
+    told = settings_to_store(settings_of(HumorTraining, tmp_path))
     assert str(tmp_path) not in str(told)
     assert told["rate"] == 1e-3

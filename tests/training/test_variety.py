@@ -19,18 +19,24 @@ from training.humor import moments as limits
 from training.humor.corpus import Corpus, StateWindows, Variation
 from training.humor.legs import (
     ANKLES,
-    Aim,
-    bent,
-    brought,
+    LegTargets,
+    legs_reaching,
     may_raise,
     may_step,
-    raised,
-    shortest,
-    stepped,
+    smallest_rotation,
+    with_leg_raised,
+    with_pelvis_moved,
+    with_step_added,
 )
 from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
 from training.humor.train import HumorTraining
-from training.humor.variation import GRAVITY, UPPER, clear_of_trunk, flown, joined
+from training.humor.variation import (
+    GRAVITY,
+    UPPER,
+    clear_of_trunk,
+    with_flight,
+    with_upper_body_of,
+)
 from training.humor.variation import with_arms_moved as moved
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -78,7 +84,7 @@ def random(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-EDITS = (bent, raised, stepped, flown, moved)
+EDITS = (with_pelvis_moved, with_leg_raised, with_step_added, with_flight, moved)
 
 
 @pytest.mark.parametrize("edit", EDITS)
@@ -104,7 +110,7 @@ def test_joints_stay_within_their_ranges_and_above_the_ground(edit) -> None:
     old = standing()
     made, accepted = edit(old, random(1))
     made = made[accepted]
-    angles = at_frames(limits.angles(made.rotations, made.rest))
+    angles = at_frames(limits.joint_angles(made.rotations, made.rest))
     slack = math.radians(1.01)
     assert (angles > torch.tensor(limits.LOWEST) - slack).all()
     assert (angles < torch.tensor(limits.HIGHEST) + slack).all()
@@ -120,9 +126,9 @@ def test_angles_are_those_of_the_joints() -> None:
 
     def angle(joint: int, vector: tuple[float, float, float]) -> Tensor:
         rotations = torch.eye(3).repeat(1, 1, 22, 1, 1)
-        plain = limits.angles(rotations, rest)[0, 0]
+        plain = limits.joint_angles(rotations, rest)[0, 0]
         rotations[0, 0, joint] = so3.exp(torch.tensor(vector))
-        return limits.angles(rotations, rest)[0, 0] - plain
+        return limits.joint_angles(rotations, rest)[0, 0] - plain
 
     for joint, vector, side, name in (
         (1, (-0.8, 0.0, 0.0), 0, "hip flexion"),
@@ -141,10 +147,10 @@ def test_angles_are_those_of_the_joints() -> None:
 def test_legs_that_need_not_move_stay_exactly() -> None:
     old = standing()
     posed = orientations, joints = old.posed()
-    aim = Aim(
+    aim = LegTargets(
         orientations[:, :, 0], joints[:, :, 0], joints[:, :, list(ANKLES)], torch.zeros(WINDOWS)
     )
-    rotations, reached = brought(old.rotations, posed, old.rest, aim)
+    rotations, reached = legs_reaching(old.rotations, posed, old.rest, aim)
     assert reached.all()
     torch.testing.assert_close(rotations, old.rotations, rtol=0, atol=1e-4)
 
@@ -153,13 +159,15 @@ def test_ankles_out_of_reach_are_told() -> None:
     old = standing()
     posed = orientations, joints = old.posed()
     higher = joints[:, :, 0] + torch.tensor([0.0, 0.0, 0.4])
-    aim = Aim(orientations[:, :, 0], higher, joints[:, :, list(ANKLES)], torch.zeros(WINDOWS))
-    assert not brought(old.rotations, posed, old.rest, aim)[1].any()
+    aim = LegTargets(
+        orientations[:, :, 0], higher, joints[:, :, list(ANKLES)], torch.zeros(WINDOWS)
+    )
+    assert not legs_reaching(old.rotations, posed, old.rest, aim)[1].any()
 
 
 def test_the_shortest_rotation_leads_from_one_direction_to_the_other() -> None:
     a, b = torch.randn(2, 50, 3, generator=random())
-    turned = (shortest(a, b) @ a[..., None])[..., 0]
+    turned = (smallest_rotation(a, b) @ a[..., None])[..., 0]
     expected = b / b.norm(dim=-1, keepdim=True) * a.norm(dim=-1, keepdim=True)
     opposite = torch.cosine_similarity(a, b, dim=-1) < -0.98
     torch.testing.assert_close(turned[~opposite], expected[~opposite], rtol=0, atol=1e-4)
@@ -167,7 +175,7 @@ def test_the_shortest_rotation_leads_from_one_direction_to_the_other() -> None:
 
 def test_pelvises_are_lowered_and_feet_are_not() -> None:
     old = standing()
-    made, accepted = bent(old, random())
+    made, accepted = with_pelvis_moved(old, random())
     before, after = old.posed()[1][accepted], made.posed()[1][accepted]
     assert (after - before)[:, :, 0, 2].max() < 0
     assert (after - before)[:, :, 0, 2].min() < -0.2  # metres
@@ -177,7 +185,7 @@ def test_pelvises_are_lowered_and_feet_are_not() -> None:
 
 def test_one_leg_is_raised_and_the_other_one_stands() -> None:
     old = standing()
-    made, accepted = raised(old, random())
+    made, accepted = with_leg_raised(old, random())
     change = (made.posed()[1] - old.posed()[1])[accepted].norm(dim=-1)
     left, right = change[:, :, [7, 10]].amax((1, 2)), change[:, :, [8, 11]].amax((1, 2))
     assert torch.minimum(left, right).max() < 1e-4  # metres
@@ -194,7 +202,7 @@ def test_one_leg_is_raised_and_the_other_one_stands() -> None:
 
 def test_bodies_in_the_air_fall_as_gravity_says() -> None:
     old = standing()
-    made, accepted = flown(old, random())
+    made, accepted = with_flight(old, random())
     added = (made.translation - old.translation)[accepted][..., 2]
     along = old.seconds[accepted]
     early, middle, late = added[:, 1], added[:, 16], added[:, 31]  # frames 0, 5, 10
@@ -214,7 +222,7 @@ def test_trunks_keep_their_tilt_and_follow_the_legs_heading() -> None:
     trunks = trunks.derived(
         rotations=torch.cat((turn @ trunks.rotations[:, :, :1], trunks.rotations[:, :, 1:]), 2)
     )
-    made, accepted = joined(legs, trunks)
+    made, accepted = with_upper_body_of(legs, trunks)
     assert accepted.all()
     chest, expected = made.posed()[0][:, :, 9], trunks.posed()[0][:, :, 9]
     # less the turn, the chest is tilted as it was recorded
@@ -226,7 +234,7 @@ def test_trunks_keep_their_tilt_and_follow_the_legs_heading() -> None:
     torch.testing.assert_close(made.contacts, legs.contacts)
     leaning = trunks.contacts.clone()
     leaning[:, 3, CHANNELS[20]] = True
-    assert not joined(legs, trunks.derived(contacts=leaning))[1].any()
+    assert not with_upper_body_of(legs, trunks.derived(contacts=leaning))[1].any()
 
 
 def test_arms_do_not_reach_into_the_trunk() -> None:

@@ -10,7 +10,7 @@ from recon.core.motion import Motion, MotionFile
 from recon.formats.motions import save_motion
 from recon.view import Figure
 from recon.view.files import at_common_times, put_beside, view
-from recon.view.viewpoint import follow
+from recon.view.viewpoint import following_viewpoints
 from tests.walking import a_walk
 
 BODY = BodyModel.load()
@@ -32,7 +32,7 @@ def test_the_other_is_to_the_right_and_nowhere_near() -> None:
     torch.testing.assert_close(shift, shift[:1].expand_as(shift))
     apart = first.posed.joints[:, :, None] - moved.posed.joints[:, None]
     assert 0.15 < float(apart[..., :2].norm(dim=-1).min()) < 0.6  # metres
-    view = follow((first, moved), (320, 320))[0]
+    view = following_viewpoints((first, moved), (320, 320))[0]
     left, right = (f.posed.joints[0].double().numpy() for f in (first, moved))
     assert view.project(left)[0][:, 0].max() < view.project(right)[0][:, 0].min()
     depths = [view.project(joints)[1].mean() for joints in (left, right)]

@@ -11,7 +11,7 @@ from recon.core.motion import MotionFile
 from recon.core.skeleton import joint_index
 from recon.formats.motions import save_motion
 from recon.view import Figure, Show
-from recon.view.files import shown, view
+from recon.view.files import show_of_files, view
 from recon.view.html import write_html
 from recon.view.painter import paint
 from recon.view.scene import CERTAINTY
@@ -62,9 +62,9 @@ def test_files_are_drawn_with_what_they_know(body: BodyModel, tmp_path) -> None:
     motion = walk(body, FRAMES)
     save_motion(tmp_path / "sure.npz", MotionFile(motion, joint_std=torch.full((FRAMES, 22), 0.1)))
     save_motion(tmp_path / "bare.npz", motion)
-    show = shown(tmp_path / "sure.npz", certainty=True)
+    show = show_of_files(tmp_path / "sure.npz", certainty=True)
     assert show.figures[0].joint_std is not None
-    beside = shown(tmp_path / "sure.npz", side=tmp_path / "bare.npz")
+    beside = show_of_files(tmp_path / "sure.npz", side=tmp_path / "bare.npz")
     assert [figure.joint_std is None for figure in beside.figures] == [False, True]
     with pytest.raises(ValueError, match=r"bare\.npz: no standard deviations"):
         view(tmp_path / "bare.npz", html=tmp_path / "page.html", std=True)

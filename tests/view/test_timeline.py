@@ -61,9 +61,9 @@ def test_everything_is_on_the_timelines(files, tmp_path):
 
 
 def test_without_rerun_it_says_what_to_install(tmp_path, monkeypatch):
-    from recon.view.files import shown
+    from recon.view.files import show_of_files
 
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(recon.ReconError, match=r"motion-recon\[rerun\]"):
-        write_rrd(tmp_path / "walk.rrd", shown(DEMO))
+        write_rrd(tmp_path / "walk.rrd", show_of_files(DEMO))
     assert list(tmp_path.iterdir()) == []

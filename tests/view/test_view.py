@@ -23,7 +23,7 @@ from recon.view.frames import write_mp4, write_png
 from recon.view.html import INFLUENCES, prune_weights, write_html
 from recon.view.painter import paint
 from recon.view.scene import CORAL, MISSING, VISIBLE, nearest_samples
-from recon.view.viewpoint import follow
+from recon.view.viewpoint import following_viewpoints
 
 TINY = (96, 120)
 
@@ -129,7 +129,7 @@ def test_raster_covers_a_triangle_and_the_nearer_wins() -> None:
     beyond = rasterise(corners - 100, depth, np.array([[0, 1, 2]]), (40, 40))
     assert not beyond.covered.any()
     assert not rasterise(corners, depth, faces[:0], (40, 40)).covered.any()
-    with pytest.raises(ValueError, match="before the viewer"):
+    with pytest.raises(ValueError, match="in front of the viewer"):
         rasterise(corners, -depth, faces, (40, 40))
 
 
@@ -158,7 +158,7 @@ def test_normals_of_the_body_point_outwards(body: BodyModel) -> None:
 
 def test_camera_follows_and_keeps_the_body_in_view(body: BodyModel) -> None:
     show = scene(body, 40)
-    views = follow(show.figures, TINY)
+    views = following_viewpoints(show.figures, TINY)
     for frame in (0, 20, 39):
         joints = show.figures[0].posed.joints[frame].double().numpy()
         pixels, depth = views[frame].project(joints)
@@ -166,7 +166,9 @@ def test_camera_follows_and_keeps_the_body_in_view(body: BodyModel) -> None:
         assert ((pixels > 0) & (pixels < TINY)).mean() > 0.98
         assert abs(views[frame].target[1] - joints[0, 1]) < 0.02  # metres: no lag at the ends
     view = views[0]
-    shown = view.seen(np.eye(3), np.full(TINY[::-1], 3.0, np.float32))[:, 17, 30].astype(float)
+    shown = view.coordinates_along(np.eye(3), np.full(TINY[::-1], 3.0, np.float32))[
+        :, 17, 30
+    ].astype(float)
     pixel, depth = view.project(shown[None])
     assert np.allclose(pixel, [[30.5, 17.5]], atol=1e-3)
     assert np.allclose(depth, 3.0, atol=1e-5)
@@ -178,7 +180,7 @@ def test_camera_follows_and_keeps_the_body_in_view(body: BodyModel) -> None:
 
 def test_body_is_painted_where_it_projects(body: BodyModel) -> None:
     show = scene(body, 3, points=None)
-    view = follow(show.figures, TINY)[1]
+    view = following_viewpoints(show.figures, TINY)[1]
     picture = paint(show, 1, view).astype(float)
     assert picture.shape == (TINY[1], TINY[0], 3)
     joints = show.figures[0].posed.joints[1].double().numpy()
@@ -197,7 +199,7 @@ def test_body_is_painted_where_it_projects(body: BodyModel) -> None:
 
 def test_points_are_painted_in_their_colours(body: BodyModel) -> None:
     show = scene(body, 2)
-    view = follow(show.figures, (320, 400))[0]
+    view = following_viewpoints(show.figures, (320, 400))[0]
     joints = show.figures[0].posed.joints[0].double().numpy()
     assert show.points is not None
     for name, colour in (("left_wrist", VISIBLE), ("left_knee", MISSING)):
@@ -281,7 +283,7 @@ def test_bad_input_is_refused_and_leaves_files_alone(body: BodyModel, tmp_path: 
         Show("uneven", show.figures, Points(torch.zeros(3, 1, 3), torch.ones(3, 1).bool()))
     with pytest.raises(ValueError, match="different names"):
         Show("twins", (Figure(body, motion), Figure(body, motion)))
-    with pytest.raises(ValueError, match="one rate"):
+    with pytest.raises(ValueError, match="same frame rate"):
         Show("rates", (Figure(body, motion), Figure(body, motion.replace(fps=20.0), "b")))
     with pytest.raises(ValueError, match="one clip"):
         Figure(body, motion.map(lambda tensor: tensor[None]))

@@ -107,7 +107,7 @@ class CycleCorpus(TensorStruct):
             duration=torch.tensor([cycle.duration for cycle in cycles]),
             shape=shape,
             left=torch.tensor([cycle.side == "left" for cycle in cycles]),
-            chance=_chances(Splits.load(settings.splits), clips),
+            chance=_draw_probabilities(Splits.load(settings.splits), clips),
             body=body,
             cycles=tuple(cycles),
             clips=tuple(clips),
@@ -156,7 +156,7 @@ class CycleCorpus(TensorStruct):
         variation: CycleVariation,
         random: torch.Generator,
     ) -> Anchors:
-        """Some cycles with the arms of others, and some mixed with others, of the same foot."""
+        """Mix some cycles with others that begin with the same foot, or give them their arms."""
         count = len(left)
         columns = so3.to_6d(anchors.rotations)
         partner = _random_partners(left, random)
@@ -200,7 +200,7 @@ def _mirrored(batch: CycleBatch) -> CycleBatch:
     )
 
 
-def _chances(splits: Splits, clips: list[str]) -> Float[Tensor, " cycles"]:
+def _draw_probabilities(splits: Splits, clips: list[str]) -> Float[Tensor, " cycles"]:
     subjects = [splits.subject(clip) for clip in clips]
     count = Counter(subjects)
     return torch.tensor([count[subject] ** -0.5 for subject in subjects])

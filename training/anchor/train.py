@@ -16,7 +16,7 @@ from priors.anchor.frames import CODES, POSE_NUMBERS, CycleBasis
 from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread
 from recon.body.model import BodyModel
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.settings import CorpusSettings, told_settings
+from training.settings import CorpusSettings, settings_to_store
 from training.weights import save_anchor
 
 _DRAWN_AT_ONCE = 256
@@ -51,10 +51,10 @@ def export_weights(settings: AnchorTraining, path: Path) -> None:
     """
     torch.set_num_threads(1)
     learned = CycleCorpus.load(settings, "train", BodyModel.load())
-    save_anchor(path, linear(settings, learned), told_settings(settings))
+    save_anchor(path, principal_components(settings, learned), settings_to_store(settings))
 
 
-def linear(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
+def principal_components(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
     """Principal components of varied training cycles, and how their numbers are spread."""
     random = torch.Generator().manual_seed(settings.seed)
     rows = [

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
-from recon.benchmark.dataset import Part, Splits, notes
+from recon.benchmark.dataset import Part, Splits, conversion_notes
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import MotionFile
@@ -25,7 +25,7 @@ from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
-from training.humor.variation import chosen_rows, edited, joined
+from training.humor.variation import chosen_rows, with_random_edits, with_upper_body_of
 from training.recordings import mirrored_rotations
 from training.run import LOG
 from training.settings import TrainingSettings
@@ -52,9 +52,9 @@ def kind_of(description: str) -> str:
     return OTHER
 
 
-def described(motion: Path) -> str:
-    """The action that the notes beside a converted motion name; its file name without notes."""
-    return str(notes(motion).get("action", motion.stem))
+def described_action(motion: Path) -> str:
+    """The action named in the notes of a converted motion; its file name without notes."""
+    return str(conversion_notes(motion).get("action", motion.stem))
 
 
 RATE = 120
@@ -121,7 +121,7 @@ class Corpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found = [
-            (name, kind_of(described(path)), _at_rate(piece))
+            (name, kind_of(described_action(path)), _at_rate(piece))
             for name, path, stretch in settings.taught(part, "steps")
             for piece in _between_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
@@ -162,27 +162,29 @@ class Corpus(TensorStruct):
             return torch.rand(*size, generator=random).to(self.translation.device)
 
         speed = ((2 * uniform(windows) - 1) * np.log1p(variation.speed)).exp()
-        chance = self.count.float().sqrt() * (self.count > self._span(frames, 1 + variation.speed))
+        chance = self.count.float().sqrt() * (
+            self.count > self._frames_needed(frames, 1 + variation.speed)
+        )
         for group, share in ((self.kind, variation.kinds), (self.person, variation.people)):
             chance = _balanced(chance, group, share)
 
-        def places(speed: Tensor) -> tuple[Tensor, Tensor]:
+        def drawn_places(speed: Tensor) -> tuple[Tensor, Tensor]:
             clip = torch.multinomial(chance.cpu(), len(speed), replacement=True, generator=random)
             clip = clip.to(self.start.device)
-            room = self.count[clip] - self._span(frames, speed)
+            room = self.count[clip] - self._frames_needed(frames, speed)
             return clip, self.start[clip] + 1 + (uniform(len(speed)) * room).long()
 
-        clip, first = places(speed)
+        clip, first = drawn_places(speed)
         normal = torch.randn(windows, self.shape.shape[1], generator=random)
         mirror = uniform(windows) < variation.mirror
         reverse = uniform(windows) < variation.reverse
         shape = self.shape[clip] + variation.shape * normal.to(self.shape)
-        moments = self._moments(clip, first, speed, frames, mirror, reverse, shape)
+        moments = self._moments_of_windows(clip, first, speed, frames, mirror, reverse, shape)
         if variation.halves > 0:
             rows = chosen_rows(uniform(windows) < variation.halves)
             if len(rows) > 0:
-                other, its_first = places(speed[rows])
-                trunks = self._moments(
+                other, its_first = drawn_places(speed[rows])
+                trunks = self._moments_of_windows(
                     other,
                     its_first,
                     speed[rows],
@@ -191,9 +193,9 @@ class Corpus(TensorStruct):
                     uniform(len(rows)) < variation.reverse,
                     shape[rows],
                 )
-                made, accepted = joined(moments[rows], trunks)
+                made, accepted = with_upper_body_of(moments[rows], trunks)
                 moments = with_edited(moments, rows, made, accepted & (other != clip[rows]))
-        moments = edited(moments, variation, random)
+        moments = with_random_edits(moments, variation, random)
         return _states(moments, self.trusted[clip])
 
     def every(self, frames: int) -> StateWindows:
@@ -203,7 +205,7 @@ class Corpus(TensorStruct):
         for k, (start, count) in enumerate(
             zip(self.start.tolist(), self.count.tolist(), strict=True)
         ):
-            last = start + count - int(self._span(frames, 1.0))
+            last = start + count - int(self._frames_needed(frames, 1.0))
             places = range(start + 1, last + 1, frames * STRIDE)
             clip += [k] * len(places)
             first += places
@@ -213,15 +215,17 @@ class Corpus(TensorStruct):
         one = torch.ones(len(rows), device=self.start.device)
         places = torch.tensor(first, device=self.start.device)
         never = one < 0
-        moments = self._moments(rows, places, one, frames, never, never, self.shape[rows])
+        moments = self._moments_of_windows(
+            rows, places, one, frames, never, never, self.shape[rows]
+        )
         return _states(moments, self.trusted[rows])
 
     @staticmethod
-    def _span(frames: int, speed: Tensor | float) -> Tensor | float:
+    def _frames_needed(frames: int, speed: Tensor | float) -> Tensor | float:
         """Frames in memory that a window needs, with one more on each side and for rounding."""
         return (frames - 1) * STRIDE * speed + 4
 
-    def _moments(
+    def _moments_of_windows(
         self,
         clip: Int[Tensor, " windows"],
         first: Int[Tensor, " windows"],
@@ -272,14 +276,14 @@ class Corpus(TensorStruct):
         The pelvis' path scales with the legs, measured from the level of the toe joints, which
         becomes that of the new toes: where legs keep their proportions, no foot slips or rises.
         """
-        before, toes_before = self._standing(old)
-        after, toes_after = self._standing(new)
+        before, toes_before = self._heights_at_rest(old)
+        after, toes_after = self._heights_at_rest(new)
         legs = (after - toes_after)[:, 2:] / (before - toes_before)[:, 2:]
         shift = toes_after - self.body.rest_joints(new)[:, 0]
         path = translation + (self.body.rest_joints(old)[:, 0] - toes_before)[:, None, None]
         return path * legs[:, None, None] + shift[:, None, None]
 
-    def _standing(
+    def _heights_at_rest(
         self, shape: Float[Tensor, "windows shape"]
     ) -> tuple[Float[Tensor, "windows 3"], Float[Tensor, "windows 3"]]:
         """Heights above the sole of a body at rest, as vertical vectors: pelvis, toe joints."""
@@ -291,7 +295,7 @@ class Corpus(TensorStruct):
 
 
 def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows:
-    """States at the frames of windows; velocities are differences of the moments beside them."""
+    """States at the frames of windows; velocities are differences of neighbouring moments."""
     count = moments.contacts.shape[1]
     joints = moments.posed()[1].unflatten(1, (count, PER_FRAME))
     translation = moments.translation.unflatten(1, (count, PER_FRAME))

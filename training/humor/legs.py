@@ -16,9 +16,9 @@ from training.humor.moments import (
     Moments,
     at_frames,
     forward_of,
-    possible,
+    is_plausible,
+    minimum_jerk,
     speeds,
-    step,
 )
 
 HIPS, KNEES, ANKLES = (1, 2), (4, 5), (7, 8)
@@ -32,7 +32,7 @@ _FOLDED = 0.35
 
 
 @dataclass(frozen=True)
-class Aim(TensorStruct):
+class LegTargets(TensorStruct):
     """Places at which pelvis and ankles shall be; feet keep their orientations in the world."""
 
     root: Float[Tensor, "windows times 3 3"]
@@ -44,11 +44,11 @@ class Aim(TensorStruct):
     know where to bend."""
 
 
-def brought(
+def legs_reaching(
     rotations: Float[Tensor, "windows times 22 3 3"],
     posed: tuple[Float[Tensor, "windows times 22 3 3"], Float[Tensor, "windows times 22 3"]],
     rest: Float[Tensor, "windows 22 3"],
-    aim: Aim,
+    aim: LegTargets,
 ) -> tuple[Float[Tensor, "windows times 22 3 3"], Bool[Tensor, "windows 2"]]:
     """Rotations with which both legs reach their ankles from a moved pelvis.
 
@@ -84,8 +84,8 @@ def brought(
     pole = pole / pole.norm(dim=-1, keepdim=True).clamp(min=1e-6)
     bent = begin + x[..., None] * along + radius[..., None] * pole
 
-    thigh = shortest(knee - hip, bent - begin) @ orientations[:, :, list(HIPS)]
-    shank = shortest(ankle - knee, aim.ankles - bent) @ orientations[:, :, list(KNEES)]
+    thigh = smallest_rotation(knee - hip, bent - begin) @ orientations[:, :, list(HIPS)]
+    shank = smallest_rotation(ankle - knee, aim.ankles - bent) @ orientations[:, :, list(KNEES)]
     foot = orientations[:, :, list(ANKLES)]
     made = rotations.clone()
     made[:, :, 0] = aim.root
@@ -98,7 +98,7 @@ def brought(
     return made, ~(far | (reach < _FOLDED * length)).any(1)
 
 
-def shortest(
+def smallest_rotation(
     start: Float[Tensor, "*shape 3"], end: Float[Tensor, "*shape 3"]
 ) -> Float[Tensor, "*shape 3 3"]:
     """The smallest rotation from one direction to another: I + K + K² / (1 + cos)."""
@@ -130,12 +130,14 @@ _SHIFT = 0.06
 _HANDS = (20, 21)
 
 
-def may_bend(moments: Moments) -> Bool[Tensor, " windows"]:
+def may_move_pelvis(moments: Moments) -> Bool[Tensor, " windows"]:
     """Windows in which neither hands nor knees nor the pelvis carry weight."""
     return ~moments.ever(0, *KNEES, *_HANDS)
 
 
-def bent(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_pelvis_moved(
+    moments: Moments, random: torch.Generator
+) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows with another path of the pelvis, and which of them are plausible motions.
 
     Both feet stay exactly where they were, in contact or not, and so do their labels.
@@ -147,25 +149,25 @@ def bent(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tenso
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     up = ahead.new_tensor([0.0, 0.0, 1.0])
 
-    depth = chance.slow(*_DEPTH)
+    depth = chance.log_uniform(*_DEPTH)
     lowered = 0.3 + 0.7 * chance.wave(moments.seconds, *_BEND_PERIODS)
-    stoop = (chance.between(0.0, _STOOP / _DEPTH[1]) * depth)[:, None] * lowered
-    turn = chance.between(-_TURN, _TURN)[:, None] * _half(chance, moments)
-    roll = chance.between(-_ROLL, _ROLL)[:, None] * _half(chance, moments)
-    aside = chance.between(-_SHIFT, _SHIFT)[:, None] * _half(chance, moments)
-    on = chance.between(-_SHIFT, _SHIFT)[:, None] * _half(chance, moments)
+    stoop = (chance.uniform(0.0, _STOOP / _DEPTH[1]) * depth)[:, None] * lowered
+    turn = chance.uniform(-_TURN, _TURN)[:, None] * _varying_factor(chance, moments)
+    roll = chance.uniform(-_ROLL, _ROLL)[:, None] * _varying_factor(chance, moments)
+    aside = chance.uniform(-_SHIFT, _SHIFT)[:, None] * _varying_factor(chance, moments)
+    on = chance.uniform(-_SHIFT, _SHIFT)[:, None] * _varying_factor(chance, moments)
     on = on - _LEVER * stoop.sin()
 
     angle = turn[..., None] * up + stoop[..., None] * left + roll[..., None] * ahead
     path = pelvis + on[..., None] * ahead + aside[..., None] * left
     path = path - (depth[:, None] * lowered)[..., None] * up
-    aim = Aim(so3.exp(angle) @ root, path, joints[:, :, list(ANKLES)], depth)
-    rotations, reached = brought(moments.rotations, posed, moments.rest, aim)
+    aim = LegTargets(so3.exp(angle) @ root, path, joints[:, :, list(ANKLES)], depth)
+    rotations, reached = legs_reaching(moments.rotations, posed, moments.rest, aim)
     made = moments.derived(rotations=rotations, translation=moments.translation + path - pelvis)
-    return made, reached.all(1) & possible(moments, made)
+    return made, reached.all(1) & is_plausible(moments, made)
 
 
-def _half(chance: Chance, moments: Moments) -> Tensor:
+def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
     """Random factors between a half and one over time: a lasting, varying displacement."""
     return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
 
@@ -197,33 +199,35 @@ _SIDES = ((1, 4, 7, 10), (2, 5, 8, 11))
 
 def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
     """Windows in which a foot stands all the time, and neither hands nor knees carry weight."""
-    stands = _stands(moments, 0) | _stands(moments, 1)
+    stands = _foot_stands(moments, 0) | _foot_stands(moments, 1)
     return stands & ~moments.ever(0, *_HANDS, 4, 5)
 
 
-def raised(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_leg_raised(
+    moments: Moments, random: torch.Generator
+) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows with one leg raised, and which of them are plausible motions.
 
     The other foot stands on the ground all the time, and stays exactly where it is. The pelvis
     goes the other way by as much as keeps the centre of mass in its place.
     """
     chance = Chance(random, moments.translation)
-    either = chance.between(0.0, 1.0) < 0.5
-    right = torch.where(_stands(moments, 0), either | ~_stands(moments, 1), False)
+    either = chance.uniform(0.0, 1.0) < 0.5
+    right = torch.where(_foot_stands(moments, 0), either | ~_foot_stands(moments, 1), False)
     orientations, joints = posed = moments.posed()
     ahead = forward_of(orientations[:, :, 0])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
     side = torch.where(right, -1.0, 1.0)[:, None]
 
     wave = chance.wave(moments.seconds, *_RAISE_PERIODS)
-    direction = chance.between(*_DIRECTIONS)[:, None]
+    direction = chance.uniform(*_DIRECTIONS)[:, None]
     behind = ((direction - 0.5 * math.pi) / (_DIRECTIONS[1] - 0.5 * math.pi)).clamp(min=0)
-    height = chance.between(0.1 * _HIGHEST, _HIGHEST)[:, None] * wave
+    height = chance.uniform(0.1 * _HIGHEST, _HIGHEST)[:, None] * wave
     height = height * (1 - (1 - _BACK) * behind)
-    straight = chance.between(0.0, 1.0) < 0.5
-    knee = torch.where(straight, 0.0, chance.between(0.0, _KNEE))[:, None] * wave
-    pointed = chance.between(0.0, _POINTED)[:, None] * wave
-    tilt = chance.between(0.0, _TILT)[:, None] * height * direction.sin() * side
+    straight = chance.uniform(0.0, 1.0) < 0.5
+    knee = torch.where(straight, 0.0, chance.uniform(0.0, _KNEE))[:, None] * wave
+    pointed = chance.uniform(0.0, _POINTED)[:, None] * wave
+    tilt = chance.uniform(0.0, _TILT)[:, None] * height * direction.sin() * side
 
     flat = torch.zeros_like(height)
     swing = torch.stack((-direction.cos() * height, flat, side * direction.sin() * height), -1)
@@ -242,9 +246,9 @@ def raised(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Ten
     moved = torch.where(right[:, None, None], knees[:, :, 5], knees[:, :, 4])
     level = moved.new_tensor([1.0, 1.0, 0.0])
     path = -_LEG_SHARE * moved * level + (_TRUNK_LEVER * tilt.sin())[..., None] * left
-    path[..., 2] = -chance.between(0.0, _LOWERED)[:, None] * (1 - height.cos())
-    aim = Aim(root, joints[:, :, 0] + path, joints[:, :, list(ANKLES)], flat[:, 0] + 0.02)
-    rotations, reached = brought(moments.rotations, posed, moments.rest, aim)
+    path[..., 2] = -chance.uniform(0.0, _LOWERED)[:, None] * (1 - height.cos())
+    aim = LegTargets(root, joints[:, :, 0] + path, joints[:, :, list(ANKLES)], flat[:, 0] + 0.02)
+    rotations, reached = legs_reaching(moments.rotations, posed, moments.rest, aim)
     for joints_of, of_it in zip(_SIDES, (~right, right), strict=True):
         for joint in joints_of:
             rotations[of_it, :, joint] = free[of_it, :, joint]
@@ -255,16 +259,18 @@ def raised(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Ten
     own_feet = torch.where(right[:, None, None, None], lifted[1], lifted[0])
     above = (own_feet[..., 2] > -_TOUCH).flatten(1).all(1)
     reached = torch.where(right, reached[:, 0], reached[:, 1])
-    made = made.derived(contacts=moments.contacts & ~_moved(moments, feet, right))
-    return made, reached & above & possible(moments, made)
+    made = made.derived(contacts=moments.contacts & ~_labels_lost(moments, feet, right))
+    return made, reached & above & is_plausible(moments, made)
 
 
-def _stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
+def _foot_stands(moments: Moments, side: int) -> Bool[Tensor, " windows"]:
     ankle, toe = (moments.contacts[..., CHANNELS[j]] for j in _SIDES[side][2:])
     return (ankle | toe).all(1)
 
 
-def _moved(moments: Moments, change: Tensor, right: Tensor) -> Bool[Tensor, "windows frames 9"]:
+def _labels_lost(
+    moments: Moments, change: Tensor, right: Tensor
+) -> Bool[Tensor, "windows frames 9"]:
     """Mask of contact labels that are removed because the leg is raised."""
     gone = at_frames(change).norm(dim=-1) > _TOUCH
     gone = gone | (speeds(moments.seconds, change) > _LEAVING)
@@ -294,39 +300,41 @@ def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
     return moments.always(*FEET) & ~moments.ever(0, 4, 5, *_HANDS)
 
 
-def stepped(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_step_added(
+    moments: Moments, random: torch.Generator
+) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows with a part of a step added, and which of them are plausible motions.
 
     The foot that steps loses its contacts while it is in the air, the other one stays exactly
     where it is, and the pelvis goes half of the way.
     """
     chance = Chance(random, moments.translation)
-    right = chance.between(0.0, 1.0) < 0.5
+    right = chance.uniform(0.0, 1.0) < 0.5
     orientations, joints = posed = moments.posed()
     root, pelvis = orientations[:, :, 0], joints[:, :, 0]
     ahead = forward_of(root[:, :1])
     left = torch.stack((-ahead[..., 1], ahead[..., 0], torch.zeros_like(ahead[..., 0])), -1)
 
-    lasts = chance.between(*_LASTS)
+    lasts = chance.uniform(*_LASTS)
     room = moments.seconds[:, -1]
-    start = chance.between(0.0, 1.0) * (room + lasts) - lasts
-    way = step(moments.seconds, start, lasts)
-    follows = step(moments.seconds, start - _EARLIER, lasts + 2 * _EARLIER)
-    angle = chance.between(-_SPREAD, _SPREAD)[:, None, None]
-    size = (chance.slow(*_LENGTH) * chance.sign())[:, None, None]
+    start = chance.uniform(0.0, 1.0) * (room + lasts) - lasts
+    way = minimum_jerk(moments.seconds, start, lasts)
+    follows = minimum_jerk(moments.seconds, start - _EARLIER, lasts + 2 * _EARLIER)
+    angle = chance.uniform(-_SPREAD, _SPREAD)[:, None, None]
+    size = (chance.log_uniform(*_LENGTH) * chance.sign())[:, None, None]
     whole = size * (angle.cos() * left + angle.sin() * ahead)
 
     foot = way[..., None] * whole
-    lift = chance.between(*_HEIGHT)[:, None] * 4 * way * (1 - way)
+    lift = chance.uniform(*_HEIGHT)[:, None] * 4 * way * (1 - way)
     foot = torch.stack((*foot[..., :2].unbind(-1), lift), -1)
     moving = torch.stack((~right, right), -1)[:, None, :, None]
     ankles = joints[:, :, list(ANKLES)] + torch.where(moving, foot[:, :, None], 0.0)
     path = 0.5 * follows[..., None] * whole
-    low = chance.between(*_STEP_LOWERED)
+    low = chance.uniform(*_STEP_LOWERED)
     path = torch.stack((*path[..., :2].unbind(-1), -low[:, None].expand_as(way)), -1)
 
-    aim = Aim(root, pelvis + path, ankles, low)
-    rotations, reached = brought(moments.rotations, posed, moments.rest, aim)
+    aim = LegTargets(root, pelvis + path, ankles, low)
+    rotations, reached = legs_reaching(moments.rotations, posed, moments.rest, aim)
     place = at_frames(way)
     air = (place > 0) & (place < 1)
     contacts = moments.contacts.clone()
@@ -337,4 +345,4 @@ def stepped(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Te
         rotations=rotations, translation=moments.translation + path, contacts=contacts
     )
     apart = ((ankles[:, :, 0] - ankles[:, :, 1]) * left).sum(-1) > _APART
-    return made, apart.all(1) & reached.all(1) & possible(moments, made)
+    return made, apart.all(1) & reached.all(1) & is_plausible(moments, made)

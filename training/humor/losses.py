@@ -80,7 +80,7 @@ def unroll(
     pelvis = windows.rest[:, 0] * level
     past, future = world[:, :-1], world[:, 1:]
     frame = Frame.of(past)
-    start, target = frame.enter(past, pelvis[:, None]), frame.enter(future, pelvis[:, None])
+    start, target = frame.to_frame(past, pelvis[:, None]), frame.to_frame(future, pelvis[:, None])
     if bool(true_input[1:].all()):
         return transition(networks, start, target, random, half), target
     steps: list[Transition] = []

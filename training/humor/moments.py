@@ -78,7 +78,7 @@ def at_frames(values: Float[Tensor, "windows times *rest"]) -> Tensor:
 def speeds(
     seconds: Float[Tensor, "windows times"], places: Float[Tensor, "windows times joints 3"]
 ) -> Float[Tensor, "windows frames joints"]:
-    """Speeds at the frames, m/s, from the moments beside them."""
+    """Speeds at the frames, m/s, from the neighbouring moments."""
     span = (seconds[:, 2::PER_FRAME] - seconds[:, ::PER_FRAME])[..., None, None]
     return ((places[:, 2::PER_FRAME] - places[:, ::PER_FRAME]) / span).norm(dim=-1)
 
@@ -91,7 +91,7 @@ def forward_of(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
 
 
 NAMES = ("hip flexion", "hip abduction", "knee flexion", "ankle dorsiflexion", "elbow flexion")
-"""Angles of `angles`, for the left and the right side each."""
+"""Angles of `joint_angles`, for the left and the right side each."""
 
 LOWEST = tuple(math.radians(a) for a in (-35, -40, -8, -65, -10))
 HIGHEST = tuple(math.radians(a) for a in (135, 85, 150, 45, 150))
@@ -103,17 +103,17 @@ _CLEARANCE = 0.10
 _SOLE = 0.02
 
 
-def angles(
+def joint_angles(
     rotations: Float[Tensor, "windows times 22 3 3"], rest: Float[Tensor, "windows 22 3"]
 ) -> Float[Tensor, "windows times 2 5"]:
     """Angles named in `NAMES`, left and right, radians; zero with legs and arms straight at rest.
 
     The rest pose has y up, z forward and x to the left; bones of the right side are mirrored.
     """
-    thigh = bones(rotations, rest, (1, 2), (4, 5))
-    shank = bones(rotations, rest, (4, 5), (7, 8))
-    foot = bones(rotations, rest, (7, 8), (10, 11))
-    forearm = bones(rotations, rest, (18, 19), (20, 21))
+    thigh = bone_directions(rotations, rest, (1, 2), (4, 5))
+    shank = bone_directions(rotations, rest, (4, 5), (7, 8))
+    foot = bone_directions(rotations, rest, (7, 8), (10, 11))
+    forearm = bone_directions(rotations, rest, (18, 19), (20, 21))
     toe = rest[:, None, [10, 11]] - rest[:, None, [7, 8]]
     down = thigh[..., 1:].norm(dim=-1) > 0.4
     flexion = torch.where(down, torch.atan2(thigh[..., 2], -thigh[..., 1]), 0.0)
@@ -129,7 +129,7 @@ def angles(
     )
 
 
-def bones(
+def bone_directions(
     rotations: Float[Tensor, "windows times 22 3 3"],
     rest: Float[Tensor, "windows 22 3"],
     joints: tuple[int, int],
@@ -146,9 +146,9 @@ def bones(
     return turned * turned.new_tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
 
 
-def possible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
+def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Whether edited windows are within the ranges of their joints and above the ground."""
-    before, after = (angles(at_frames(m.rotations), m.rest) for m in (old, new))
+    before, after = (joint_angles(at_frames(m.rotations), m.rest) for m in (old, new))
     low, high = after.new_tensor(LOWEST), after.new_tensor(HIGHEST)
     inside = (after > torch.minimum(low, before) - _SLACK) & (
         after < torch.maximum(high, before) + _SLACK
@@ -177,13 +177,13 @@ class Chance:
     like: Tensor
     """A tensor of the kind and device wanted; its first axis counts the windows."""
 
-    def between(self, low: float, high: float) -> Float[Tensor, " windows"]:
+    def uniform(self, low: float, high: float) -> Float[Tensor, " windows"]:
         """Uniform numbers, one for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return low + (high - low) * drawn
 
-    def slow(self, low: float, high: float) -> Float[Tensor, " windows"]:
-        """Numbers whose logarithm is uniform."""
+    def log_uniform(self, low: float, high: float) -> Float[Tensor, " windows"]:
+        """Numbers whose logarithm is uniform, one for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return low * (high / low) ** drawn
 
@@ -196,12 +196,12 @@ class Chance:
         self, seconds: Float[Tensor, "windows times"], shortest: float, longest: float
     ) -> Float[Tensor, "windows times"]:
         """Raised cosines between zero and one, of random period (seconds) and phase."""
-        period, phase = self.slow(shortest, longest), self.between(0.0, 2 * torch.pi)
+        period, phase = self.log_uniform(shortest, longest), self.uniform(0.0, 2 * torch.pi)
         angle = 2 * torch.pi * seconds / period[:, None] + phase[:, None]
         return 0.5 - 0.5 * angle.cos()
 
 
-def step(
+def minimum_jerk(
     seconds: Float[Tensor, "windows times"],
     start: Float[Tensor, " windows"],
     lasts: Float[Tensor, " windows"],

@@ -48,8 +48,8 @@ class Scaling(TensorStruct):
         """Scales of windows of consecutive states, axes (windows, frames)."""
         past, future = world[:, :-1], world[:, 1:]
         frame = Frame.of(past)
-        before = frame.enter(past, rest_pelvis[:, None])
-        after = frame.enter(future, rest_pelvis[:, None])
+        before = frame.to_frame(past, rest_pelvis[:, None])
+        after = frame.to_frame(future, rest_pelvis[:, None])
         x, change = before.pack(), after.pack() - before.pack()
         raw = step_between(before, after)
 
@@ -68,7 +68,7 @@ class Scaling(TensorStruct):
 
 
 class ScaledNetworks(nn.Module):
-    """`HumorNetworks` between scaled numbers; called with the plain ones, like them.
+    """`HumorNetworks` with normalised inputs and outputs, called with plain numbers.
 
     While it learns, states are blurred by `noise` standard deviations: a small corpus is else
     learned by heart, and steps from states beside the recorded ones are not learned at all.
@@ -96,7 +96,7 @@ class ScaledNetworks(nn.Module):
         core = HumorNetworks(plain.width)
         core.load_state_dict(plain.state_dict())
         made = cls(core, scaling, noise)
-        made._move(outwards=False)
+        made._fold_scales(outwards=False)
         return made
 
     @property
@@ -110,33 +110,33 @@ class ScaledNetworks(nn.Module):
         """Networks that compute the same functions without scales."""
         made = ScaledNetworks(HumorNetworks(self.core.width), self.scaling.to(device="cpu"))
         made.load_state_dict(self.state_dict())
-        made._move(outwards=True)
+        made._fold_scales(outwards=True)
         return made.core
 
     def prior(self, state: Float[Tensor, "*batch 339"]) -> tuple[Tensor, Tensor]:
         """Mean and log-variance of the conditional prior; see `HumorNetworks.prior`."""
-        return self.core.prior(self._seen(state))
+        return self.core.prior(self._normalised_state(state))
 
     def posterior(
         self, state: Float[Tensor, "*batch 339"], following: Float[Tensor, "*batch 339"]
     ) -> tuple[Tensor, Tensor]:
         """Mean and log-variance of the posterior, whose second input is scaled as a change."""
         change = (following - state - self.change_mean) / self.change
-        return self.core.posterior(self._seen(state), change)
+        return self.core.posterior(self._normalised_state(state), change)
 
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
         """The raw step of a latent; see `HumorNetworks.decode`."""
-        raw = self.core.decode(self._seen(state), latent)
+        raw = self.core.decode(self._normalised_state(state), latent)
         return self.raw_mean + self.raw * raw.float()
 
-    def _seen(self, state: Float[Tensor, "*batch 339"]) -> Float[Tensor, "*batch 339"]:
+    def _normalised_state(self, state: Float[Tensor, "*batch 339"]) -> Float[Tensor, "*batch 339"]:
         seen = (state - self.state_mean) / self.state
         return seen + self.noise * torch.randn_like(seen) if self.training else seen
 
     @torch.no_grad()
-    def _move(self, outwards: bool) -> None:
+    def _fold_scales(self, outwards: bool) -> None:
         """Fold the scales into the core's first and last layers, or take them out again."""
         s = self.scaling.to(dtype=torch.float64)
         inputs = torch.diag(1 / s.state)

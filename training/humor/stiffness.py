@@ -17,7 +17,7 @@ from torch import Tensor
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import SPAN, Steps, explain
+from priors.humor.steps import SPAN, Steps, posterior_outputs
 from priors.pose.prior import PoseVariables
 from recon.benchmark.dataset import SPLITS
 from recon.core import rotations as so3
@@ -41,7 +41,7 @@ def main(
     seed: int = 0,
     out: Path = Path("humor_steps.safetensors"),
 ) -> None:
-    """Learn how stiff HuMoR's steps are on average, and write it.
+    """Learn the mean curvature of HuMoR's energies of steps, and write it.
 
     Args:
         corpus: folder of all converted motions.
@@ -53,7 +53,10 @@ def main(
     known = CorpusSettings(corpus, out, splits=splits).load_clips("train", lesson="steps")
     clips = [clip.motion for clip in known if clip.motion.frames >= SPAN]
     drawn = draw(clips, steps, seed)
-    roots = {name: root(matrix) for name, matrix in curvature(Humor.load(), drawn).items()}
+    roots = {
+        name: half_precision_root(matrix)
+        for name, matrix in curvature(Humor.load(), drawn).items()
+    }
     made_of = {kind: file_checksum(weights_path("open", kind)) for kind in ("humor", "pose")}
     about = {"data": "open", "steps": steps, "seed": seed, "made_of": made_of}
     save_checkpoint(out, "humor_steps", roots, about)
@@ -97,8 +100,8 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
     }
 
 
-def root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """F with F Fᵀ the matrix, whose numbers fit into half precision."""
+def half_precision_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """F with F Fᵀ the matrix; the entries of F fit into half precision."""
     values, vectors = torch.linalg.eigh(matrix)
     return (vectors * values.clamp(min=0).sqrt()).half()
 
@@ -118,12 +121,12 @@ def _perturbed(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
 
 
 def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Tensor]:
-    """Residuals of the middle step: the decoder's whitened error, and the latents' surprise."""
+    """Residuals of the middle step: whitened decoder errors, and latents against the prior."""
     motion = prior.poses.decode(variables).motion
     states = states_of(motion, prior.humor.body)
     middle = states.map(lambda t: t[:, 1:3])
     networks, pelvis = prior.humor.networks, prior.humor.pelvis(motion.shape)
-    error = explain(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
+    error = posterior_outputs(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
     steps = Steps.of(middle, pelvis)
     mean, log_variance = networks.posterior(steps.start, steps.end)
     prior_mean, prior_log_variance = networks.prior(steps.start)

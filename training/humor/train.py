@@ -21,7 +21,7 @@ from torch import Tensor
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import State, canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor.steps import explain
+from priors.humor.steps import posterior_outputs
 from priors.humor.weights import networks_from, read_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
@@ -29,7 +29,7 @@ from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
 from training.run import BEST, LOG, Run, in_folder, trained_state
-from training.settings import TrainingSettings, told_settings
+from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humor
 
 _SCALED_BY = 20_000
@@ -85,7 +85,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
-        """Networks scaled by varied windows: random ones, or those that the run starts with."""
+        """Random networks, or those to start from, scaled by augmented windows."""
         settings = self.settings
         scaling = Scaling.none()
         if state is None:
@@ -143,7 +143,7 @@ def validate(
 
 
 def train(settings: HumorTraining) -> Path:
-    """Train, or go on training; the checkpoint's path.
+    """Train, or resume training; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -183,12 +183,11 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     varied = learned.draw(samples, 2, settings.variation, random).states
     whitening = error_whitening(networks, varied, rest_pelvis(varied[:, 0]))
     # initial states come from unedited windows only: edited ones float or stand on one leg
-    # frequent
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))
     initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
 
-    about = told_settings(settings) | {"step": found["step"]}
+    about = settings_to_store(settings) | {"step": found["step"]}
     save_humor(path, networks, initial, whitening, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
@@ -234,7 +233,7 @@ def error_whitening(
 ) -> Float[Tensor, "207 207"]:
     """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
     with torch.no_grad():
-        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
+        errors = posterior_outputs(networks, states, pelvis).error.flatten(0, 1).double()
     covariance = errors.mT @ errors / len(errors)
     covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
     factor = torch.linalg.cholesky(covariance)

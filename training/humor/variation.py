@@ -8,13 +8,20 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.core import rotations as so3
-from training.humor.legs import bent, may_bend, may_raise, may_step, raised, stepped
+from training.humor.legs import (
+    may_move_pelvis,
+    may_raise,
+    may_step,
+    with_leg_raised,
+    with_pelvis_moved,
+    with_step_added,
+)
 from training.humor.moments import (
     Chance,
     Moments,
     above_ground,
-    bones,
-    possible,
+    bone_directions,
+    is_plausible,
     with_edited,
 )
 
@@ -92,19 +99,21 @@ def with_arms_moved(
     for shoulder, elbow, side in ((16, 18, 1.0), (17, 19, -1.0)):
         axis = torch.randn(len(rotations), 3, generator=random).to(rotations)
         axis = axis / axis.norm(dim=-1, keepdim=True)
-        wave = 2 * chance.wave(moments.seconds, *_ARM_PERIODS) - chance.between(0.0, 1.0)[:, None]
-        angle = chance.between(0.0, 0.5 * _SHOULDER)[:, None] * wave
+        wave = 2 * chance.wave(moments.seconds, *_ARM_PERIODS) - chance.uniform(0.0, 1.0)[:, None]
+        angle = chance.uniform(0.0, 0.5 * _SHOULDER)[:, None] * wave
         turn = so3.exp(angle[..., None] * axis[:, None])
-        bend = chance.between(-_ELBOW, _ELBOW)[:, None]
+        bend = chance.uniform(-_ELBOW, _ELBOW)[:, None]
         bend = bend * (0.5 + 0.5 * chance.wave(moments.seconds, *_ARM_PERIODS))
         flat = torch.zeros_like(bend)
         rotations[:, :, shoulder] = turn @ rotations[:, :, shoulder]
         hinge = so3.exp(torch.stack((flat, -side * bend, flat), -1))
         rotations[:, :, elbow] = rotations[:, :, elbow] @ hinge
     made = moments.derived(rotations=rotations)
-    upper = bones(rotations, moments.rest, (16, 17), (18, 19))
+    upper = bone_directions(rotations, moments.rest, (16, 17), (18, 19))
     inside = (upper[..., 2] > _BEHIND) & (upper[..., 0] > _ACROSS)
-    return made, inside.flatten(1).all(1) & clear_of_trunk(moments, made) & possible(moments, made)
+    return made, inside.flatten(1).all(1) & clear_of_trunk(moments, made) & is_plausible(
+        moments, made
+    )
 
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
@@ -130,7 +139,7 @@ _FARTHEST = math.radians(50)
 """Most by which the two pelvises differ in tilt; the spine takes up the difference."""
 
 
-def joined(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows with the lower half of the first and the upper half of the second.
 
     The trunk is tilted in the world as it was recorded, and turned as the legs are: relative to
@@ -140,11 +149,11 @@ def joined(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " wind
     Refused are windows in which a hand carries weight in either, where pelvises differ too much,
     or where arms would reach into the ground.
     """
-    differ = so3.log(_level(legs).mT @ _level(trunks))
+    differ = so3.log(_pelvis_tilt(legs).mT @ _pelvis_tilt(trunks))
     third = so3.exp(differ / 3)
     rotations = legs.rotations.clone()
     rotations[:, :, list(UPPER)] = trunks.rotations[:, :, list(UPPER)]
-    # third · third · third · s1 · s2 · s3, with each third moved to its own joint
+    # a third of the difference at each of the three trunk joints: s_j = B⁻¹ · third · B · own
     below = torch.eye(3).to(third)
     for joint in TRUNK:
         own = trunks.rotations[:, :, joint]
@@ -156,7 +165,7 @@ def joined(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " wind
     return made, near & ~hands & above_ground(legs, made)
 
 
-def _level(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
+def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
     """Orientations of the pelvis less its heading."""
     root = moments.rotations[:, :, 0]
     return so3.heading(root) @ root
@@ -186,19 +195,21 @@ def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
     return steady & ~moments.ever(*_CARRIERS)
 
 
-def flown(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tensor, " windows"]]:
+def with_flight(
+    moments: Moments, random: torch.Generator
+) -> tuple[Moments, Bool[Tensor, " windows"]]:
     """Windows in free flight, without contacts, and which of them are plausible motions."""
     chance = Chance(random, moments.translation)
     seconds = moments.seconds
     last = seconds[:, -1].clamp(min=0.1)
-    apex = (0.1 + 0.8 * chance.between(0.0, 1.0)) * last
+    apex = (0.1 + 0.8 * chance.uniform(0.0, 1.0)) * last
     fall = 0.5 * GRAVITY * (seconds - apex[:, None]).square()
-    height = chance.between(*_CLEAR)[:, None] + fall.amax(1, keepdim=True) - fall
-    angle, speed = chance.between(0.0, 2 * math.pi), chance.between(0.0, _DRIFT)
+    height = chance.uniform(*_CLEAR)[:, None] + fall.amax(1, keepdim=True) - fall
+    angle, speed = chance.uniform(0.0, 2 * math.pi), chance.uniform(0.0, _DRIFT)
     level = (speed[:, None] * torch.stack((angle.cos(), angle.sin()), -1))[:, None]
     path = torch.cat((seconds[..., None] * level, height[..., None]), -1)
 
-    tucked, pointed = chance.between(0.0, _TUCKED), chance.between(0.0, _POINTED)
+    tucked, pointed = chance.uniform(0.0, _TUCKED), chance.uniform(0.0, _POINTED)
     flat = torch.zeros_like(tucked)
     hip, knee, ankle = (
         so3.exp(torch.stack((turn, flat, flat), -1))[:, None, None]
@@ -213,16 +224,16 @@ def flown(moments: Moments, random: torch.Generator) -> tuple[Moments, Bool[Tens
         translation=moments.translation + path,
         contacts=torch.zeros_like(moments.contacts),
     )
-    return made, possible(moments, made)
+    return made, is_plausible(moments, made)
 
 
-def edited(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
+def with_random_edits(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
     """Windows with random edits of legs and arms."""
     legs = (
-        (may_raise, raised, variation.raises),
-        (may_step, stepped, variation.sidesteps),
-        (may_bend, bent, variation.bends),
-        (may_fly, flown, variation.flights),
+        (may_raise, with_leg_raised, variation.raises),
+        (may_step, with_step_added, variation.sidesteps),
+        (may_move_pelvis, with_pelvis_moved, variation.bends),
+        (may_fly, with_flight, variation.flights),
     )
     for group in (legs, ((may_move_arms, with_arms_moved, variation.arms),)):
         free = torch.ones_like(moments.rest[:, 0, 0], dtype=torch.bool)

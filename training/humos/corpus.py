@@ -146,7 +146,7 @@ class BodyCorpus(TensorStruct):
         return batch.replace(frames=both[row], shape=shape, other=other)
 
     def every(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
-        """Windows as recorded, in turn, evenly thinned to so many; others at random."""
+        """Windows as recorded, evenly thinned to `most`, with random shapes to transfer to."""
         rows = [
             (clip, first)
             for clip, count in enumerate(self.count.tolist())
@@ -164,11 +164,11 @@ class BodyCorpus(TensorStruct):
         valid = steps < self.count[clip, None]
         rows = self.start[clip, None] + steps.minimum(self.count[clip, None] - 1)
         shape = self.shape[clip]
-        cut = begun_anew(self.frames[rows])
+        cut = relative_to_first_frame(self.frames[rows])
         return BodyBatch(cut, self.height[rows], valid, shape, shape)
 
 
-def begun_anew(frames: BodyFrames) -> BodyFrames:
+def relative_to_first_frame(frames: BodyFrames) -> BodyFrames:
     """Frames relative to the first frame."""
     back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]

@@ -70,7 +70,7 @@ def reconstruction(
 def numbers_error(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch
 ) -> Float[Tensor, ""]:
-    """½ mean |error|² / σ² of the numbers alone: enough for the way there and back."""
+    """½ mean |error|² / σ² of the numbers alone, for transfers to a body and back."""
     return 0.5 * _mean((rows - batch.frames.pack()).square(), batch.valid[..., None]) / _NUMBER**2
 
 
@@ -100,7 +100,7 @@ def physics_losses(
     And vertical acceleration: a body whose lowest point is put on the ground in every frame may
     tremble, which no loss of poses sees.
     """
-    motion = placed(rows, batch, body)
+    motion = motion_of_other_body(rows, batch, body)
     estimate = Estimate(
         Decoded(motion), body.pose(motion), Scene.create(len(rows), like=motion.translation)
     )
@@ -127,7 +127,9 @@ def _pelvis_acceleration_error(
     return (height - batch.height).diff(n=2, dim=-1).square()
 
 
-def placed(rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel) -> Motion:
+def motion_of_other_body(
+    rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel
+) -> Motion:
     """Rows as the motion of the other body of the batch."""
     base = so3.rigid(torch.eye(3), torch.zeros(3)).expand(len(rows), 4, 4)
     return BodyFrames.unpack(rows).motion(batch.other, body, FPS, base).replace(valid=batch.valid)
@@ -137,7 +139,9 @@ def _mean(values: Tensor, valid: Bool[Tensor, "*batch 1"]) -> Float[Tensor, ""]:
     return values.where(valid, 0.0).sum() / (valid.sum() * values.shape[-1]).clamp(min=1)
 
 
-def joints_apart(one: BodyFrames, other: BodyFrames, batch: BodyBatch, body: BodyModel) -> float:
+def mean_joint_distance_cm(
+    one: BodyFrames, other: BodyFrames, batch: BodyBatch, body: BodyModel
+) -> float:
     """Mean distance of joints about the level of the pelvis on the bodies of a batch, cm."""
     a, b = (frames.joints(batch.shape, body) for frames in (one, other))
     return 100 * float((a - b).norm(dim=-1).mean(-1)[batch.valid].mean())

@@ -17,13 +17,13 @@ from training.humos.losses import (
     clearance_error,
     divergence,
     encoded,
-    joints_apart,
+    mean_joint_distance_cm,
     numbers_error,
     physics_losses,
     reconstruction,
 )
 from training.run import CHECKPOINT, LOG, Run, in_folder, trained_state
-from training.settings import TrainingSettings, told_settings
+from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humos
 
 _HELD_OUT = 48
@@ -81,8 +81,8 @@ class HumosTraining(TrainingSettings):
         """Check the settings before a corpus is read."""
         if self.latent > self.basis:
             raise ValueError(
-                f"codes of {self.latent} numbers begin as as many of {self.basis} principal "
-                "directions: give a smaller latent, or a larger basis"
+                f"latent: expected at most basis, {self.basis} principal directions, got "
+                f"{self.latent}; give a smaller latent or a larger basis"
             )
         for name in ("latent", "basis", "width", "layers", "clips", "frames", "physics_frames"):
             if getattr(self, name) < 1:
@@ -150,7 +150,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         room = frames - settings.physics_frames
         first = int(torch.randint(room + 1, (1,), generator=self.random))
         some = slice(first, first + settings.physics_frames)
-        found = physics_losses(made[:, some], _between(batch, some), body)
+        found = physics_losses(made[:, some], _cut_frames(batch, some), body)
         physics = found.ground / _GROUND**2 + found.slide / _SLIDE**2 + found.bounce / _BOUNCE**2
         return {"total": total + physics + found.balance / _BALANCE**2}
 
@@ -168,10 +168,10 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         here, there, ours = (BodyFrames.unpack(rows) for rows in (same, made, back))
         return {
             "reconstruction": float(reconstruction(same, checked, body)),
-            "joint_cm": joints_apart(here, checked.frames, checked, body),
-            "cycle_joint_cm": joints_apart(ours, checked.frames, checked, body),
+            "joint_cm": mean_joint_distance_cm(here, checked.frames, checked, body),
+            "cycle_joint_cm": mean_joint_distance_cm(ours, checked.frames, checked, body),
             "clearance_cm": clearance_error(same, checked),
-            "changed_cm": joints_apart(there, here, checked, body),
+            "changed_cm": mean_joint_distance_cm(there, here, checked, body),
             "ground": float(physics.ground) * 1e4,
             "slide": float(physics.slide) * 1e4,
             "balance": float(physics.balance) * 1e4,
@@ -181,7 +181,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
 
 
 def train(settings: HumosTraining) -> Path:
-    """Train, or go on training; the checkpoint's path.
+    """Train, or resume training; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -205,7 +205,7 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
     networks.load_state_dict(found["averaged"])
     networks.eval().requires_grad_(False)
     weights = HumosWeights(networks, _density(settings, networks, learned), settings.frames)
-    about = told_settings(settings) | {"shape": weights.shape, "step": found["step"]}
+    about = settings_to_store(settings) | {"shape": weights.shape, "step": found["step"]}
     save_humos(path, weights, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
@@ -241,7 +241,7 @@ def _density(
     )
 
 
-def _between(batch: BodyBatch, some: slice) -> BodyBatch:
+def _cut_frames(batch: BodyBatch, some: slice) -> BodyBatch:
     frames = batch.frames.map(lambda rows: rows[:, some])
     return batch.replace(frames=frames, height=batch.height[:, some], valid=batch.valid[:, some])
 
@@ -290,9 +290,8 @@ def fitted_codes(
             torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
             for p in pairs
         )
-        # u has unit variance, so the covariance of neighbours is the regression matrix; with
-        # singular
-        # values below one the process is stationary, whatever the length of the clip
+        # u has unit variance, so this covariance of neighbours is their regression matrix;
+        # singular values below one make the process stationary
         left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
         follow = (left * lengths.clamp(max=_MEMORY)) @ right
         rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)

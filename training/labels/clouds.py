@@ -115,7 +115,7 @@ class CloudCorpus:
         random: Generator | None,
         moment: Int[Tensor, "windows 1"] | None = None,
     ) -> LabelledClouds:
-        """Some windows as they are, of each moment at most `rows` points; None: all moments."""
+        """Some windows without augmentation, at most `rows` points per frame."""
         every = self.clouds
         moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
         # points are in random order, so a consecutive run is a random sample
@@ -145,10 +145,12 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
     clouds = mirrored_where(chance(0.5), clouds)
     tilted = chance(variation.tilted)
     angle = math.tau * torch.rand(windows, generator=random)
-    turns = torch.where(tilted[:, None, None], _any_turn(windows, random), so3.about_z(angle))
+    turns = torch.where(
+        tilted[:, None, None], _random_rotations(windows, random), so3.about_z(angle)
+    )
     blind = chance(variation.blind)
     present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
-    present &= ~_lost(clouds, chance(variation.lost_limb), random)
+    present &= ~_in_hidden_regions(clouds, chance(variation.lost_limb), random)
     # do not crop when the crop would keep too few points
     enough = present.flatten(1).sum(-1) >= 0.25 * clouds.present.flatten(1).sum(-1)
     present = torch.where(enough[:, None, None], present, clouds.present)
@@ -163,7 +165,7 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
 
 
 def thinned(clouds: LabelledClouds, rows: int) -> LabelledClouds:
-    """Clouds of at most so many points a moment; those present come first."""
+    """Clouds of at most `rows` points per frame; points that exist come first."""
     order = (~clouds.present).byte().argsort(dim=-1, stable=True)[..., :rows]
     wide = order[..., None].expand(*order.shape, 3)
     present = clouds.present.gather(-1, order)
@@ -225,7 +227,7 @@ def _hidden(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     return torch.where(by_box[:, None, None], inside, beyond) & which[:, None, None]
 
 
-def _lost(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
+def _in_hidden_regions(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     """Points of regions of which nothing is seen, drawn for every window."""
     gone = torch.rand(len(which), len(REGIONS) + 1, generator=random) < 0.25
     gone[:, -1] = False
@@ -233,7 +235,7 @@ def _lost(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     return lost.unflatten(1, clouds.regions.shape[1:]) & which[:, None, None]
 
 
-def _any_turn(count: int, random: Generator) -> Float[Tensor, "count 3 3"]:
+def _random_rotations(count: int, random: Generator) -> Float[Tensor, "count 3 3"]:
     """Rotations drawn evenly: unit quaternions of normal numbers."""
     w, x, y, z = torch.nn.functional.normalize(
         torch.randn(count, 4, generator=random), dim=-1

@@ -90,7 +90,7 @@ class Postures:
     def draw(
         self, moments: int, random: np.random.Generator
     ) -> Float[np.ndarray, "moments 22 3 3"]:
-        """A window of somebody's motion: as recorded, put together of several, or made up.
+        """A window of somebody's motion: as recorded, combined from several, or random.
 
         Of ten windows five are as recorded, three have limbs of other recordings, two have bent
         limbs that are drawn at random; half of all are disturbed a little.
@@ -102,7 +102,7 @@ class Postures:
                 if random.random() < 0.7:
                     window[:, limb] = self._recorded(moments, random)[:, limb]
         if kind >= 0.8:
-            window[:, 1:] = made_up(moments, random)[:, 1:]
+            window[:, 1:] = random_motion(moments, random)[:, 1:]
         if random.random() < 0.5:
             bend = random.normal(0.0, random.choice([0.1, 0.25]), (1, len(JOINTS), 3))
             bend[:, 0] = 0.0
@@ -117,7 +117,9 @@ class Postures:
         return clip[np.clip(frames, 0, len(clip) - 1)].copy()
 
 
-def made_up(moments: int, random: np.random.Generator) -> Float[np.ndarray, "moments 22 3 3"]:
+def random_motion(
+    moments: int, random: np.random.Generator
+) -> Float[np.ndarray, "moments 22 3 3"]:
     """A random slow motion of limbs, roughly within joint limits.
 
     Elbows and knees bend one way only; hips are mostly flexed, so that many of these sit, squat or

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 
 from recon.core.camera import Camera, looking
 from recon.core.raster import rasterise
-from recon.simulation.depth import DepthSensor, Surface, measured
-from recon.simulation.points import spread
-from recon.simulation.scenery import FurnitureMesh, box, chair, table, together
+from recon.simulation.depth import DepthSensor, Surface, measured_depth
+from recon.simulation.points import sampled_on_surface
+from recon.simulation.scenery import FurnitureMesh, box, chair, joined_meshes, table
 
 SIZE = (256, 212)
 """Width and height of the depth images, pixels."""
@@ -85,7 +85,7 @@ def drawn_room(
     return Room(
         camera=camera,
         sensor=sensor,
-        furniture=together(pieces),
+        furniture=joined_meshes(pieces),
         wall=away + random.uniform(0.4, 3.0),
         blotches=random.choice([0.0, 0.003, 0.01]) * random.random(),
     )
@@ -111,12 +111,12 @@ def glimpse(
         random: source of chance.
     """
     depth, seen, surface = _image(vertices, faces, places, room)
-    noisy = measured(depth, room.camera, room.sensor, random)
-    noisy = np.where(noisy > 0, noisy + room.blotches * _blotches(random), 0.0)
+    noisy = measured_depth(depth, room.camera, room.sensor, random)
+    noisy = np.where(noisy > 0, noisy + room.blotches * _correlated_noise(random), 0.0)
     row, column = np.nonzero(noisy)
     true, found = depth[row, column], noisy[row, column]
     here = surface[row, column]
-    points = _world(room.camera, row, column, found)
+    points = _world_points(room.camera, row, column, found)
     noise = np.hypot(room.sensor.deviation(true), room.blotches)
     body = (here == Surface.BODY) & (np.abs(found - true) < np.maximum(_FLIES, _NOISE * noise))
     kept = here == Surface.BODY
@@ -152,7 +152,7 @@ def all_around(
     random: np.random.Generator,
 ) -> Glimpse:
     """Points that scanners from all sides see, with noise and a few that belong to nothing."""
-    drawn = spread(vertices, faces, count, random, np.hstack([vertices, places]))
+    drawn = sampled_on_surface(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
     points, shown = drawn[:, :3] + random.normal(0.0, noise, (count, 3)), drawn[:, 3:]
     on_body = (random.random(count) >= random.choice([0.0, 0.0, 0.03])).astype(np.int64)
@@ -177,7 +177,7 @@ def _image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Ro
     seen = raster.values
     surface = np.where(seen[..., 0] > 0.5 * _ELSEWHERE, Surface.BOX, Surface.BODY)
     row, column = np.indices(raster.depth.shape).reshape(2, -1)
-    rays = _world(camera, row, column, np.ones(len(row))) - room.eye
+    rays = _world_points(camera, row, column, np.ones(len(row))) - room.eye
     floor = -room.eye[2] / np.where(np.abs(rays[:, 2]) < 1e-9, 1e-9, rays[:, 2])
     floor = np.where(floor > 0.1, floor, np.inf).reshape(raster.depth.shape)
     depth = np.minimum(np.minimum(raster.depth, floor), room.wall)
@@ -185,7 +185,9 @@ def _image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Ro
     return depth.astype(np.float64), seen, surface
 
 
-def _world(camera: Camera, row: np.ndarray, column: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def _world_points(
+    camera: Camera, row: np.ndarray, column: np.ndarray, depth: np.ndarray
+) -> np.ndarray:
     """World points of pixels at these depths, metres."""
     K = camera.camera_matrix.double().numpy()
     T = camera.T_camera_world.double().numpy()
@@ -194,7 +196,7 @@ def _world(camera: Camera, row: np.ndarray, column: np.ndarray, depth: np.ndarra
     return (local - T[:3, 3]) @ T[:3, :3]
 
 
-def _blotches(random: np.random.Generator) -> Float[np.ndarray, "height width"]:
+def _correlated_noise(random: np.random.Generator) -> Float[np.ndarray, "height width"]:
     """Spatially correlated noise with a range of about ten pixels."""
     import cv2
 
@@ -205,7 +207,7 @@ def _blotches(random: np.random.Generator) -> Float[np.ndarray, "height width"]:
 def _board_or_wall(
     middle: np.ndarray, height: float, random: np.random.Generator
 ) -> FurnitureMesh:
-    """Something that stands near a person."""
+    """A board, or a corner of a wall, that stands near a person."""
     angle, away = random.uniform(0, 2 * np.pi), random.uniform(0.3, 1.3)
     place = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     heading = random.uniform(0, 2 * np.pi)

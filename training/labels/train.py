@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
-from priors.labels.looking import believed, standard
+from priors.labels.looking import in_network_frame, label_probabilities
 from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
 from training.labels.clouds import CloudCorpus, CloudVariation, LabelledClouds, half_hidden, varied
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, in_folder, trained_state
-from training.settings import TrainingSettings, told_settings
+from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
 
 _HELD_OUT, _POINTS = 48, 384
@@ -70,7 +70,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         return LabelNetwork()
 
     def optimiser_of(self, networks: LabelNetwork) -> torch.optim.Optimizer:
-        """Muon for matrices between hidden numbers, AdamW for the first and last layers and rest.
+        """Muon for matrices of hidden layers, AdamW for first and last layers and all else.
 
         It needs a third of the steps of AdamW alone to learn one batch.
         """
@@ -85,8 +85,8 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         """Losses of drawn windows."""
         settings = self.settings
         clouds = self.learned.draw(settings.windows, settings.variation, self.random)
-        seen = seen_of(clouds)
-        said = said_of(self.networks.train(), seen, clouds.points.shape[1])
+        seen = network_input(clouds)
+        said = outputs_of(self.networks.train(), seen, clouds.points.shape[1])
         return losses(said, seen, clouds)
 
     @torch.no_grad()
@@ -94,14 +94,14 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         """Errors on other people; `score` is the mean share of wrong regions."""
         row: dict[str, float] = {}
         for name, clouds in self.checked.items():
-            said = said_of(self.averaged, seen_of(clouds), clouds.points.shape[1])
+            said = outputs_of(self.averaged, network_input(clouds), clouds.points.shape[1])
             row |= {name + key: value for key, value in errors(said, clouds).items()}
         score = (row["wrong"] + row["half_wrong"] + row["tilted_wrong"]) / 3
         return row | {"score": score}
 
 
 def train(settings: LabelTraining) -> Path:
-    """Draw labelled clouds, then train, or go on with either; the checkpoint's path.
+    """Draw labelled clouds, then train; resumes both; returns the path of the checkpoint.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -121,7 +121,7 @@ def export_weights(settings: LabelTraining, path: Path) -> Path:
     found = trained_state(settings.out / CHECKPOINT)
     network = LabelNetwork()
     network.load_state_dict(found["averaged"])
-    about = told_settings(settings) | {"step": found["step"]}
+    about = settings_to_store(settings) | {"step": found["step"]}
     save_checkpoint(path, "labels", half_precision(network), about)
     return path
 
@@ -131,10 +131,10 @@ _PLACES, _ON_BODY, _SIDES, _ACROSS = 0.3, 0.5, 0.3, 0.5
 left, beside that of regions."""
 
 
-def seen_of(clouds: LabelledClouds) -> SeenClouds:
-    """Windows as the network takes them, all moments in one row."""
+def network_input(clouds: LabelledClouds) -> SeenClouds:
+    """The network's input for windows, with all frames in one axis."""
     moments = clouds.points.shape[1]
-    return standard(
+    return in_network_frame(
         clouds.points.flatten(0, 1),
         clouds.present.flatten(0, 1),
         clouds.eyes.repeat_interleave(moments, 0),
@@ -143,8 +143,8 @@ def seen_of(clouds: LabelledClouds) -> SeenClouds:
     )
 
 
-def said_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
-    """The network's outputs for windows of so many frames each."""
+def outputs_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
+    """The network's outputs for windows of `moments` frames each."""
     windows = len(seen.points) // moments
     asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
     inside = (asked >= 0) & (asked < moments)
@@ -169,7 +169,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
     place, on_body = clouds.places.flatten(0, 1), region >= 0
     mirrored = torch.tensor([*MIRRORED_REGIONS, -1])[region]
     costs = [
-        _costs(raw, regions, places, on_body)
+        _point_losses(raw, regions, places, on_body)
         for regions, places in ((region, place), (mirrored, mirrored_places(place)))
     ]
     sums = [(found + _PLACES * away).sum(-1).detach() for found, away in costs]
@@ -192,7 +192,7 @@ def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str
     }  # fmt: skip
 
 
-def _costs(
+def _point_losses(
     raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
 ) -> tuple[Tensor, Tensor]:
     """The loss of every point by region and by place; zero off the body."""
@@ -210,7 +210,7 @@ def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
     `sided` is the share of points that are wrong as well with left and right of the whole moment
     exchanged where that is better.
     """
-    labels = believed(raw, clouds.present.flatten(0, 1))
+    labels = label_probabilities(raw, clouds.present.flatten(0, 1))
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
     on_body = region >= 0
     said = labels.regions.argmax(-1)
