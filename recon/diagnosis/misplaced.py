@@ -79,7 +79,7 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
     """
     if not points.are_joints:
         return []
-    other, ratio = points.counterparts, size(points) or 1.0
+    other, ratio = points.counterparts, relative_body_size(points) or 1.0
     bones = [(a, b) for a, b in joint_pairs(points) if other[a] != a and other[b] != b]
     parts, lower = list[set[int]](), list[set[int]]()
     for a, b in bones:
