@@ -42,7 +42,9 @@ def stance_height(
     return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
 
 
-def feet_balanced(windows: TrueWindows, predicted: Bool[Tensor, "clips time 22"]) -> float | None:
+def feet_balanced_accuracy(
+    windows: TrueWindows, predicted: Bool[Tensor, "clips time 22"]
+) -> float | None:
     """Balanced accuracy of ankle and toe contacts, averaged over subjects.
 
     Each subject's is taken over all windows together.

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import torch
 
-from recon.benchmark.answers import Answer, Row, answer_in, answer_of, evaluated, feet_balanced
+from recon.benchmark.answers import (
+    Answer,
+    Row,
+    answer_in,
+    answer_of,
+    evaluated,
+    feet_balanced_accuracy,
+)
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
 from recon.benchmark.table import BenchTable
@@ -157,7 +164,7 @@ def _evaluated_windows(
     if len(contacts) < len(answers):
         return rows, None
     said = torch.stack([one[slice(*protocol.judged)].double() for one in contacts]) > 0.5
-    return rows, feet_balanced(windows.frames(*protocol.judged), said)
+    return rows, feet_balanced_accuracy(windows.frames(*protocol.judged), said)
 
 
 def _path(given: Path | str | None) -> Path | None:

@@ -201,19 +201,19 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
     return replace(clip, found=clip.found + found)
 
 
-def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
+def before_fit(*sensor_kinds: str) -> Callable[[BeforeFit], BeforeFit]:
     """Decorator of a check of the data before the fit; it may repair them.
 
     Args:
-        sees: kinds of sensors that it needs, `named`, `view` or `cloud`; clips without
+        sensor_kinds: kinds of sensors that it needs, `named`, `view` or `cloud`; clips without
             them skip the check. Without any, it runs for every clip.
     """
-    return partial(_with_attributes, sees=sees, comes_before_fit=True)
+    return partial(_with_attributes, sees=sensor_kinds, comes_before_fit=True)
 
 
-def after_fit(*sees: str) -> Callable[[AfterFit], AfterFit]:
-    """Decorator of a check of the fit; `sees` as of `before_fit`."""
-    return partial(_with_attributes, sees=sees, comes_before_fit=False)
+def after_fit(*sensor_kinds: str) -> Callable[[AfterFit], AfterFit]:
+    """Decorator of a check of the fit; `sensor_kinds` as of `before_fit`."""
+    return partial(_with_attributes, sees=sensor_kinds, comes_before_fit=False)
 
 
 def _with_attributes(check: Any, **attributes: Any) -> Any:

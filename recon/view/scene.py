@@ -75,7 +75,7 @@ class Figure:
         for what, values in known.items():
             if values is not None and len(values) != motion.frames:
                 raise ValueError(
-                    f"figure {self.name!r} has {motion.frames} frames, its {what} {len(values)}"
+                    f"figure {self.name!r} has {motion.frames} frames, but {len(values)} of {what}"
                 )
 
     @cached_property

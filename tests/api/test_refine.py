@@ -161,7 +161,7 @@ def test_left_handed_coordinates_are_turned_round(tmp_path, cases):
 
 
 def test_options_of_reading_are_of_files(cases):
-    with pytest.raises(recon.ReconError, match="camera: how to read files"):
+    with pytest.raises(recon.ReconError, match="camera: options for reading files"):
         recon.fit(recon.simulate(cases[0], "joints3d"), camera="c.toml")
     with pytest.raises(TypeError, match="did you mean frame_rate"):
         recon.fit("seen.npz", frame_rat=30.0)

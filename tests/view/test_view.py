@@ -291,5 +291,5 @@ def test_bad_input_is_refused_and_leaves_files_alone(body: BodyModel, tmp_path: 
         Figure(body, motion.replace(valid=torch.tensor([True, True, True, False])))
     with pytest.raises(ValueError, match="opacity"):
         Figure(body, motion, opacity=0.0)
-    with pytest.raises(ValueError, match="its contacts 3"):
+    with pytest.raises(ValueError, match="but 3 of contacts"):
         Figure(body, motion, contacts=torch.zeros(3, 22))
