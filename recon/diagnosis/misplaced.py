@@ -10,6 +10,7 @@ from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, str
 from recon.diagnosis.named_points import (
     NamedPoints,
     Predicted,
+    distances,
     joint_pairs,
     out_of_reach,
     relative_body_size,
@@ -63,6 +64,42 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)
     return pair
+
+
+_CROSSED = 0.02
+"""Metres by which two bones together must become more like a person's for a fit to be asked."""
+
+
+def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
+    """Pairs of counterparts to exchange together where bones lead to the other side's joint.
+
+    Where thighs fit and shins lead to the other ankle, either hips and knees carry each other's
+    names or ankles and feet do: both are returned, and a fit tells which. Where feet fit again,
+    ankles alone may do as well.
+    """
+    if not points.are_joints:
+        return []
+    other, ratio = points.counterparts, relative_body_size(points) or 1.0
+    bones = [(a, b) for a, b in joint_pairs(points) if other[a] != a and other[b] != b]
+    parts, lower = list[set[int]](), list[set[int]]()
+    for a, b in bones:
+        length = ratio * rest_length(points, a, b)
+        own, new = (
+            [np.abs(distances(points, *ends) - length) for ends in two]
+            for two in (((a, b), (other[a], other[b])), ((a, other[b]), (other[a], b)))
+        )
+        if b > other[b] or not all(map(len, (*own, *new))):
+            continue
+        own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
+        if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
+            above, below = {a}, {b}
+            for parent, child in bones * len(bones):  # in whatever order a file has them
+                below |= {child} if parent in below else set()
+                above |= {parent} if child in above else set()
+            parts += [above, below]
+            lower.append(below)
+    parts += [one - less for one in lower for less in lower if less < one]
+    return [tuple((one, other[one]) for one in sorted(some)) for some in parts]
 
 
 def _median(rows: Float[np.ndarray, "moments points"]) -> Float[np.ndarray, " points"]:
@@ -260,13 +297,16 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     # the quick fit may lag behind a fast limb, which then leaves the body smoothly, whereas
     # outliers jump away from the path and back
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
-    bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
-    unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
+    if len(x) > 2:
+        bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
+        bend[[0, -1]] = bend[[1, -2]]
+        unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
     bend[unknown] = np.inf
     leap = max(_LEAP, _NOISES * noise)
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
-            far[first : last + 1, point] = min(bend[first, point], bend[last, point]) >= leap
+            ends = [t for t in (first, last) if 0 < t < len(far) - 1] or [first] * (first == last)
+            far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))
     if share == 0:
         return points, None

@@ -1,5 +1,6 @@
 """Checks of 3D points before a fit: finds faults and repairs those that are certain."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -31,6 +32,7 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.misplaced import (
+    crossed_limbs,
     exchanged_moments,
     exchanged_pairs,
     exchanged_sides,
@@ -80,16 +82,36 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     found += Findings(warnings=scale_findings(steady))
     for pair, moments in exchanged_pairs(steady):
         steady = steady.swapped(pair, moments)
-        named, more = _exchanged_back(named, pair, moments)
+        named, more = _exchanged_back(named, (pair,), moments)
         found += more
     if jumps := identity_changes(steady):  # one body cannot fit two people
         return named.observation, found + Findings(warnings=jumps), None, None
+    named, more = _limbs_uncrossed(named, steady, body)
+    found += more
     named, fitted, more = _sides_repaired(named, flips, body)
     found += more
     named, fitted, more = _pairs_repaired(named, fitted, body)
     found += more
     kept, more, belt, start = _compared_with_body(named, fitted, body, grounded=grounded)
     return kept, found + more, belt, start
+
+
+def _limbs_uncrossed(
+    named: NamedPoints, steady: NamedPoints, body: BodyModel
+) -> tuple[NamedPoints, Findings]:
+    """The upper or the lower parts of both limbs with the names of the other side exchanged."""
+    groups, always = crossed_limbs(steady), np.ones(len(named.visible), dtype=bool)
+    if not groups:
+        return named, NOTHING
+    if (pair := exchanged_throughout(steady)) is not None:
+        groups.append((pair,))
+    versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
+    # one by one: a fit together ends early where the names as given are nearly as good
+    costs = [quick_fits([plausible(one).observation], body)[0].cost for one in versions]
+    best = int(np.argmin(costs))
+    if best == 0 or costs[best] > _CLEARLY_BETTER * costs[0]:
+        return named, NOTHING
+    return _exchanged_back(named, groups[best - 1], always)
 
 
 def _sides_repaired(
@@ -134,7 +156,7 @@ def _pairs_repaired(
     """Exchange pairs of points back whose names are exchanged, throughout or for a while."""
     found = NOTHING
     if (pair := exchanged_throughout(named)) is not None:
-        other, said = _exchanged_back(named, pair, np.ones(len(named.visible), dtype=bool))
+        other, said = _exchanged_back(named, (pair,), np.ones(len(named.visible), dtype=bool))
         (better,) = quick_fits([plausible(other).observation], body)
         if better.cost < _CLEARLY_BETTER * fitted.cost:
             named, fitted, found = other, better, said
@@ -146,7 +168,7 @@ def _pairs_repaired(
         fitted = with_second_start(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
-        named, said = _exchanged_back(named, pair, moments)
+        named, said = _exchanged_back(named, (pair,), moments)
         found += said
     if pairs:
         (fitted,) = quick_fits([plausible(named).observation], body)
@@ -154,10 +176,10 @@ def _pairs_repaired(
 
 
 def _exchanged_back(
-    named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+    named: NamedPoints, pairs: Sequence[tuple[int, int]], moments: Bool[np.ndarray, " moments"]
 ) -> tuple[NamedPoints, Findings]:
-    """The points with a pair's labels exchanged in some frames, and the finding about it."""
-    names = (named.names[pair[0]], named.names[pair[1]])
+    """The points with the labels of pairs exchanged in some frames, and the finding about it."""
+    names = tuple(named.names[k] for pair in pairs for k in pair)
     frames = () if moments.all() else stretches(moments)
     when = f" ({spans(frames)})" if frames else ""
     said = Finding(
@@ -167,7 +189,9 @@ def _exchanged_back(
         frames,
         float(moments.mean()),
     )
-    return named.swapped(pair, moments), Findings((said,))
+    for pair in pairs:
+        named = named.swapped(pair, moments)
+    return named, Findings((said,))
 
 
 def _compared_with_body(

@@ -195,6 +195,37 @@ def test_exchanged_ankles_are_exchanged_back():
     assert torch.equal(found.points.positions, seen().positions)
 
 
+@pytest.mark.numerics
+@pytest.mark.parametrize("parts", [("hip", "knee"), ("shoulder", "elbow"), ("ankle", "foot")])
+def test_a_part_of_both_limbs_with_exchanged_names_is_exchanged_back(parts):
+    """Hips and knees of the other sides above right ankles cost 4 cm without a word.
+
+    Thighs have their length then, and only shins are too long.
+    """
+    pairs = [(index(f"left_{part}"), index(f"right_{part}")) for part in parts]
+    order = list(range(22))
+    for a, b in pairs:
+        order[a], order[b] = b, a
+    clip = seen(0.005)
+    found = screened(clip.replace(positions=clip.positions[:, :, order]))
+    torch.testing.assert_close(found.points.positions, clip.positions)
+    assert set(codes(found)[0]) == {"points exchanged"}
+    assert codes(found)[1] == []
+
+
+@pytest.mark.numerics
+@pytest.mark.parametrize("frame", [0, -1])
+def test_an_outlier_in_the_first_or_last_frame_is_left_out(frame):
+    """It was kept, and a person of 19 m was fitted."""
+    clip = seen(0.005)
+    positions, wrist = clip.positions.clone(), index("left_wrist")
+    positions[:, frame, wrist, 2] = -2000.0
+    found = screened(clip.replace(positions=positions))
+    assert not found.points.visible[0, frame, wrist]
+    assert found.points.visible.sum() == clip.visible.sum() - 1
+
+
+@pytest.mark.numerics
 def test_outliers_are_left_out_and_the_rest_counts_robustly():
     generator = torch.Generator().manual_seed(0)
     wild = torch.rand(seen().visible.shape, generator=generator) < 0.25
