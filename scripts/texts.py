@@ -4,8 +4,8 @@
     python -m scripts.texts --count 70 --seed 4547c9f
 
 The seed is the hash of the last commit unless another is given, so that nobody chooses what is
-read. Texts are drawn in equal numbers from six kinds: docstrings, comments, messages of errors,
-names of definitions with their first lines, paragraphs of the documents, subjects of commits.
+read. Texts are drawn in equal numbers from five kinds: docstrings, comments, messages of errors,
+names of definitions with their first lines, paragraphs of the documents.
 """
 
 import argparse
@@ -21,8 +21,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("recon", "priors", "observations", "training")
-SUBJECTS = 60
-"""Commits from the last one back whose subjects may be drawn."""
 MIN_WORDS = 4
 """Texts with fewer words say nothing that could be misunderstood."""
 
@@ -48,14 +46,12 @@ def drawn(count: int, seed: str) -> list[Place]:
     names = _git("ls-files").split("\n")
     code = [name for name in names if name.endswith(".py") and name.split("/")[0] in PACKAGES]
     pages = [n for n in names if n.endswith(".md") and n.split("/")[0] in ("docs", "README.md")]
-    subjects = _git("log", "--no-merges", f"-{SUBJECTS}", "--format=%s")
     kinds = [
         [one for name in code for one in docstrings(name)],
         [one for name in code for one in comments(name)],
         [one for name in code for one in messages(name)],
         [one for name in code for one in definitions(name)],
         [one for name in pages for one in paragraphs(name)],
-        [("commit", subject) for subject in subjects.splitlines()],
     ]
     order = random.Random(seed)
     for texts in kinds:
