@@ -191,7 +191,7 @@ def first_fit(root: Path) -> dict[str, int]:
 
     names = len(public_names(recon))
 
-    with np.load(root / "recon" / "assets" / "demo.npz") as walk:
+    with np.load(ROOT / "recon" / "assets" / "demo.npz") as walk:
         turns = Rotation.from_rotvec(walk["poses"][:30].reshape(-1, 3)).as_matrix()
         given = (walk["trans"][:30], turns.reshape(30, 22, 3, 3), walk["betas"])
     truth = recon.Motion.create(*(torch.tensor(part).float() for part in given), fps=30.0)

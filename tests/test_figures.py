@@ -31,8 +31,9 @@ CHECKOUT = {
                 return _Record(pose=lambda motion: _Record(joints=joints))
 
 
-        def load_motion(path):
-            return _Record(motion=_Record(window=lambda first, last: None))
+        class Motion:
+            @staticmethod
+            def create(*data, fps): ...
 
 
         def __getattr__(name):
@@ -103,8 +104,8 @@ def test_figures_of_a_small_checkout(checkout):
     }
     loaded = ("recon/__init__.py", "recon/fitting/__init__.py", "recon/fitting/solver.py")
     assert counted(checkout) == {
-        "statements": 29,
-        "statements_all": 30,
+        "statements": 30,
+        "statements_all": 31,
         "docstring_percent": round(100 / sum(lines.values()), 1),
         "first_fit_modules": 3,
         "first_fit_lines": sum(lines[name] for name in loaded),

@@ -145,5 +145,5 @@ def test_samples_have_the_first_joints_that_were_drawn() -> None:
     assert (nearest < 0.05).all()  # metres, over all joints; a draw is 1 mm off in each number
     identity = torch.eye(138).expand(1, 138, 138)
     released = replace(prior, initial=Mixture.create(torch.ones(1), identity[0, :1], identity))
-    with pytest.raises(ValueError, match="our features"):
+    with pytest.raises(ValueError, match="independent features"):
         sample(released, 4, 2, torch.Generator())

@@ -198,7 +198,7 @@ def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
 
 
 def test_settings_that_mean_nothing_are_refused(folder, tmp_path):
-    with pytest.raises(ValueError, match="codes of 320 numbers"):
+    with pytest.raises(ValueError, match="at most basis, 256 principal directions, got 320"):
         settings_of(folder, tmp_path, latent=320, basis=256)
     with pytest.raises(ValueError, match="width must be at least 1"):
         settings_of(folder, tmp_path, width=0)
