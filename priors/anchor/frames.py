@@ -131,7 +131,7 @@ single precision leaves about 1e-6 of it in directions in which no cycle differs
 
 @dataclass(frozen=True)
 class CycleBasis(TensorStruct):
-    """Linear map between the rows chi of a cycle and coefficients of about unit variance.
+    """Linear map between the numbers of a gait cycle and coefficients of about unit variance.
 
     Normalised as published (section 4.1): translation to [-1, 1] per axis and time to [0, 1] by
     the least and greatest of the training cycles; 6D rotations only less those of the identity.

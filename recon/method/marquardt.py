@@ -65,7 +65,8 @@ def preconditioned(
         return None
 
     def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-        every = len(active) == len(factors)  # then no GPU waits for their numbers
+        # reading row numbers from a GPU would wait for it, and is needless where all are active
+        every = len(active) == len(factors)
         own = factors if every else [factors[k] for k in active.tolist()]
         return local.stepped(some, _Unwhitened.apply(u, own, local.hessian_size))
 

@@ -188,7 +188,7 @@ class Chance:
         return low * (high / low) ** drawn
 
     def sign(self) -> Float[Tensor, " windows"]:
-        """One or minus one."""
+        """One or minus one, drawn with equal chances for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return torch.where(drawn < 0.5, -1.0, 1.0)
 
