@@ -181,13 +181,8 @@ class Keypoints2D(PointsOfBody):
         rays = seen[..., :2] / depth
         matrix = self.camera.camera_matrix
         predicted = rays @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
-        bent = torch.cat(
-            (
-                torch.eye(2, dtype=rays.dtype, device=rays.device).expand(*rays.shape, 2),
-                -rays[..., None],
-            ),
-            -1,
-        )
+        identity = torch.eye(2, dtype=rays.dtype, device=rays.device)
+        bent = torch.cat((identity.expand(*rays.shape, 2), -rays[..., None]), -1)
         jacobian = matrix[..., None, :2, :2] @ (bent / depth[..., None])
         jacobian = jacobian @ self.camera.T_camera_world[..., None, :3, :3]
         away, scale = predicted - self.pixels, self.sigma**2

@@ -217,7 +217,11 @@ def _block_in_world(
 
 @lru_cache(maxsize=2)
 def bundled_curvature(device: torch.device) -> StepCurvature:
-    """The curvature measured for the bundled weights; that of other weights differs little."""
+    """The curvature measured for the bundled weights, on a device.
+
+    Minima do not depend on it. Networks of another width need their own for streams: with this
+    one most of their steps are too long.
+    """
     with torch.inference_mode(False):
         return StepCurvature.load().to(device=device)
 

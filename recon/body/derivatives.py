@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -95,7 +94,7 @@ class CarriedPoints:
         parts = (
             _offsets_in_world(self.place, orientations) + self.share[:, :, None] * joints[:, None]
         )
-        below = _below(parts.device, parts.dtype)
+        below = constant(_BELOW, parts.device, parts.dtype)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
         axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
@@ -132,7 +131,7 @@ def joints_by_shape(
     bones[1:] -= directions[parents[1:]]
     turned = orientations[:, parents] @ bones
     turned[:, 0] = bones[0]
-    below = _below(turned.device, turned.dtype)
+    below = constant(_BELOW, turned.device, turned.dtype)
     return (below.mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 
@@ -175,12 +174,6 @@ def _offsets_in_world(
 
 
 _EVERY = range(len(JOINTS))
-BELOW = torch.tensor([[float(k in below) for k in _EVERY] for below in map(descendants, _EVERY)])
+_BELOW = tuple(tuple(float(k in below) for k in _EVERY) for below in map(descendants, _EVERY))
+BELOW = torch.tensor(_BELOW)
 """Row a: 1 for joint a and all joints that hang from it."""
-
-
-@lru_cache(maxsize=8)
-def _below(device: torch.device, dtype: torch.dtype) -> Float[Tensor, "22 22"]:
-    """`BELOW` on a device, copied once."""
-    with torch.inference_mode(False):
-        return BELOW.to(device=device, dtype=dtype)

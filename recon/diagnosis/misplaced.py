@@ -83,12 +83,14 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
     bones = [(a, b) for a, b in joint_pairs(points) if other[a] != a and other[b] != b]
     parts, lower = list[set[int]](), list[set[int]]()
     for a, b in bones:
+        if b > other[b]:
+            continue
         length = ratio * rest_length(points, a, b)
         own, new = (
             [np.abs(distances(points, *ends) - length) for ends in two]
             for two in (((a, b), (other[a], other[b])), ((a, other[b]), (other[a], b)))
         )
-        if b > other[b] or not all(map(len, (*own, *new))):
+        if not all(map(len, (*own, *new))):
             continue
         own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
         if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
@@ -305,7 +307,9 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     leap = max(_LEAP, _NOISES * noise)
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
-            ends = [t for t in (first, last) if 0 < t < len(far) - 1] or [first] * (first == last)
+            inner = [t for t in (first, last) if 0 < t < len(far) - 1]
+            # the first or last frame alone has the bend of its neighbour
+            ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))
     if share == 0:

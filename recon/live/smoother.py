@@ -125,8 +125,9 @@ class Smoothed:
     def stepped(self) -> "Smoothed":
         """The window after one Gauss-Newton step whose energy is not looked at.
 
-        To look at it costs a third of the step, and shorter steps that are tried where it rises
-        three times as much. The next push sees the energy, and damps its step where it has risen.
+        An evaluation of it would take a quarter of a push more, and a search for a shorter step
+        where it rises twice as much as the push. The next push, which computes the energy anyway,
+        damps its own step where the energy of a frame has risen.
         """
         refinement, row = _Refinement(), torch.zeros(1, dtype=torch.long)
         model = refinement.model(self, row)

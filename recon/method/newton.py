@@ -98,14 +98,14 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     places = carried.of(*model.posed)
     if scene.ground is not None:
         places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
-    at = _neighbouring_frames(
+    before, share, seen, on_frames = _neighbouring_frames(
         (sensor.start_time, sensor.fps, sensor.moments),
         (motion.start_time, motion.fps, motion.frames),
         places.device,
         places.dtype,
     )
-    before, after, seen = at.before, at.after, at.seen
-    share = at.share[:, None, None]
+    after = (before + 1).clamp(max=motion.frames - 1)
+    share = share[:, None, None]
     predicted = places.new_zeros(sensor.moments, *places.shape[1:])
     predicted[seen] = places[before].lerp(places[after], share)
     found = one.point_model(predicted)
@@ -113,7 +113,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     if scene.ground is not None and not found.isotropic:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
-    if carried.own_joints is not None and found.isotropic and at.on_frames:
+    if carried.own_joints is not None and found.isotropic and on_frames:
         # the other terms share the Jacobian of the joints
         isotropic = curvature[..., 0, 0]
         joints = constant(carried.own_joints, places.device)
@@ -134,7 +134,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     if model.with_shape:
         part.border.add_(pulled.mT @ edge)
         part.corner.add_(edge.flatten(0, 1).mT @ (own @ shaped).flatten(0, 2))
-    if at.on_frames:
+    if on_frames:
         return
     across = every.index_add(0, before, share * (1 - share) * curvature)[:-1]
     ahead = (across @ jacobian[1:]).flatten(1, 2)
@@ -147,22 +147,6 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
         part.corner.add_(mixed + mixed.mT)
 
 
-@dataclass(frozen=True)
-class _Neighbours:
-    """Frames of a motion beside the moments of a sensor that lie within it."""
-
-    before: Int[Tensor, " seen"]
-    """The frame before each moment."""
-    after: Int[Tensor, " seen"]
-    """The frame after it; the last frame where there is none."""
-    share: Float[Tensor, " seen"]
-    """The share of the way from the one to the other, 0 to 1."""
-    seen: Int[Tensor, " seen"]
-    """Numbers of the moments."""
-    on_frames: bool
-    """Whether every moment is that of a frame."""
-
-
 _Clock = tuple[float, float, int]
 """Time of the first sample, seconds; samples per second; number of samples."""
 
@@ -170,8 +154,15 @@ _Clock = tuple[float, float, int]
 @lru_cache(maxsize=16)
 def _neighbouring_frames(
     sensor: _Clock, motion: _Clock, device: torch.device, dtype: torch.dtype
-) -> _Neighbours:
-    """Frames beside a sensor's moments; computed once on the host, as a GPU would have to wait."""
+) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"], bool]:
+    """The frames of a motion beside the moments of a sensor that lie within it.
+
+    Computed once on the host, as a GPU would have to wait for their number.
+
+    Returns:
+        The frame before each moment; the share of the way to the next frame, 0 to 1; the numbers
+        of the moments; and whether every moment is that of a frame.
+    """
     began, fps, moments = sensor
     times = began + np.arange(moments) / fps
     place = (times - motion[0]) * motion[1]
@@ -180,14 +171,14 @@ def _neighbouring_frames(
     place = place[seen].clip(0, last)
     nearest = place.round()
     place = np.where(np.abs(place - nearest) < _SAME_MOMENT, nearest, place)
-    before = np.floor(place).astype(np.int64)
+    before = np.floor(place)
     share = place - before
     with torch.inference_mode(False):
-        return _Neighbours(
-            *(torch.from_numpy(k).to(device) for k in (before, (before + 1).clip(max=last))),
-            share=torch.from_numpy(share).to(device=device, dtype=dtype),
-            seen=torch.from_numpy(seen).to(device),
-            on_frames=not share.any(),
+        return (
+            torch.from_numpy(before).to(device=device, dtype=torch.long),
+            torch.from_numpy(share).to(device=device, dtype=dtype),
+            torch.from_numpy(seen).to(device),
+            not share.any(),
         )
 
 
