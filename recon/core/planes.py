@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from recon.core.camera import Ground
-from recon.core.robust import NORMAL_MAD
+from recon.core.residuals import NORMAL_MAD
 
 _CANDIDATES = 4
 """Planes looked at: the largest, the largest of what it leaves, ..."""

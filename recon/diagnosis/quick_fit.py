@@ -13,7 +13,7 @@ from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.named_points import NamedPoints
 from recon.method.pace import paced
