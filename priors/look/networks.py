@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from priors.look.points import REACH_M, SeenPoints, WalkingFrames
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct

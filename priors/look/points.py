@@ -61,7 +61,9 @@ class WalkingFrames(TensorStruct):
         weighted by (1 + (Δt / 0.15 s)²)^-2, also fills moments in which nothing is seen.
         """
         upright = so3.exp(constant(UPRIGHT, seen.positions.device, seen.positions.dtype))
-        standing = (body.joint_template[seen.bone] - body.joint_template[0] + seen.offset) @ upright.mT
+        standing = (
+            body.joint_template[seen.bone] - body.joint_template[0] + seen.offset
+        ) @ upright.mT
         weight = (-0.5 * standing[..., :2].square().sum(-1) / _TRUNK_M**2).exp() + 1e-3
         weight = (weight[:, None] * seen.visible).unsqueeze(-1)
         total = weight.sum(-2)

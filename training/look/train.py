@@ -17,8 +17,7 @@ from torch import Tensor
 
 from priors.look.networks import LookNetwork, Proposed
 from priors.look.points import SeenPoints
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.variation import VARIED, Variation
 from training.look.seeing import Seeing
@@ -106,9 +105,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         place = self.step % (2 * _DRAWN_AT_ONCE)
         if place == 0 or self.drawn is None:
             count = _DRAWN_AT_ONCE * settings.windows
-            self.drawn = self.learned.draw(
-                count, settings.frames, settings.variation, self.random
-            )
+            self.drawn = self.learned.draw(count, settings.frames, settings.variation, self.random)
         first = place % _DRAWN_AT_ONCE * settings.windows
         windows = self.drawn[slice(first, first + settings.windows)]
         seen = seen_of(windows, settings.seeing, body, self.noise)
@@ -144,9 +141,7 @@ def losses_of(
     joints = found.joints(body)
     parts = {
         "joints": _over_time(_length(joints - target).mean(-1), exists),
-        "rotations": _over_time(
-            _length((found.rotations - true).flatten(-2)).mean(-1), exists
-        ),
+        "rotations": _over_time(_length((found.rotations - true).flatten(-2)).mean(-1), exists),
         "velocities": 30
         * _over_time(_length((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
         "likelihood": _over_time(_nats(joints - target, found.log_std).mean(-1), exists),
@@ -225,9 +220,9 @@ def validate(
             away = (joints - target[:, None]).norm(dim=-1).mean(-1)
             away = _over_time(away, seen.exists.to(away))
             heaviest = away.gather(1, found.log_weight.argmax(-1, keepdim=True))[:, 0]
-            within = (joint_mean(found, joints) - target).abs() < 1.645 * joint_std(
-                found, joints
-            )[..., None]
+            within = (joint_mean(found, joints) - target).abs() < 1.645 * joint_std(found, joints)[
+                ..., None
+            ]
             right = within.float()[seen.exists].mean()
             sums += torch.stack((heaviest.sum(), away.amin(-1).sum(), right * len(away)))
             total += len(away)
