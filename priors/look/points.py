@@ -90,8 +90,10 @@ class WalkingFrames(TensorStruct):
         return (points - self.origin[:, :, None]) @ self.turn
 
     def steps(self) -> Float[Tensor, "clips time 4"]:
-        """Steps to the next frame, seen from each: metres along both axes, sine and cosine of the
-        rotation; the last step is none."""
+        """Steps to the next frame: metres along both axes, sine and cosine of the rotation.
+
+        Seen from the frame that they begin in; the last one is zero.
+        """
         moved = (self.origin[:, 1:] - self.origin[:, :-1])[:, :, None] @ self.turn[:, :-1]
         turned = self.turn[:, :-1].mT @ self.turn[:, 1:]
         found = torch.cat((moved[:, :, 0, :2], turned[..., 1, :1], turned[..., 0, :1]), -1)

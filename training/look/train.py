@@ -26,7 +26,7 @@ from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
 
 _NEAREST_M = 0.015
-"""Mean distance of joints, metres, by which hypotheses differ in how likely they are the nearest."""
+"""Mean distance of joints, metres, that makes a hypothesis e times less likely the nearest."""
 _DRAWN_AT_ONCE = 8
 """Batches of windows that are drawn at once; each is seen twice, differently."""
 
@@ -93,6 +93,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 
     def untrained(self, state: Mapping[str, Any] | None) -> LookNetwork:
         """A random network."""
+        del state
         settings = self.settings
         found = LookNetwork(
             self.learned.body.shape_size, settings.width, hypotheses=settings.hypotheses
@@ -114,7 +115,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
     @torch.no_grad()
     def errors(self) -> dict[str, float]:
         """Errors of the averaged network on held-out people, centimetres."""
-        return validate(self.averaged, self.checked, self.learned.body, self.settings)
+        return validate(self.averaged, self.checked, self.learned.body)
 
 
 def seen_of(
@@ -133,7 +134,7 @@ def losses_of(
     body: BodyModel,
     weights: LookWeights,
 ) -> dict[str, Tensor]:
-    """Losses of a batch by name, each of the hypothesis that is likely the nearest; and `total`."""
+    """Losses of a batch by name, each of the likely nearest hypothesis; and `total`."""
     found = network(seen, body, half=True)
     true = torch.cat((windows.states.root[..., None, :, :], windows.states.pose), -3)[:, None]
     target = windows.states.joints[:, None]
@@ -198,9 +199,7 @@ _CHECKS: Mapping[str, Seeing] = {
 """What is seen of held-out windows in each kind of check."""
 
 
-def validate(
-    network: LookNetwork, windows: StateWindows, body: BodyModel, settings: LookTraining
-) -> dict[str, float]:
+def validate(network: LookNetwork, windows: StateWindows, body: BodyModel) -> dict[str, float]:
     """Mean errors over held-out windows, the same in every call.
 
     For every kind of check: the mean distance of all joints (cm) of the heaviest hypothesis and of
