@@ -139,7 +139,7 @@ def _fits_of_versions(
         start = concatenate([one.start(body) for one in smooth])
     result = solve([robust], method, body, start=start)
     counted = robust.visible.sum((-2, -1)).clamp(min=1) * (REFERENCE_FPS / robust.fps)
-    value = result.reports[-1].solution.value / counted.cpu()
+    value = result.reports[-1].solution.value / counted
     return [
         QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
         for row, one in enumerate(versions)
