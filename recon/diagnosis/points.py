@@ -12,7 +12,7 @@ from torch import Tensor
 from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
 from recon.diagnosis.exact import (
     floor_finding,

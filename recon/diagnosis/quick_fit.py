@@ -12,8 +12,9 @@ from observations.noise import estimate_noise
 from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
+from recon.core.arrays import finite_median
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.named_points import NamedPoints
 from recon.method.pace import paced
@@ -63,10 +64,7 @@ def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    windows = np.sort(windows[..., ::every], -1)
-    count = np.isfinite(windows).sum(-1)  # np.sort puts NaN last
-    middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
-    return np.take_along_axis(windows, middle, -1).mean(-1)
+    return finite_median(windows[..., ::every])
 
 
 ROBUST_SCALE = 0.15

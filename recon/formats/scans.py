@@ -134,6 +134,8 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
 
 POINTS = 4096
 """Points kept of a frame."""
+_NEIGHBOURS = 16
+"""Nearest points by whose mean distance outliers are told."""
 _SEARCHED = 500_000
 """Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
 
@@ -292,21 +294,19 @@ def thinned(
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outlier_deviations is not None:
-        cloud = cloud[~is_outlier(cloud, outlier_deviations)]
+        cloud = cloud[~_is_outlier(cloud, outlier_deviations)]
     if len(cloud) <= count:
         return cloud
     return cloud[np.sort(generator.permutation(len(cloud))[:count])]
 
 
-def is_outlier(
-    cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
-) -> np.ndarray:
+def _is_outlier(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.ndarray:
     """Mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
-    if len(cloud) <= neighbours:
+    if len(cloud) <= _NEIGHBOURS:
         return np.zeros(len(cloud), np.bool_)
-    distance = KDTree(cloud).query(cloud, neighbours + 1)[0][:, 1:].mean(1)
+    distance = KDTree(cloud).query(cloud, _NEIGHBOURS + 1)[0][:, 1:].mean(1)
     return distance > distance.mean() + deviations * distance.std()
 
 

@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError, ReconError
 from recon.detections.tables import holds_detections
 from recon.fitting.ground import camera_above
-from recon.fitting.observed import Clip, window
+from recon.fitting.records import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
