@@ -24,12 +24,12 @@ import numpy as np
 from benchmarks.protocol import Cell, Table, number, parser, tell
 from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
+from recon.body.parts import centre_of_mass, vertex_masses_of_segments
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.formats.motions import load_motion
 from recon.formats.replacing import file_checksum, write_text
 from recon.ingest.single import convert
-from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 
 LIST = Path(__file__).parent / "free_recordings.toml"
 FOLDER = "observations"

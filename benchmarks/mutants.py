@@ -20,7 +20,9 @@ from pathlib import Path
 from benchmarks.mutation import mutant, places
 
 MODULES = {
-    "recon/core/robust.py": ("tests/core/test_robust.py",),
+    "recon/core/residuals.py": (
+        "tests/core/test_robust.py", "tests/observations/test_residuals.py",
+    ),
     "recon/core/scene.py": (
         "tests/core/test_scene.py", "tests/core/test_planes.py", "tests/method/test_newton.py",
     ),

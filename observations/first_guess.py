@@ -1,12 +1,16 @@
-"""The first guess of a fit, from all observations of a clip together."""
+"""The first guess of a fit: from all observations of a clip together, or the caller's motion."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
+from recon.method.reconstruction import checked_start
 from recon.method.sensor import Sensor, views_of
 
 
@@ -79,3 +83,40 @@ def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     if any(one.named for one in observations):
         return tuple(observations)
     return tuple(one.cloud.labelled() if one.cloud else one for one in observations)
+
+
+def guessed(
+    observations: Sequence[Sensor],
+    body: BodyModel,
+    start: Motion | None,
+    shape: Float[Tensor, " shape"] | None,
+) -> tuple[tuple[Sensor, ...], FirstGuess]:
+    """The observations, with labels added to clouds, and the motion that the fit starts from.
+
+    Args:
+        observations: of one clip.
+        body: the body model.
+        start: the caller's motion; None makes one of the data, without a prior.
+        shape: coefficients that the motion gets, where they are known.
+
+    Raises:
+        ObservationError: when only some observations say that their z = 0 is the ground.
+        ReconError: when `start` does not fit the observations or the body.
+    """
+    if len({one.ground_known for one in observations}) > 1:
+        said = ", ".join(f"{one.kind} {one.ground_known}" for one in observations)
+        raise ObservationError(
+            "observations share one frame, and only some say that its z = 0 is the ground "
+            f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
+            "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
+        )
+    if start is None:
+        seen = labelled(observations)
+        guess = first_guess(seen, body)
+    else:
+        seen = tuple(observations)
+        guess = FirstGuess(checked_start(start, seen, body), True)
+    if shape is None:
+        return seen, guess
+    known = shape.to(guess.motion.shape).expand_as(guess.motion.shape)
+    return seen, replace(guess, motion=guess.motion.replace(shape=known))

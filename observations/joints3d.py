@@ -11,7 +11,7 @@ from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, constant
 from recon.core.errors import ObservationError
-from recon.core.robust import squared
+from recon.core.residuals import squared
 from recon.core.skeleton import JOINTS
 
 

@@ -28,8 +28,7 @@ from recon.core.arrays import Numbers, float_tensor, positive, require_shape
 from recon.core.camera import NEAREST, Camera, Projection
 from recon.core.limits import CONFIDENCE, PIXEL
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Unit
-from recon.core.robust import geman_mcclure
+from recon.core.residuals import Noise, Unit, geman_mcclure
 from recon.core.scene import Scene
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel

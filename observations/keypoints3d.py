@@ -15,7 +15,7 @@ from observations.start.standing import planted_path
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers
 from recon.core.motion import Motion
-from recon.core.robust import squared
+from recon.core.residuals import squared
 
 
 @dataclass(frozen=True, init=False)

@@ -15,7 +15,7 @@ from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, constant, float_tensor
 from recon.core.errors import ObservationError
-from recon.core.robust import squared
+from recon.core.residuals import squared
 from recon.core.skeleton import JOINTS
 
 Offset = tuple[float, float, float]

@@ -17,8 +17,7 @@ from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers, constant
 from recon.core.motion import Motion
-from recon.core.residuals import Noise
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import Noise, geman_mcclure, squared
 from recon.core.skeleton import PARENTS
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
@@ -157,7 +156,7 @@ class TrackedPoints(PointsOfBody):
     start_time: float = 0.0
     """Time of the first moment, in seconds of the clock that all observations of a clip share."""
     kernel: Callable[[Tensor], Tensor] = squared
-    """Robust kernel that is applied to squared distances in metres²; see `recon.core.robust`."""
+    """Robust kernel of squared distances in metres², such as `recon.core.residuals.squared`."""
     ground_known: bool = True
     """Whether the plane z = 0 of the recording is the ground."""
     offset_rows: tuple[int, int] | None = None

@@ -10,7 +10,7 @@ from torch import Tensor
 from recon.body.model import BodyModel, PosedBody
 from recon.body.sampled import spread_vertices
 from recon.core.raster import vertex_normals
-from recon.core.robust import (
+from recon.core.residuals import (
     NORMAL_MAD,
     TUNING,
     geman_mcclure,

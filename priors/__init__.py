@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from priors.humor.shooting import Shooting as Shooting
     from priors.pose.prior import PosePrior as PosePrior
 
-from recon.core.lazy import lazy  # imported after the block for type checkers
+from recon.core.plugins import lazy  # imported after the block for type checkers
 
 _HOMES = {
     "Collocation": "priors.humor.collocation",

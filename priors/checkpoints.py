@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from torch import Tensor, nn
 
 from recon.core.errors import WeightsError
 from recon.core.limits import BINARY, NETWORK_WEIGHT
-from recon.formats.weight_files import weights_path
 
 ABOUT = "recon"
 """The one key of the metadata: safetensors writes several in no fixed order."""
@@ -166,3 +166,18 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
 
 FIRST = "pose"
 """Name of the prior that finds first motions: it does not ask where the ground is."""
+
+
+def weights_path(name: str | Path, kind: str) -> Path:
+    """The weights file of a prior, of the set `open` or `nc`; any other name is a path.
+
+    The `nc` weights lie in a source checkout and not in the package, since their licence
+    (CC BY-NC 4.0) is another.
+    """
+    if name not in ("open", "nc"):
+        return Path(name)
+    found = find_spec("priors")
+    assert found is not None  # both packages are installed together
+    assert found.origin is not None
+    package, file = Path(found.origin).parent, f"{kind}.safetensors"
+    return package / "weights" / file if name == "open" else package.parent / "weights-nc" / file

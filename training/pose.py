@@ -12,9 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from priors.pose.prior import COORDINATES, ROTATIONS, PoseDensity
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from training.recordings import poses
 from training.run import LOG

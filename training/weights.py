@@ -12,7 +12,7 @@ from priors.anchor.networks import ALIGNMENT, AnchorWeights
 from priors.checkpoints import ABOUT, checksum
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
-from priors.humor.weights import INITIAL, WHITENING
+from priors.humor.prior import INITIAL, WHITENING
 from priors.humos.networks import CODES_OF, HumosWeights
 from recon.core.errors import WeightsError
 from recon.core.struct import TensorStruct

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from benchmarks.strangers.folds import Fold, write_splits
 from priors.humor.prior import Humor
-from priors.pose.density import PoseDensity
-from priors.pose.prior import PosePrior
+from priors.pose.prior import PoseDensity, PosePrior
 from recon.formats.replacing import file_checksum
 from training.humor.train import HumorTraining, export_weights, train
 from training.humor.variation import VARIED

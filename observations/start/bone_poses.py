@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
-from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from priors.pose.prior import COORDINATES, ROTATIONS, PoseDensity
 from recon.body.derivatives import BELOW, right_jacobian
-from recon.body.kinematics import forward_kinematics
+from recon.body.model import forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct

@@ -26,15 +26,13 @@ from priors.humor.steps import (
     heavy_tailed,
     posterior_outputs,
 )
-from priors.humor.terms import contact_velocity
-from priors.pose.density import PoseDensity
-from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from priors.pose.prior import PoseDensity, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import KNEES
+from recon.core.skeleton import KNEES, PARENTS
 from recon.method.marquardt import preconditioned
 from recon.method.priors import USUAL_NOISE, Density, Prior
-from recon.method.protocols import Decoded
+from recon.method.protocols import Decoded, Estimate
 from recon.method.quadratic import ClipModel
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage
@@ -203,7 +201,8 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        early, late = (2e-2, 1e-4) if only_keypoints_in_images(data) else (2e-3, 3e-5)
+        in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
+        early, late = (2e-2, 1e-4) if in_images else (2e-3, 3e-5)
         slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
@@ -241,11 +240,6 @@ class Collocation(Prior[PoseVariables]):
         return root, poses, steps, limbs, feet
 
 
-def only_keypoints_in_images(data: tuple[Term, ...]) -> bool:
-    """Whether all observations are keypoints in images."""
-    return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
-
-
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     """Whether one sensor locates every joint in space in most frames of every clip."""
     return any(
@@ -255,3 +249,53 @@ def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
         and bool((share >= _MIN_SEEN_SHARE).all())
         for term in data
     )
+
+
+_TOUCHING = 0.08
+"""Metres a joint in contact may be above or below the ground (published)."""
+
+
+def joint_consistency(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |p - p̂|² between the body's joints p and the predicted joints p̂; metres²."""
+    away = estimate.body.joints - _predicted(estimate)
+    squared = away.square().sum((-1, -2))
+    return 0.5 * squared.where(estimate.motion.valid, 0.0).sum(-1)
+
+
+def bone_length(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ (l_t - l_(t-1))² of the bone lengths of the predicted joints; metres²."""
+    joints = _predicted(estimate)
+    lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1)
+    change = lengths.diff(dim=-2).square().sum(-1)
+    return 0.5 * change.where(_valid_pairs(estimate), 0.0).sum(-1)
+
+
+def contact_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ c |p_t - p_(t-1)|² of the body's joints, c their probability of contact; metres²."""
+    step = estimate.body.joints.diff(dim=-3).square().sum(-1)
+    moved = (_contacts(estimate)[..., 1:, :] * step).sum(-1)
+    return 0.5 * moved.where(_valid_pairs(estimate), 0.0).sum(-1)
+
+
+def contact_height(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """Σ c max(|z| - 8 cm, 0) of the body's joints above the ground z = 0; metres."""
+    away = (estimate.body.joints[..., 2].abs() - _TOUCHING).relu()
+    height = (_contacts(estimate) * away).sum(-1)
+    return height.where(estimate.motion.valid, 0.0).sum(-1)
+
+
+def _valid_pairs(estimate: Estimate) -> Tensor:
+    valid = estimate.motion.valid
+    return valid[..., 1:] & valid[..., :-1]
+
+
+def _predicted(estimate: Estimate) -> Float[Tensor, "*batch time 22 3"]:
+    if estimate.decoded.joints is None:
+        raise ValueError("expected a prior that predicts joints beside the pose, such as Humor")
+    return estimate.decoded.joints
+
+
+def _contacts(estimate: Estimate) -> Float[Tensor, "*batch time 22"]:
+    if estimate.decoded.contacts is None:
+        raise ValueError("expected a prior that predicts contacts, such as Humor")
+    return estimate.decoded.contacts

@@ -9,14 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor
-from priors.humor.terms import (
+from priors.humor.collocation import (
+    Collocation,
     bone_length,
     contact_height,
     contact_velocity,
     joint_consistency,
 )
+from priors.humor.prior import Humor
 from priors.humor.unrolled import HumorVariables
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel

@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from priors.humor.networks import STATE
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.arrays import constant
 from recon.core.motion import Motion

@@ -29,8 +29,8 @@ from recon.body.motion_files import leg_length
 from recon.core import rotations as so3
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion
+from recon.core.plugins import imported
 from recon.core.struct import TensorStruct
-from recon.method.plugins import imported
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage

@@ -12,7 +12,7 @@ from priors.checkpoints import named_checkpoint
 from priors.labels.networks import SPACING, STEPS, LabelNetwork, RawLabels, SeenClouds
 from priors.labels.regions import MIRRORED_REGIONS, REGIONS, Regions, mirrored_places
 from recon.body.model import BodyModel
-from recon.core.robust import lower_median
+from recon.core.residuals import lower_median
 from recon.core.struct import TensorStruct, concatenate, stack
 
 

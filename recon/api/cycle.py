@@ -8,9 +8,8 @@ import numpy as np
 from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
-from recon.fitting.fitted import ClipFit
-from recon.fitting.observed import seen_times
 from recon.fitting.recording import SWING
+from recon.fitting.records import ClipFit, seen_times
 from recon.method.cycle_prior import CyclePrior
 
 _COVERED = 0.75

@@ -32,7 +32,7 @@ from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import FitOptions, trait_of
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip
 from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch

@@ -16,8 +16,8 @@ from recon.core.arrays import Numbers, finite, float_tensor, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion, MotionFile
+from recon.core.plugins import PRIORS, registered
 from recon.fitting.methods import checked_method, class_of, trait_of
-from recon.method.plugins import PRIORS, registered
 from recon.method.priors import PriorLike, is_prior
 
 if TYPE_CHECKING:

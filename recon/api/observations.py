@@ -12,7 +12,7 @@ from jaxtyping import Float
 from recon.body.model import BodyModel
 from recon.core.arrays import is_geometry
 from recon.core.errors import ObservationError, ReconError
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip
 from recon.method.sensor import Sensor, frame_is_level, unposed_camera
 
 Plane = tuple[float, float, float, float]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from observations.first_guess import guessed
 from recon.api.given import paths_given
 from recon.api.observations import Sighting, clip_of, on_ground, with_robust_kernel
 from recon.body.model import BodyModel
@@ -15,10 +16,8 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, Examined, checked
 from recon.fitting.clip import posed
-from recon.fitting.fitted import ClipFit
-from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, loaded
-from recon.fitting.observed import window
+from recon.fitting.records import ClipFit, window
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.pace import paced
 from recon.method.sensor import Sensor
@@ -122,7 +121,7 @@ def fitted(
 
             start = in_room(start, -clip.belt)
         # first guess: a motion from the data without a prior, or the caller's
-        seen, guess = guessed(fewer, options, body, start)
+        seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem: residuals of each sensor over its noise; unknown ground and focal length
         problem = posed(seen, guess, options, body, watch)

@@ -19,8 +19,7 @@ from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined, ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.fitting.fitted import Stretch
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip, Stretch
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 from recon.method.sensor import unposed_camera

@@ -12,7 +12,7 @@ from recon.body.model import BodyModel
 from recon.core.arrays import positive
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip
 from recon.fitting.settings import DEFAULTS
 from recon.formats.observations import ObservationFile, PointsFile, save_observation
 from recon.formats.outputs import Kind, Output

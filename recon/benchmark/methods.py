@@ -15,9 +15,9 @@ from recon.benchmark.protocols import noise_of, sensor_of
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import MotionFile
+from recon.core.plugins import imported
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import PositionsFile
-from recon.method.plugins import imported
 from recon.method.priors import Prior
 from recon.method.reconstruction import solve
 

@@ -1,4 +1,7 @@
-"""Body models: a shape space, 22 joints and linear blend skinning; vertices only on demand."""
+"""Body models: a shape space, forward kinematics of 22 joints, and linear blend skinning.
+
+Vertices are computed only on demand.
+"""
 
 import hashlib
 import io
@@ -7,15 +10,16 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.body.kinematics import forward_kinematics
+from recon.core.arrays import constant
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS
+from recon.core.skeleton import FAMILIES, JOINTS, PARENTS
 from recon.core.struct import TensorStruct
 
 SHORTEST_BODY, TALLEST_BODY = 1.42, 1.96
@@ -202,3 +206,56 @@ def _model_from_arrays(name: str, data: bytes, arrays: Mapping[str, np.ndarray])
         pose_directions=tensors.pop("pose_directions", None),
         **tensors,
     )
+
+
+def forward_kinematics(
+    rotations: Float[Tensor, "*batch time 22 3 3"], rest: Float[Tensor, "*batch 22 3"]
+) -> tuple[Float[Tensor, "*batch time 22 3 3"], Float[Tensor, "*batch time 22 3"]]:
+    """World rotations and positions of all joints, the root at its rest place.
+
+    Child c of parent p: O_c = O_p R_c and x_c = x_p + O_p b_c with b_c the bone from p to c at
+    rest. The derivative walks the same tree backwards, which is cheaper than recording each
+    small product; joints come first in memory, so that a level is one block.
+    """
+    parents = constant(tuple(PARENTS[1:]), rest.device)
+    bones = torch.cat((rest[..., :1, :], rest[..., 1:, :] - rest[..., parents, :]), -2)
+    bones = bones[..., None, :, :].expand(rotations.shape[:-1])
+    return _KinematicChain.apply(rotations, bones)
+
+
+class _KinematicChain(torch.autograd.Function):
+    """Rigid transforms [R_c | b_c] of every joint, multiplied along the tree."""
+
+    @staticmethod
+    def forward(ctx: Any, rotations: Tensor, bones: Tensor) -> tuple[Tensor, Tensor]:
+        shape = rotations.shape[:-2]
+        local = torch.cat((rotations, bones[..., None]), -1).reshape(-1, 22, 3, 4)
+        local = local.transpose(0, 1).contiguous()
+        world = torch.empty_like(local)
+        world[0] = local[0]
+        for children, parents in FAMILIES:
+            torch.matmul(world[parents][..., :3], local[children], out=world[children])
+            world[children][..., 3] += world[parents][..., 3]
+        ctx.save_for_backward(local, world)
+        out = world.transpose(0, 1).unflatten(0, shape[:-1])
+        return out[..., :3], out[..., 3]
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        local, world = ctx.saved_tensors
+        shape = gradients[0].shape[:-2]
+        g_world = torch.cat((gradients[0], gradients[1][..., None]), -1).reshape(-1, 22, 3, 4)
+        g_world = g_world.transpose(0, 1).contiguous()
+        g_local = torch.empty_like(local)
+        for children, parents in reversed(FAMILIES):
+            g = g_world[children]
+            torch.matmul(world[parents][..., :3].mT, g, out=g_local[children])
+            up = torch.matmul(g, local[children].mT)
+            moved = g[..., 3]
+            if isinstance(parents, int):
+                up, moved = up.sum(0), moved.sum(0)
+            g_world[parents][..., :3] += up
+            g_world[parents][..., 3] += moved
+        g_local[0] = g_world[0]
+        out = g_local.transpose(0, 1).unflatten(0, shape[:-1])
+        return out[..., :3], out[..., 3]

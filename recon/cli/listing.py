@@ -11,9 +11,9 @@ from pathlib import Path
 
 from recon.cli.making import Verb, command
 from recon.cli.places import Arguments, Place, folder, its_own_report, several_or_npz
+from recon.core.plugins import VERBS, registered
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Kind, Output
-from recon.method.plugins import VERBS, registered
 
 
 def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:

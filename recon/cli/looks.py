@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
 
-from recon.method.plugins import PRIORS, registered
+from recon.core.plugins import PRIORS, registered
 
 _ENDINGS = (".c3d", ".trc")
 EXPECTED = (
@@ -31,7 +31,7 @@ def look_at(given: Mapping[str, Any]) -> None:
     """
     if (settings := given.get("settings")) is not None:
         check_plugins(settings.prior, settings.reader)
-        from recon.method.plugins import SENSORS, registered
+        from recon.core.plugins import SENSORS, registered
 
         paths = given.get("observations", ())
         if settings.reader is None and not registered(SENSORS):

@@ -17,10 +17,10 @@ from torch import Tensor
 from observations.camera_paths import can_triangulate, on_first_clock
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
-from recon.core.robust import NORMAL_MAD
+from recon.core.residuals import NORMAL_MAD
 from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.images import Images
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
 from recon.method.sensor import views_of

@@ -14,7 +14,7 @@ from recon.core.motion import Motion
 from recon.core.residuals import Unit
 from recon.core.skeleton import JOINTS
 from recon.fitting.clip import GROUND_DEVIATION
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.derivatives import GroundBelief
 from recon.method.laplace import Deviations, Measure, deviations
 from recon.method.sensor import frame_is_level, views_of

@@ -36,7 +36,7 @@ from recon.diagnosis.findings import (
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
 from recon.diagnosis.points import screen_points
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.sensor import Sensor, views_of
 
 

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
 from recon.method.stages import Compared

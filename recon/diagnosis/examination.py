@@ -16,8 +16,8 @@ from recon.core.residuals import Noise, Unit
 from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
 from recon.diagnosis.doubts import Alternative, alternatives, observed_joints
 from recon.diagnosis.findings import NOTHING, Finding, Findings, run_checks
-from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
+from recon.fitting.records import ClipFit
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor

@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.body.parts import GRAVITY
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, stretches
 from recon.diagnosis.movement import Movement, distance_outside_hull
-from recon.physics.mass import GRAVITY
 
 _FALL_SECONDS = 0.2
 _PARABOLA = 0.01

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from observations.points import TrackedPoints
 from recon.body.model import BodyModel
+from recon.body.parts import centre_of_mass, vertex_masses_of_segments
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, spans, stretches
-from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 
 _HIPS = (joint_index("left_hip"), joint_index("right_hip"))
 _KNEES = (joint_index("left_knee"), joint_index("right_knee"))

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 
 from observations.noise import estimate_noise
-from recon.core.robust import NORMAL_MAD
+from recon.core.residuals import NORMAL_MAD
 from recon.diagnosis.findings import Code, Finding, spans, stretches
 from recon.diagnosis.named_points import NamedPoints, distances, joint_pairs, same_bone_pairs
 from recon.diagnosis.quick_fit import plausible

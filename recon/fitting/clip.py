@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.first_guess import FirstGuess
+from observations.first_guess import FirstGuess, guessed
 from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
@@ -18,9 +18,8 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
-from recon.fitting.fitted import ClipFit
-from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
+from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
     after_placement,
     prior_stages,
@@ -80,7 +79,7 @@ def fit_clip(
         ValueError: when some observations know the ground and others do not, or the start does
             not fit the observations.
     """
-    seen, guess = guessed(observations, options, body, start)
+    seen, guess = guessed(observations, body, start, options.starting_shape)
     return posed(seen, guess, options, body, watch).solved()
 
 

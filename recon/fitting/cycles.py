@@ -20,8 +20,8 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
-from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.records import ClipFit
 from recon.method.cycle_prior import CyclePrior
 from recon.method.priors import PriorLike
 from recon.method.protocols import REFERENCE_FPS

@@ -14,7 +14,7 @@ from observations.points import quadratic_model
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.robust import squared
+from recon.core.residuals import squared
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError, WeightsError
-from recon.method.plugins import PRIORS, imported, registered
+from recon.core.plugins import PRIORS, imported, registered
 from recon.method.priors import PriorLike, as_prior, is_prior, trait
 from recon.method.terms import Term
 
@@ -150,6 +150,13 @@ class FitOptions:
     def knows_gravity(self) -> bool:
         """Whether the prior judges heights above the ground and which way is up."""
         return trait_of(self.prior, "knows_gravity")
+
+    @property
+    def starting_shape(self) -> Float[Tensor, " shape"] | None:
+        """Shape coefficients that a fit starts from, where any are known."""
+        if self.shape is None and self.shape_prior is not None:
+            return self.shape_prior.mean
+        return self.shape
 
     def noise_of(self, row: int) -> float | None:
         """The standard deviation given for an observation, by its number."""

@@ -32,9 +32,9 @@ from recon.fitting.cycles import (
     on_fast_clock,
     seen_times,
 )
-from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches
 from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.records import ClipFit, Stretch
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 

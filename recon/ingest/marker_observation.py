@@ -14,7 +14,7 @@ from jaxtyping import Float
 from observations.markers3d import Markers3D
 from observations.noise import LIMITS
 from recon.body.model import BodyModel
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import FEET
 from recon.core.units import Hand
 from recon.diagnosis.findings import listed

@@ -10,7 +10,6 @@ from torch.nn.functional import pad
 
 from priors.pose.prior import PosePrior
 from recon.body.derivatives import CarriedPoints
-from recon.body.kinematics import forward_kinematics
 from recon.body.levers import (
     COORDINATES,
     Levers,
@@ -20,7 +19,7 @@ from recon.body.levers import (
     sums_over_descendants,
     turned,
 )
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
 from recon.ingest.tied_frames import TiedFrames

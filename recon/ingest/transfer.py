@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel, PosedBody
+from recon.body.model import BodyModel, PosedBody, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion

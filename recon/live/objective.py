@@ -15,11 +15,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from observations.moments import Tracker
-from priors.pose.density import PoseDensity
-from priors.pose.prior import PoseWeights
+from priors.pose.prior import PoseDensity, PoseWeights
 from recon.body.derivatives import CarriedPoints, right_jacobian
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct

@@ -7,7 +7,7 @@ A `Sensor` has data and says what it would have measured of a `PosedBody`.
 
 from typing import TYPE_CHECKING
 
-from recon.core.lazy import lazy
+from recon.core.plugins import lazy
 
 if TYPE_CHECKING:
     from recon.body.model import PosedBody as PosedBody

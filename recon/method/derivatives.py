@@ -231,18 +231,15 @@ class Neighbourhood:
         """
         carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
         held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
-        found = _residuals_of_rows(held, self.translated if carries else self.perturbed_columns)
+        estimates = self.translated if carries else self.perturbed_columns
+        rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
+        found = held[rows].residuals(estimates)
         slopes = differences(found.values)
         if carries and points_of is not None:
             points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
             moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes
-
-
-def _residuals_of_rows(sensor: Any, estimates: Estimate) -> Residuals:
-    rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
-    return sensor[rows].residuals(estimates)
 
 
 def differences(

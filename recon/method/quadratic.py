@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.derivatives import CarriedPoints, joints_by_shape
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core.motion import Motion
 from recon.method.protocols import Estimate
 from recon.solver.banded import Banded

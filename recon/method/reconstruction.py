@@ -11,6 +11,7 @@ from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import finite
 from recon.core.errors import ReconError
+from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.priors import PriorLike, stages_of
@@ -18,9 +19,66 @@ from recon.method.protocols import Estimate
 from recon.method.running import Hypotheses, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import StageReport, Stages, Watch
-from recon.method.start import checked_start
 from recon.method.terms import Term
 from recon.solver.lbfgs import Termination
+
+_SLACK = 1e-3
+"""Frames by which clocks that agree may differ."""
+
+
+def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
+    """The start with all shape coefficients of the body, in its precision and on its device.
+
+    It covers the time of at least one observation, at any rate; shape coefficients that are
+    missing at the end are zero.
+
+    Raises:
+        ValueError: when it has another number of clips, covers another time, has more shape
+            coefficients than the body, or holds what is no motion of a person.
+    """
+    if start.translation.ndim != 3:
+        raise ReconError(
+            "start: expected one leading axis of clips, translation (clips, time, 3); got the "
+            f"shape {tuple(start.translation.shape)}; add it by indexing with [None]"
+        )
+    counts = sorted({one.clips for one in seen})
+    if counts and (len(start.translation),) not in counts:
+        raise ReconError(
+            f"start: expected a motion of {counts[0][0]} clips, as observed, got "
+            f"{len(start.translation)}"
+        )
+    if seen and not any(_covers_observation(start, one) for one in seen):
+        first = seen[0]
+        length = (first.moments - 1) / first.fps
+        stop, frames = first.start_time + length, int(length * start.fps + _SLACK) + 1
+        raise ReconError(
+            f"start: expected the time of an observation, {first.start_time:g} s to "
+            f"{stop:g} s: {frames} frames at "
+            f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
+            f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
+        )
+    missing = body.shape_size - start.shape.shape[-1]
+    if missing < 0:
+        raise ReconError(
+            f"start: expected at most {body.shape_size} shape coefficients, those of the body "
+            f"{body.name!r}, got {start.shape.shape[-1]}: it is a motion of another body"
+        )
+    product = start.rotations @ start.rotations.mT
+    away = product - torch.eye(3, dtype=product.dtype, device=product.device)
+    POSITION.check(start.translation.detach().cpu(), "start", "translation")
+    ORTHOGONALITY.check(away.detach().abs().cpu(), "start", "rotations")
+    SHAPE.check(start.shape.detach().cpu(), "start", "shape")
+    shape = torch.nn.functional.pad(start.shape, (0, missing))
+    like = body.template
+    return start.replace(shape=shape).to(device=like.device, dtype=like.dtype)
+
+
+def _covers_observation(start: Motion, seen: Sensor) -> bool:
+    """Whether a motion begins with an observation and lasts as long, to within one frame."""
+    first = (start.start_time - seen.start_time) * start.fps
+    length = (seen.moments - 1) / seen.fps * start.fps
+    spare = length - (start.frames - 1)
+    return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from recon.body.model import BodyModel, PosedBody
 from recon.core import rotations as so3
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Residuals, Unit
-from recon.core.robust import squared
+from recon.core.residuals import Noise, Residuals, Unit, squared
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -81,7 +80,7 @@ class Sensor(TensorStruct):
     """Whether the z axis of the recording's frame points up even where its ground is not known;
     None where the sensor says nothing of it. See `frame_is_level`."""
     kernel: Callable[..., Tensor] = staticmethod(squared)
-    """Robust kernel of squared residuals; see `recon.core.robust`."""
+    """Robust kernel of squared residuals; see `recon.core.residuals`."""
     ground_seen: bool = False
     """Whether z = 0 of the recording was laid on a plane that the sensor sees."""
 

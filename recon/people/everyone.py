@@ -9,7 +9,7 @@ import numpy as np
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.detections.tables import holds_detections
-from recon.fitting.observed import Clip, seen_times, window
+from recon.fitting.records import Clip, seen_times, window
 from recon.fitting.settings import FitSettings
 from recon.reading.clip import DETECTIONS, clip_of_files, files_of_projects, format_errors
 from recon.reading.same_person import everybody_across_views

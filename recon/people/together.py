@@ -14,7 +14,7 @@ from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.priors import PriorLike
 from recon.method.sensor import views_of

@@ -12,10 +12,9 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from recon.body.model import BodyModel, PosedBody
-from recon.body.parts import PARTS, Parts
+from recon.body.parts import PARTS, Parts, spread_over_skin
 from recon.body.volumes import part_volumes
 from recon.core.struct import TensorStruct
-from recon.physics.mass import spread_over_skin
 
 SPAN = 1 / 20
 """Seconds between the samples of a second difference: the frame time of HUMOS."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.body.parts import Parts
+from recon.body.parts import Parts, centre_of_mass
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct, concatenate
@@ -24,7 +24,6 @@ from recon.physics.dynamics import (
     vertex_masses_as_published,
 )
 from recon.physics.energies import TOLERANCE
-from recon.physics.mass import centre_of_mass
 from recon.physics.zmp import distances_to_support, supported, supporting, zmp, zmp_as_released
 
 JOINT_CONTACT = 0.015

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.contacts import rest_heights, touching_heights
+from recon.body.parts import GRAVITY
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -23,7 +24,6 @@ from recon.physics.dynamics import (
     inner_frames,
     second_differences,
 )
-from recon.physics.mass import GRAVITY
 from recon.physics.zmp import zmp
 from recon.solver.banded import add_differences
 

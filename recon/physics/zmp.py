@@ -5,8 +5,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from recon.body.parts import GRAVITY
 from recon.physics.dynamics import Dynamics
-from recon.physics.mass import GRAVITY
 
 RELEASED_GRAVITY = 9.8
 """m/s², in the released code of HUMOS."""

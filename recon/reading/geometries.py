@@ -13,7 +13,7 @@ from recon.core.clouds import array_of_open3d, cloud_points, up_of_clouds
 from recon.core.errors import ObservationError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import to_z_up
-from recon.fitting.observed import Clip
+from recon.fitting.records import Clip
 from recon.fitting.settings import FitSettings
 from recon.formats.cameras import CameraArrays
 from recon.formats.depth_images import at_edge

@@ -20,7 +20,7 @@ from recon.core.coordinates import surely_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.hands import right_handed
 from recon.core.layouts import LAYOUTS, keypoint_names
-from recon.core.robust import geman_mcclure, squared
+from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile

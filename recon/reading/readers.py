@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
-from recon.method.plugins import SENSORS, imported, registered
+from recon.core.plugins import SENSORS, imported, registered
 from recon.method.sensor import Sensor
 
 

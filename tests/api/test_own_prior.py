@@ -7,13 +7,13 @@ import torch
 
 import recon
 from recon import cli
+from recon.core import plugins
 from recon.core.errors import WeightsError
 from recon.core.skeleton import JOINTS
 from recon.fitting.long import LongReconstruction
 from recon.fitting.methods import class_of, loaded, trait_of
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.method import plugins
 from recon.simulation.points import Corruption, joints3d
 from tests import laws
 from tests.filmed import bundled, cameras, joint_error, view, walk

@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from recon.body.derivatives import CarriedPoints
-from recon.body.kinematics import forward_kinematics
 from recon.body.levers import COORDINATES, Levers, ShapeLevers, bone_affines, turned
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 

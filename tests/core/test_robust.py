@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.core import robust
+from recon.core import residuals
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "losses.npz"
 
@@ -25,20 +25,20 @@ def golden() -> dict[str, Tensor]:
 
 def test_kernels_agree_with_squares_near_zero() -> None:
     small = numbers(0.0, 1e-12, 1e-10)
-    torch.testing.assert_close(robust.squared(small), small, rtol=0, atol=0)
-    torch.testing.assert_close(robust.geman_mcclure(small, 1.0), small, rtol=1e-9, atol=0)
+    torch.testing.assert_close(residuals.squared(small), small, rtol=0, atol=0)
+    torch.testing.assert_close(residuals.geman_mcclure(small, 1.0), small, rtol=1e-9, atol=0)
 
 
 def test_geman_mcclure_saturates_at_sigma_squared() -> None:
-    assert robust.geman_mcclure(numbers(1e12), 100.0).item() == pytest.approx(1e4, rel=1e-7)
-    assert robust.geman_mcclure(numbers(1e4), 100.0).item() == pytest.approx(5e3)
+    assert residuals.geman_mcclure(numbers(1e12), 100.0).item() == pytest.approx(1e4, rel=1e-7)
+    assert residuals.geman_mcclure(numbers(1e4), 100.0).item() == pytest.approx(5e3)
 
 
 @pytest.mark.parametrize(
     "kernel",
     [
-        robust.squared,
-        lambda squared: robust.geman_mcclure(squared, 1.0),
+        residuals.squared,
+        lambda squared: residuals.geman_mcclure(squared, 1.0),
     ],
 )
 def test_gradients_are_right_and_finite_at_zero(kernel: object) -> None:
@@ -53,12 +53,12 @@ def test_gradients_are_right_and_finite_at_zero(kernel: object) -> None:
 def test_median_takes_the_lower_middle_of_those_present() -> None:
     values = numbers(5.0, 1.0, 4.0, 2.0)
     everything = torch.ones(4, dtype=torch.bool)
-    assert robust.lower_median(values, everything).item() == 2.0
-    assert robust.lower_median(values, values > 1.5).item() == 4.0
-    assert robust.lower_median(values, ~everything).item() == 0.0
+    assert residuals.lower_median(values, everything).item() == 2.0
+    assert residuals.lower_median(values, values > 1.5).item() == 4.0
+    assert residuals.lower_median(values, ~everything).item() == 0.0
 
 
 def test_the_median_of_one_sample_is_that_sample_and_of_none_zero() -> None:
     values = numbers(3.0, 5.0, 7.0).expand(3, 3)
     present = torch.tensor([[False, True, False], [False, False, False], [True, True, False]])
-    assert robust.lower_median(values, present).tolist() == [5.0, 0.0, 3.0]
+    assert residuals.lower_median(values, present).tolist() == [5.0, 0.0, 3.0]

@@ -11,7 +11,7 @@ from recon.diagnosis.checks import body_findings
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.images import Images
 from recon.diagnosis.odds import mirror_warnings
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Reconstruction
 from recon.simulation.points import Corruption, joints3d

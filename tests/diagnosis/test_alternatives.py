@@ -12,7 +12,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR
 from recon.core.struct import concatenate
 from recon.diagnosis.doubts import alternatives
-from recon.fitting.fitted import ClipFit
+from recon.fitting.records import ClipFit
 from recon.method.free import FreeMotion
 from recon.method.reconstruction import solve
 from recon.method.stages import Compared, Stage

@@ -14,8 +14,8 @@ from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import fit_clip
-from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
+from recon.fitting.records import ClipFit
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.method.stages import StageReport
 from recon.reading.images import keypoints_of

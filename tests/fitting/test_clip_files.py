@@ -10,7 +10,7 @@ import torch
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from recon.core.rotations import transform
-from recon.fitting.observed import Clip, window
+from recon.fitting.records import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation

@@ -15,7 +15,7 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure
+from recon.core.residuals import geman_mcclure
 from recon.core.scene import Scene
 from recon.ingest.marker_calibration import Calibrated, SubjectEnergies
 from recon.ingest.marker_fit import (

@@ -11,7 +11,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from observations.noise import estimate_noise
 from recon.core.errors import ReconError
-from recon.core.robust import geman_mcclure
+from recon.core.residuals import geman_mcclure
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.named_points import NamedPoints
 from recon.formats.observations import PositionsFile

@@ -8,7 +8,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.robust import geman_mcclure
+from recon.core.residuals import geman_mcclure
 from recon.core.scene import Scene
 from recon.formats.observations import PositionsFile
 from recon.reading.points import positions_of

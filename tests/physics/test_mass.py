@@ -3,11 +3,10 @@
 import pytest
 import torch
 
-from recon.body.parts import PARTS, Parts
+from recon.body.parts import PARTS, Parts, centre_of_mass, vertex_masses_of_segments
 from recon.body.volumes import part_volumes
-from recon.physics import dynamics, mass
+from recon.physics import dynamics
 from recon.physics.dynamics import body_dynamics, second_differences
-from recon.physics.mass import centre_of_mass
 from tests import laws
 from tests.physics.point_masses import points_dynamics
 from tests.standing_body import path, standing, times
@@ -66,7 +65,7 @@ def test_masses_are_shares_by_part_and_published_ones_too(body) -> None:
         of_part = masses.new_zeros(len(PARTS)).index_add(0, parts.of_vertex, masses)
         assert torch.allclose(of_part, volumes / volumes.sum(), rtol=1e-9)
     assert published[parts.of_vertex == 0].std() < 1e-15 < ours[parts.of_vertex == 0].std()
-    segments = mass.vertex_masses_of_segments(body)
+    segments = vertex_masses_of_segments(body)
     assert segments[parts.of_vertex == 6].sum().item() == pytest.approx(0.1447, abs=1e-4)
     assert segments.sum().item() == pytest.approx(1, abs=1e-3)
 

@@ -3,8 +3,13 @@
 import pytest
 import torch
 
-from priors.humor import terms as humor_terms
-from priors.humor.terms import bone_length, contact_height, contact_velocity, joint_consistency
+from priors.humor import collocation
+from priors.humor.collocation import (
+    bone_length,
+    contact_height,
+    contact_velocity,
+    joint_consistency,
+)
 from recon.body.model import BodyModel
 from recon.core.scene import Scene
 from recon.method.free import FreeMotion
@@ -39,7 +44,7 @@ def golden_estimate(body: BodyModel) -> Estimate:
 )
 def test_energies_equal_the_reference(body: BodyModel, name: str, expected: str) -> None:
     estimate = golden_estimate(body)
-    value = getattr(humor_terms, name)(estimate)
+    value = getattr(collocation, name)(estimate)
     assert value.shape == (2,)
     torch.testing.assert_close(
         value.sum(), golden("losses")[f"value_{expected}"], rtol=1e-10, atol=0

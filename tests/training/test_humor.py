@@ -13,8 +13,7 @@ from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
 from recon.body.contacts import rest_heights
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR
 from recon.formats.motions import save_motion

@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion, MotionFile
 from recon.core.skeleton import CONTACT_JOINTS, FEET

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from priors.humor.state import Frame, State, canonical, compose
 from priors.humor.steps import divergence
-from recon.body.kinematics import forward_kinematics
+from recon.body.model import forward_kinematics
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.struct import TensorStruct, stack
 from training.descent import drawn_code

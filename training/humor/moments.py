@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.body.kinematics import forward_kinematics
+from recon.body.model import forward_kinematics
 from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS
 from recon.core.struct import TensorStruct
 

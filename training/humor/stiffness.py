@@ -14,6 +14,7 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+from priors.checkpoints import weights_path
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
@@ -24,7 +25,6 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import stack
 from recon.formats.replacing import file_checksum
-from recon.formats.weight_files import weights_path
 from recon.method.quadratic import FRAME
 from training.run import LOG
 from training.settings import CorpusSettings

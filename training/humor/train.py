@@ -20,9 +20,9 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
+from priors.humor.prior import networks_from, read_weights
 from priors.humor.state import State, canonical, distinct_features, initial_features, rest_pelvis
 from priors.humor.steps import posterior_outputs
-from priors.humor.weights import networks_from, read_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll

@@ -1,10 +1,11 @@
-"""Plug-ins of other packages, found by entry points or by "module:Class".
+"""Names that are imported on first use: plug-ins of other packages, and names of our packages.
 
-Imports nothing heavy.
+A plug-in is found by its entry point or by "package.module:Class".
 """
 
+import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -54,3 +55,21 @@ def imported(place: str, what: str) -> Any:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ReconError(f"{what}: {place!r} cannot be imported: {error}") from error
+
+
+def lazy(
+    package: str, module_of: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package whose names are imported on first use.
+
+    Args:
+        package: its name.
+        module_of: the module of every name.
+    """
+
+    def named(name: str) -> Any:
+        if name not in module_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(module_of[name]), name)
+
+    return named, lambda: sorted([*vars(sys.modules[package]), *module_of])
