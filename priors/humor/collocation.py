@@ -201,7 +201,8 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        early, late = (2e-2, 1e-4) if only_keypoints_in_images(data) else (2e-3, 3e-5)
+        in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
+        early, late = (2e-2, 1e-4) if in_images else (2e-3, 3e-5)
         slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
@@ -237,11 +238,6 @@ class Collocation(Prior[PoseVariables]):
         limbs = replace(limbs, minimiser=replace(limbs.minimiser, max_iterations=_COMPARED))
         limbs = replace(limbs, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1)
         return root, poses, steps, limbs, feet
-
-
-def only_keypoints_in_images(data: tuple[Term, ...]) -> bool:
-    """Whether all observations are keypoints in images."""
-    return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
 
 
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.core.arrays import finite_median
 from recon.core.skeleton import ARMS
 from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
 from recon.diagnosis.named_points import (
@@ -51,7 +52,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         length = ratio * rest_length(points, k, j)
         for stays, replaced in ((k, j), (j, k)):
             away = np.linalg.norm(shown - shown[:, stays, None], axis=-1)
-            misfit[stays, replaced] = _median(np.abs(away - length))
+            misfit[stays, replaced] = np.nan_to_num(finite_median(np.abs(away - length).T))
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
         touched = [ends for ends in misfit if ends[1] in (a, b)]
@@ -102,14 +103,6 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
             lower.append(below)
     parts += [one - less for one in lower for less in lower if less < one]
     return [tuple((one, other[one]) for one in sorted(some)) for some in parts]
-
-
-def _median(rows: Float[np.ndarray, "moments points"]) -> Float[np.ndarray, " points"]:
-    """Median of the finite values of every column; 0 where there are none."""
-    ordered, count = np.sort(rows, axis=0), np.isfinite(rows).sum(0)  # np.sort puts NaN last
-    middle = np.stack(((count - 1) // 2, count // 2)).clip(min=0)
-    found = np.take_along_axis(ordered, middle, 0).mean(0)
-    return np.where(count > 0, found, 0.0)
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:

@@ -50,9 +50,11 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
         )
     if seen and not any(_covers_observation(start, one) for one in seen):
         first = seen[0]
-        frames = int((first.moments - 1) / first.fps * start.fps + _SLACK) + 1
+        length = (first.moments - 1) / first.fps
+        stop, frames = first.start_time + length, int(length * start.fps + _SLACK) + 1
         raise ReconError(
-            f"start: expected the time of an observation, {_span(first)}: {frames} frames at "
+            f"start: expected the time of an observation, {first.start_time:g} s to "
+            f"{stop:g} s: {frames} frames at "
             f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
             f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
         )
@@ -78,11 +80,6 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
     length = (seen.moments - 1) / seen.fps * start.fps
     spare = length - (start.frames - 1)
     return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
-
-
-def _span(seen: Sensor) -> str:
-    stop = seen.start_time + (seen.moments - 1) / seen.fps
-    return f"{seen.start_time:g} s to {stop:g} s"
 
 
 @dataclass(frozen=True)

@@ -119,11 +119,10 @@ def run_stages(
     body: BodyModel,
     motion: Motion,
     scene: Scene,
-    watch: Watch | None = None,
 ) -> tuple[Estimate, list[StageReport]]:
     """Run all stages in turn, from one motion for each clip."""
     began = Hypotheses.of_motions(stages[0].prior, [motion], scene, body)
-    found, reports = run_hypotheses(stages, body, began, watch)
+    found, reports = run_hypotheses(stages, body, began)
     return found.estimate(body), reports
 
 
