@@ -214,29 +214,31 @@ class Collocation(Prior[PoseVariables]):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
-        # imported here: fits in which every joint was seen draw no limbs from the networks
-        from priors.humor.likely import LikelyStates, tempo
-        from priors.humor.limbs import UnseenLimbs, unseen_limbs
-        from recon.physics.support import Support
+        # imported here: most fits see every limb
+        from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
 
-        unseen = unseen_limbs(data, self.humor.body)
+        unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
-        carried = Term("support", Support(unseen[:, KNEES].any(-1)), w.support)
-        likely = Term("state", LikelyStates(self.humor, unseen), w.state)
+        compared = replace(slow, max_iterations=_COMPARED)
+        proposals = LookedLimbs(load_network(), unseen)
+        limbs = replace(steps, name="limbs", minimiser=compared, proposals=proposals, kept=1)
+        if not bool(unseen.never.any()):
+            return root, poses, limbs, feet
+        # imported here: seldom is a limb never seen
+        from priors.humor.likely import LikelyStates, tempo
+        from recon.physics.support import Support
+
+        carried = Term("support", Support(unseen.never[:, KNEES].any(-1)), w.support)
+        likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
         read = replace(self, tempo=tempo(data))
-        steps, limbs, feet = (
-            replace(
-                stage,
-                prior=read,
-                terms=(*stage.terms, carried, likely),
-                minimiser=replace(stage.minimiser, tolerance_decrease=tolerance),
-            )
-            for stage, tolerance in ((steps, 2e-2), (feet, 1e-2), (feet, 1e-4))
+        limbs = replace(feet, name="limbs", minimiser=compared, proposals=proposals, kept=1)
+        feet = replace(feet, minimiser=replace(last, tolerance_decrease=1e-4))
+        limbs, feet = (
+            replace(stage, prior=read, terms=(*stage.terms, carried, likely))
+            for stage in (limbs, feet)
         )
-        limbs = replace(limbs, minimiser=replace(limbs.minimiser, max_iterations=_COMPARED))
-        limbs = replace(limbs, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1)
-        return root, poses, steps, limbs, feet
+        return root, poses, limbs, feet
 
 
 def only_keypoints_in_images(data: tuple[Term, ...]) -> bool:

@@ -238,12 +238,25 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
-        """Share of the frames in which the sensor locates each joint.
+    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
+        """Whether the sensor locates each joint in each frame of the data.
 
         None where that is unknown.
         """
         del body
+
+    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
+        """Share of the frames in which the sensor locates each joint; None where unknown.
+
+        Moments before the first and after the last that shows anything do not count: a clip that
+        is fitted beside longer ones is filled up with them.
+        """
+        if (located := self.locates(body)) is None:
+            return None
+        anything = located.any(-1).long()
+        within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
+        tells = located.to(torch.get_default_dtype()).sum(-2)
+        return tells / within.sum(-1, keepdim=True).clamp(min=1)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
         """Joints of the first clip that the sensor locates, in every frame of the data."""
