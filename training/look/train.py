@@ -1,12 +1,16 @@
 """Training the network that looks first: windows of the corpus, seen by simulated sensors.
 
     python -m training look CORPUS --out look.safetensors
+    python -m training.look.train --corpus CORPUS --out RUN [--start WEIGHTS] [--device cuda]
+    python -m training.look.train --corpus CORPUS --out RUN --export look.safetensors
 
 The loss is that of a mixture: every hypothesis costs its errors, the weights say how likely each
 is the nearest, and the nearest learns most.
 """
 
+import logging
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from priors.look.looking import load_network
 from priors.look.networks import LookNetwork, Proposed
 from priors.look.points import SeenPoints
 from recon.body.model import BodyModel, forward_kinematics
@@ -67,6 +72,8 @@ class LookTraining(TrainingSettings):
     width: int = 224
     """Units of the transformer."""
     hypotheses: int = 4
+    start: Path | None = None
+    """Weights to begin with, of the same width and as many hypotheses."""
     windows: int = 128
     """Windows per step."""
     frames: int = 90
@@ -95,9 +102,12 @@ class LookRun(Run[LookTraining, LookNetwork]):
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> LookNetwork:
-        """A random network."""
+        """A random network, or the one to start from; a checkpoint's weights are loaded later."""
         del state
         settings = self.settings
+        if settings.start is not None:
+            learned = deepcopy(load_network(settings.start)).requires_grad_(True)
+            return learned.train().to(settings.device)
         found = LookNetwork(
             self.learned.body.shape_size, settings.width, hypotheses=settings.hypotheses
         )
@@ -275,3 +285,23 @@ def export_weights(settings: LookTraining, path: Path) -> Path:
     save_checkpoint(path, "look", half_precision(network), about)
     LOG.info("wrote the network of step %d as %s", found["step"], path)
     return path
+
+
+def _main(settings: LookTraining, export: Path | None = None) -> None:
+    """Train; or write the best weights so far.
+
+    Args:
+        settings: of the run.
+        export: weights to write (.safetensors) instead of training.
+    """
+    if export is None:
+        train(settings)
+    else:
+        export_weights(settings, export)
+
+
+if __name__ == "__main__":
+    import tyro
+
+    logging.basicConfig(level=logging.INFO)
+    tyro.cli(_main, config=(tyro.conf.OmitArgPrefixes,))
