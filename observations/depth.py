@@ -17,7 +17,13 @@ from observations.checks import (
 )
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import kinds_of_surfels, label_costs
-from observations.surfels import Surfels, to_discs, tukey, tukey_kernel, tukey_scale
+from observations.surfels import (
+    Surfels,
+    squared_distances_to_discs,
+    tukey,
+    tukey_kernel,
+    tukey_scale,
+)
 from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor, geometries_given
@@ -200,7 +206,7 @@ class PointCloud(Sensor):
     def _relative_variances(
         self, seen: slice | Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Variances of distances in units of `CLOUD_NOISE`², and the weights of their squares.
+        """Variances of distances in units of `CLOUD_NOISE`², and the weights of squared distances.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.
@@ -239,7 +245,9 @@ class PointCloud(Sensor):
     ) -> tuple[Tensor, Tensor]:
         """Squared distances of points from discs given by index, and which points exist."""
         pick = index[..., None].expand(*index.shape, 3)
-        return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
+        return self._squared_to_one_disc_each(
+            middles.gather(-2, pick), normals.gather(-2, pick), seen, index
+        )
 
     def _squared_for_pairs(
         self, estimate: Estimate, pairs: Tensor
@@ -254,15 +262,15 @@ class PointCloud(Sensor):
         middles, normals = self.surfels.at(estimate.body, bones, index)
         scene = estimate.scene
         middles, normals = scene.to_recording(middles), scene.to_recording_directions(normals)
-        return *self._from_discs(middles, normals, moments, index), moments
+        return *self._squared_to_one_disc_each(middles, normals, moments, index), moments
 
-    def _from_discs(
+    def _squared_to_one_disc_each(
         self, middles: Tensor, normals: Tensor, seen: slice | Tensor, index: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Squared distances of the points from these discs, one each, at these moments."""
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         radii = torch.from_numpy(self.surfels.radii).to(points)[index]
-        squared = to_discs(points - middles, normals, radii)
+        squared = squared_distances_to_discs(points - middles, normals, radii)
         return squared.where(present, 0.0), present
 
     def _nearest_discs(

@@ -21,7 +21,7 @@ LEAST_SCALE = 0.005
 """Metres; surfaces are not taken for nearer to each other than this."""
 
 
-def to_discs(
+def squared_distances_to_discs(
     offset: Float[Tensor, "*shape 3"],
     normal: Float[Tensor, "*shape 3"],
     radius: Float[Tensor, "*shape"],
@@ -100,7 +100,7 @@ class Surfels:
 
     @classmethod
     def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
-        """Vertices that are farthest from each other, one after the other."""
+        """Discs at vertices of the average body, chosen by farthest point sampling."""
         from scipy.spatial import KDTree
 
         template = body.template.detach().cpu().double().numpy()

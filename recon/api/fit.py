@@ -318,7 +318,8 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
-            f"{path}: is refined as an estimate of a motion, which takes no {', '.join(given)}"
+            f"{path}: is an estimate of a motion, for which {', '.join(given)} mean nothing; "
+            "leave them out"
         )
 
 

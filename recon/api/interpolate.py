@@ -61,7 +61,9 @@ def interpolate(
     """
     share = finite(at, "at")
     if not 0 <= share <= 1:
-        raise ReconError(f"at: lies between 0 (the first motion) and 1, got {at}")
+        raise ReconError(
+            f"at: expected a number from 0 (the first motion) to 1 (the second), got {at}"
+        )
     rate = None if fps is None else positive(fps, "fps")
     model = body_given(body)
     prior = AnchorFrames.load(weights, model)

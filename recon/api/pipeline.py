@@ -120,7 +120,7 @@ def fitted(
             from recon.diagnosis.movement import in_room  # imported here: treadmills are rare
 
             start = in_room(start, -clip.belt)
-        # first guess: a motion from the data without a prior, or the caller's
+        # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem: residuals of each sensor over its noise; unknown ground and focal length

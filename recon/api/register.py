@@ -141,8 +141,8 @@ def register(
         start = rough_poses(views, base, names)
     else:
         raise ObservationError(
-            f"{names[int(level.argmin())]}: no ground is seen in it, so that nothing tells how it "
-            "stands to the others; give files with rough poses (T_camera_world)"
+            f"{names[int(level.argmin())]}: this camera sees no ground, so its pose "
+            "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
     found, shared = aligned(views, start, base, level)
     for name, share in zip(names, shared, strict=True):

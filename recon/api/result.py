@@ -161,7 +161,7 @@ class Result(MotionResult):
 
     @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
-        """Pose of the camera that was given without one, as it was found; metres."""
+        """Pose that the fit found for a camera that was given without a pose; metres."""
         return None if self.file.T_world_camera is None else self.file.T_world_camera[0]
 
     @property

@@ -123,8 +123,8 @@ def shapes_of_subjects(
         return {}
     if trait_of(settings.prior, "completes"):
         raise ValueError(
-            "subject: cycles are completed with shapes of their own; leave `subject` out of the "
-            "manifest, or fit with another prior"
+            "subject: clips of one subject share a shape, but this prior finds one for each gait "
+            "cycle; leave `subject` out of the manifest, or fit with another prior"
         )
     found: dict[str, list[torch.Tensor]] = {}
     names = {clip.name: str(clip.subject) for clip in known}

@@ -232,9 +232,9 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
         *_reported_checksums(path),
     }:
         raise FileExistsError(
-            f"{path} is there already, and recon did not write it as it is (its checksum does not "
-            f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
-            "replace it by --overwrite"
+            f"{path} exists, and recon did not write it or it was changed since (its checksum "
+            f"is not that in {path.with_suffix('.json').name}); move it away, give another OUT, "
+            "or replace it by --overwrite"
         )
 
 

@@ -10,7 +10,7 @@ from observations.estimated import Drifting, EstimatedPoints
 from observations.noise import estimate_noise
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
-from recon.core.coordinates import missing_path
+from recon.core.coordinates import notes_on_missing_path
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, Findings, stretches
@@ -41,8 +41,8 @@ def exchanged_frames(
     both = torch.stack((rotations, mirrored), 1).double()
     step = (
         both[1:, :, None] - both[:-1, None, :]
-    )  # axes (time, this frame's version, the last one's, joints, 3, 3)
-    squared = step.square().sum((-1, -2)).mean(-1) / 2  # about the squared angle
+    )  # axes: time, this frame as it is or exchanged, the frame before likewise, joints, 3, 3
+    squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
     return cheapest_path(here[None], (squared + switch).mT)[0].bool()
@@ -127,7 +127,9 @@ def as_measurement(
         segment=_segments(points - path)[None],
         start_time=motion.start_time,
     )
-    alone = missing_path(motion.translation[known].numpy(), motion.rotations[known].numpy())
+    alone = notes_on_missing_path(
+        motion.translation[known].numpy(), motion.rotations[known].numpy()
+    )
     return seen, motion, Findings(repairs, [Finding("no path", alone)] if alone else ())
 
 

@@ -106,7 +106,7 @@ def _limbs_uncrossed(
     if (pair := exchanged_throughout(steady)) is not None:
         groups.append((pair,))
     versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
-    # one by one: a fit together ends early where the names as given are nearly as good
+    # each version alone: fits of all together end early where the given names are nearly as good
     costs = [quick_fits([plausible(one).observation], body)[0].cost for one in versions]
     best = int(np.argmin(costs))
     if best == 0 or costs[best] > _CLEARLY_BETTER * costs[0]:

@@ -242,7 +242,7 @@ class ClipProblem:
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
     ) -> Reconstruction:
-        """The whole clip, from a start, moving some of the scene.
+        """Fit the whole clip from an initial motion, optimising the unknowns `moved` of the scene.
 
         Long clips find the scene in their first seconds and keep it.
         """
@@ -318,7 +318,7 @@ class ClipProblem:
         return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
 
     def with_ground(self) -> Reconstruction:
-        """The whole clip and its ground, found from the way people stand."""
+        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported here: in most clips the ground is known
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 

@@ -192,7 +192,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
             own[name] = checksum
         elif not overwrite:
             raise FileExistsError(
-                f"{path} is there already, and recon did not write it as it is (its checksum "
+                f"{path} exists, and recon did not write it or it was changed since (its checksum "
                 f"does not stand in {output.report.name}); write somewhere else, or replace it "
                 "by --overwrite"
             )

@@ -121,7 +121,7 @@ class _CompressedRows(_Inert):
         dense = np.zeros((lines, length))
         starts = np.asarray(self.state["indptr"], np.int64)
         if len(starts) != lines + 1 or starts[-1] != len(self.state["data"]):
-            raise FormatError(f"a sparse matrix of {lines} lines whose entries begin elsewhere")
+            raise FormatError(f"a sparse matrix of {lines} rows whose row pointers do not fit")
         line = np.repeat(np.arange(lines), np.diff(starts))
         columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
         np.add.at(dense, (line, columns), numbers)

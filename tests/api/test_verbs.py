@@ -132,7 +132,7 @@ def test_a_motion_is_continued_from_any_moment(forms):
         (lambda: recon.sample("anchor"), "prior: expected 'humor', 'humos'"),
         (lambda: recon.sample(count=0), "count: expected"),
         (lambda: recon.sample(seconds=-1.0), "seconds: expected"),
-        (lambda: recon.sample(shape="tall"), "are of the prior humos"),
+        (lambda: recon.sample(shape="tall"), "are options of the prior humos"),
         (lambda: recon.sample("humos", device="cuda"), "device: HUMOS"),
         (lambda: recon.sample("humos", shape="huge"), "shape 'huge': 'huge' is not known"),
         (lambda: recon.predict(walk(4), "pose"), "prior: expected"),

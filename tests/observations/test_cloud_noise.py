@@ -34,7 +34,9 @@ def test_moments_of_a_noisy_sensor_count_less(toy_body, monkeypatch):
     count = max(cloud.points.shape[-2], CLOUD_WORTH)
     # the kernel lets through more of what is known to be noisy, so energies are compared where
     # distances are small
-    monkeypatch.setattr("observations.depth.to_discs", lambda away, *_: away.square().sum(-1))
+    monkeypatch.setattr(
+        "observations.depth.squared_distances_to_discs", lambda away, *_: away.square().sum(-1)
+    )
     near = noisy(toy_body, motion, 3e-3, kernel=fixed_scale_kernel)
     share = near.replace(std=far.std)(estimate) / near(estimate)
     assert share.numpy() == pytest.approx(1 / (1 + 25 * CLOUD_WORTH / count), rel=0.01)

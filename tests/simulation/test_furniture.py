@@ -76,7 +76,7 @@ def test_meshes_together_keep_their_faces():
     ("kind", "surface", "words"),
     [
         ("scans", SurfaceSettings(furniture=("chair",)), "are options for depth"),
-        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture to leave"),
+        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture was given"),
     ],
 )
 def test_options_without_effect_are_refused(kind, surface, words):
