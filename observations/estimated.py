@@ -28,7 +28,7 @@ _UNSEEN = 10.0
 
 
 @dataclass(frozen=True)
-class Drifting:
+class ErrorCovariance:
     """Covariance of an error over time.
 
     White jitter plus a slowly changing part, metres per axis.
@@ -78,9 +78,9 @@ class EstimatedPoints(Markers3D):
     timed = (*Markers3D.timed, "segment")
     momentwise: ClassVar[bool] = False
     """Whether the energy is a sum over moments, which a banded Hessian can hold."""
-    own: Drifting
+    own: ErrorCovariance
     """Error of a point beside the path."""
-    path: Drifting
+    path: ErrorCovariance
     """Error that all points have in common."""
     segment: Float[Tensor, "*batch moments points"]
     """Number of the stretch of time in which a point does not jump."""

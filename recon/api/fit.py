@@ -20,7 +20,7 @@ from recon.api.given import (
     prior_of,
     shape_known,
 )
-from recon.api.observations import GroundChoice, ObservationsLike, Sighting
+from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLike
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
@@ -349,7 +349,7 @@ def _noises(
 
 
 def _start(
-    given: Motion | Result | Path | str | None, sighting: Sighting, body: BodyModel
+    given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:

@@ -17,7 +17,7 @@ from recon.api.given import (
     shape_given,
     shape_name,
 )
-from recon.api.made import Made, MotionResults
+from recon.api.made import MadeMotion, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel
@@ -194,7 +194,7 @@ def _motion_results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
     contacts, here = made.contacts, body.to(device="cpu")
     assert contacts is not None
     results = [
-        Made(
+        MadeMotion(
             MotionFile(
                 made.motion[k].to(device="cpu"),
                 body=body.name,

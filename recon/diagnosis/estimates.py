@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.estimated import Drifting, EstimatedPoints
+from observations.estimated import ErrorCovariance, EstimatedPoints
 from observations.noise import estimate_noise
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
@@ -57,12 +57,12 @@ def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "ti
 
 FASTEST = 60.0
 """Hz; estimates at higher rates are thinned to it."""
-OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
+OWN = ErrorCovariance(jitter=0.015, slow=0.06, seconds=1.0)
 """Error of a point relative to the path of the body, as networks on video make it. The numbers are
 chosen on windows of validation people and on martial arts, runs and climbs of training people
 (benchmarks/refine.py): numbers that suit walks alone let a prior that never saw a handspring
 overrule it. Estimates with smaller errors get a share of it; the jitter is the least assumed."""
-PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
+PATH = ErrorCovariance(jitter=0.003, slow=0.06, seconds=2.0)
 """Error of the path."""
 _ALIKE = 2.0
 """Points of one limb err together, so that the jitter estimated from one point is

@@ -103,10 +103,10 @@ def read_depth_images(
     clouds: list[np.ndarray] = []
     depths: list[float] = []
     for k, path in enumerate(paths):
-        depth = _depth(path, camera) * depth_scale
+        depth = _read_depth_image(path, camera) * depth_scale
         seen = (depth > 0) & ~at_edge(depth)
         if shapes is not None:
-            seen &= _mask(shapes[k], depth.shape)
+            seen &= _read_mask(shapes[k], depth.shape)
         if seen.any():
             depths.append(float(np.median(depth[seen])))
         cloud = thinned(back_projected(depth, seen, lens), points, outliers, generator)
@@ -187,7 +187,7 @@ def _masks_of_images(paths: list[Path], masks: Path) -> list[Path]:
     return found
 
 
-def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
+def _read_depth_image(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
     image = read_png(path, camera.image_size)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise FormatError(
@@ -196,7 +196,7 @@ def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"
     return image.astype(np.float64)
 
 
-def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+def _read_mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
     image = read_png(path)
     if image.ndim == 3:
         image = image[..., :3].max(-1)

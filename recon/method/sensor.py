@@ -98,7 +98,7 @@ class Sensor(TensorStruct):
     def expected(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """The values of an estimate in the recording, at the data's frames that it covers."""
+        """Predicted values, frame of the recording, at those frames of the data that it covers."""
         values = self.predicted(estimate)
         if self.vectors == "points":
             values = estimate.scene.to_recording(values)

@@ -17,7 +17,7 @@ from recon.formats.observations import (
     PointsFile,
     PositionsFile,
 )
-from recon.simulation.depth import DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.depth import DepthSensor, PixelSurface, depth_points, without_pose
 from recon.simulation.images import cameras_around, keypoints2d, mean_heading
 from recon.simulation.points import (
     Corruption,
@@ -174,7 +174,7 @@ def _simulated_views(
             file = depth_points(
                 truth, _clothed_body(body, surface), camera, quiet, own,
                 sensor=sensor, points=surface.points,
-                surfaces=(Surface.BODY, *(_LEFT[name] for name in surface.left_over)),
+                surfaces=(PixelSurface.BODY, *(_LEFT[name] for name in surface.left_over)),
                 furniture=_furniture_around(truth, body, surface),
             )  # fmt: skip
         else:
@@ -185,7 +185,7 @@ def _simulated_views(
     return files
 
 
-_LEFT = {"ground": Surface.GROUND, "furniture": Surface.FURNITURE}
+_LEFT = {"ground": PixelSurface.GROUND, "furniture": PixelSurface.FURNITURE}
 
 
 def _furniture_around(

@@ -138,7 +138,7 @@ def test_a_motion_is_continued_from_any_moment(forms):
         (lambda: recon.predict(walk(4), "pose"), "prior: expected"),
         (lambda: recon.predict(walk(4), at=1.0), "at: expected"),
         (lambda: recon.predict(walk(1)), "motion: a single frame has no velocity"),
-        (lambda: recon.interpolate(walk(4), walk(4), at=2.0), "at: lies between"),
+        (lambda: recon.interpolate(walk(4), walk(4), at=2.0), "at: expected a number from 0"),
         (lambda: recon.interpolate(walk(4), walk(4)), "a: found no cycle of gait"),
         (lambda: recon.retarget(walk(4), "tall"), "motion: lasts 0.13 s"),
         (lambda: recon.retarget(walk(40), [[1.0]]), "shape: expected 1 to 16 coefficients"),

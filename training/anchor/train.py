@@ -88,7 +88,7 @@ def fitted_basis(rows: Float[Tensor, "cycles 100 124"], basis: int) -> CycleBasi
     """
     if len(rows) <= basis:
         raise ValueError(
-            f"expected more than {basis} cycles for {basis} principal directions, got {len(rows)}"
+            f"expected more cycles than the {basis} principal directions, got {len(rows)}"
         )
     low, high = rows[..., POSE_NUMBERS:].amin((0, 1)), rows[..., POSE_NUMBERS:].amax((0, 1))
     low = torch.cat((low[:3], low.new_zeros(1)))

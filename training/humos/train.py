@@ -259,8 +259,7 @@ def fitted_basis(rows: Float[Tensor, "clips time numbers"], basis: int) -> Lappe
     windows = cut_windows(rows)[:, 1:-1].flatten(0, 1)
     if len(windows) <= basis:
         raise ValueError(
-            f"expected more than {basis} windows for {basis} principal directions, got "
-            f"{len(windows)}"
+            f"expected more windows than the {basis} principal directions, got {len(windows)}"
         )
     mean = windows.mean(0)
     away = (windows - mean).double()
