@@ -105,7 +105,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     given, versions = versions, [paced(one, _PACE) for one in versions]
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
-    method, excerpts = partial(quick_stages, noise), [_middle_seconds(one) for one in versions]
+    method, excerpts = partial(quick_stages, noise), [middle_seconds(one) for one in versions]
     fits = _fits_of_versions(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
         fits += _fits_of_versions(
@@ -153,7 +153,7 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
     lower objective unless the points really are misplaced. Long recordings are left as they are:
     no limb is lost throughout them.
     """
-    if _middle_seconds(fit.points) is not fit.points:
+    if middle_seconds(fit.points) is not fit.points:
         return fit
     points = paced(fit.points, _PACE)
     noise = estimate_noise(points.positions, points.visible)
@@ -174,7 +174,7 @@ def quick_stages(
     )
 
 
-def _middle_seconds(points: TrackedPoints) -> TrackedPoints:
+def middle_seconds(points: TrackedPoints) -> TrackedPoints:
     """The points in a few seconds around the median time of the data."""
     length = round(_EXCERPT * points.fps) + 1
     moments = points.positions.shape[-3]

@@ -14,7 +14,7 @@ from recon.formats.opening import files_of
 from recon.formats.producers import holds_sam3d_body
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
-from recon.formats.scans import CLOUDS
+from recon.formats.scans import cloud_files
 from recon.keypoints3d.reader import body_file, time_stamps
 from recon.mocap.asf_amc import recording_files
 from recon.reading.places import expand
@@ -67,7 +67,7 @@ def observation_input(path: Path) -> InputFiles:
         return InputFiles(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:
-            clouds, images = _inside(path, tuple(CLOUDS)), _inside(path, _IMAGES)
+            clouds, images = tuple(cloud_files(path)), _inside(path, _IMAGES)
             if clouds or images:
                 return InputFiles(path, (*clouds, path / "times.csv") if clouds else images)
             return InputFiles(path, _keypoint_files(path))
