@@ -298,7 +298,7 @@ def result_of(
         stopped: why the fit was ended early, if it was.
     """
     found = examined.fit
-    motion = found.result.clip(0).detach().to(device="cpu")
+    motion = found.result.clip(0).detach()
     first = clip.observations[0]
     # a few scans per second are too few for a result, so it has the frame rate of the fit
     rate = max(first.fps, motion.fps) if completes else first.fps

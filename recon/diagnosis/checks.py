@@ -3,7 +3,7 @@
 A check is a function of the clip that gives the clip, put right where that is sure, and what it
 found. `recon.fit(..., checks=...)` takes any of them, and functions of your own:
 
-    def short(clip: Examined) -> tuple[Examined, Findings]:
+    def short(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         said = Finding("gap", "less than a second was seen")
         return clip, Findings(warnings=(said,) if clip.motion.frames < clip.motion.fps else ())
 """
@@ -106,14 +106,14 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     from recon.diagnosis.carried import carried_finding
     from recon.diagnosis.images import Images
 
-    seen = Images.of([view], clip.names, clip.model)
+    seen = Images.of([view], clip.names, clip.body)
     rest = foot_rest(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _rate_is_untestable(clip):
         return clip, NOTHING
     rests = rest is not None and not rest.may_move
-    said = carried_finding(clip.names[0], clip.motion, clip.model, clip.seen, rests=rests)
+    said = carried_finding(clip.names[0], clip.motion, clip.body, clip.seen, rests=rests)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -262,7 +262,7 @@ def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     if any(one.code == "mirrored" for one in clip.warnings):
         return clip, NOTHING
     names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
-    groups = grouped_views([one.view for one in clip.observations if one.view], names, clip.model)
+    groups = grouped_views([one.view for one in clip.observations if one.view], names, clip.body)
     found = [said for _, images in groups for said in mirror_warnings(images)]
     return clip, Findings(warnings=found)
 
@@ -276,7 +276,7 @@ def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     )
     if not clip.fit.grounded or _rate_is_untestable(clip) or not in_metres:
         return clip, NOTHING
-    said = rate_finding(clip.motion, clip.model, clip.seen)
+    said = rate_finding(clip.motion, clip.body, clip.seen)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -366,7 +366,7 @@ def support(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note feet at several heights, and support by something other than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
-    return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
+    return clip, Findings(diagnosis=support_findings(clip.motion, clip.body, clip.seen))
 
 
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)

@@ -73,7 +73,7 @@ def alternatives(fit: ClipFit) -> tuple[AlternativeMotion, ...]:
     the quick fit that compared them had left it. Hypotheses that came to the motion that was
     chosen, or to that of a likelier one, are left out.
     """
-    body = fit.result.body.model.to(device="cpu")
+    body = fit.result.body.model
     found = [one for compared in fit.compared for one in _runners_up(compared, body)]
     return tuple(sorted(found, key=lambda one: one.excess))
 

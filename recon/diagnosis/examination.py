@@ -51,8 +51,8 @@ def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> Resi
     """Summary of the residuals of the first clip, for its report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
-    seen_here = residuals.seen[0].cpu().numpy()
-    lengths = np.where(seen_here, residuals.distances[0].double().cpu().numpy(), np.nan)
+    seen_here = residuals.seen[0].numpy()
+    lengths = np.where(seen_here, residuals.distances[0].double().numpy(), np.nan)
     flat = lengths[np.isfinite(lengths)]
     names = seen.point_names(estimate.body.model)
     return ResidualSummary(
@@ -114,7 +114,7 @@ class ExaminedClip(CheckedClip):
     estimate: Estimate
     """The fitted motion and scene, without derivatives."""
     motion: Motion
-    """The fitted motion on the processor, at the fit's own frames."""
+    """The fitted motion at the fit's own frames."""
     residuals: tuple[ResidualSummary, ...]
     """Residuals of every sensor, in the order of the observations."""
     observed: Bool[np.ndarray, "time 22"]
@@ -133,17 +133,12 @@ class ExaminedClip(CheckedClip):
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
             estimate=here,
-            motion=fit.result.clip(0).detach().to(device="cpu"),
+            motion=fit.result.clip(0).detach(),
             residuals=tuple(summarise(*sensor, here) for sensor in sensors),
             observed=observed_joints(fit.observations, here),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
-
-    @property
-    def model(self) -> BodyModel:
-        """The fitted body on the processor."""
-        return self.estimate.body.model.to(device="cpu")
 
     @property
     def seen(self) -> Bool[Tensor, "time 22"]:
@@ -173,7 +168,7 @@ class ExaminedClip(CheckedClip):
         return {
             "ground_std": None if ground is None else torch.tensor([ground.normal, ground.height]),
             **{
-                name: None if one is None else one[frames.clamp(0, len(one) - 1)].cpu()
+                name: None if one is None else one[frames.clamp(0, len(one) - 1)]
                 for name, one in values.items()
             },
         }

@@ -119,6 +119,8 @@ class FitOptions:
     """What is known of the shape, where it is not held."""
     terms: tuple[Term, ...] = ()
     """Further energies, added in every stage that moves poses."""
+    device: str = "cpu"
+    """Where stages are minimised; everything before and after them is on the processor."""
 
     def __post_init__(self) -> None:
         """Refuse priors that depend on the height above the ground when there is no ground.

@@ -54,7 +54,7 @@ def window(clip: Clip, start: float, stop: float) -> Clip:
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
     """Times of the frames of an observation that have data, seconds."""
-    moments = observation.shown[0].any(-1).nonzero()[:, 0].cpu().numpy()
+    moments = observation.shown[0].any(-1).nonzero()[:, 0].numpy()
     return observation.start_time + moments / observation.fps
 
 
