@@ -6,8 +6,7 @@ import pytest
 import torch
 
 import recon
-from recon.core.motion import Motion
-from tests.filmed import bundled, cameras, view, walk
+from tests.filmed import bundled, seen_of, walk
 
 pytestmark = [
     pytest.mark.gpu,
@@ -15,20 +14,10 @@ pytestmark = [
 ]
 
 
-def _seen(kind: str, motion: Motion) -> Any:
-    if kind == "views":
-        return [view(motion, one) for one in cameras(motion, 3)]
-    if kind == "hidden":
-        return recon.simulate(motion, "joints3d", noise=0.01, hide_below=0.9)
-    if kind == "depth":
-        return recon.simulate(motion, "depth", noise=0.005, points=512)
-    return recon.simulate(motion, kind, noise=0.02)
-
-
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 @pytest.mark.parametrize("kind", ["joints3d", "landmarks", "views", "hidden", "depth"])
 def test_a_fit_on_the_gpu(kind: str, prior: Any) -> None:
-    seen = _seen(kind, walk(30))
+    seen = seen_of(walk(30), kind)
     here = recon.fit(seen, prior)
     there = recon.fit(seen, prior, device="cuda")
     assert there.motion.translation.device.type == "cpu"

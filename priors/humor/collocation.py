@@ -37,6 +37,7 @@ from recon.method.quadratic import ClipModel
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
+from recon.method.timing import share_of_frames
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -201,7 +202,8 @@ class Collocation(Prior[PoseVariables]):
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        early, late = (2e-2, 1e-4) if only_keypoints_in_images(data) else (2e-3, 3e-5)
+        in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
+        early, late = (2e-2, 1e-4) if in_images else (2e-3, 3e-5)
         slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
@@ -227,9 +229,9 @@ class Collocation(Prior[PoseVariables]):
             return root, poses, limbs, feet
         # imported here: seldom is a limb never seen
         from priors.humor.likely import LikelyStates, tempo
-        from recon.physics.support import Support
+        from recon.physics.support import SupportEnergy
 
-        carried = Term("support", Support(unseen.never[:, KNEES].any(-1)), w.support)
+        carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
         read = replace(self, tempo=tempo(data))
         limbs = replace(feet, name="limbs", minimiser=compared, proposals=proposals, kept=1)
@@ -241,18 +243,13 @@ class Collocation(Prior[PoseVariables]):
         return root, poses, limbs, feet
 
 
-def only_keypoints_in_images(data: tuple[Term, ...]) -> bool:
-    """Whether all observations are keypoints in images."""
-    return all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
-
-
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     """Whether one sensor locates every joint in space in most frames of every clip."""
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (share := term.energy.share_of_frames_locating(body)) is not None
-        and bool((share >= _MIN_SEEN_SHARE).all())
+        and (located := term.energy.locates(body)) is not None
+        and bool((share_of_frames(located) >= _MIN_SEEN_SHARE).all())
         for term in data
     )
 

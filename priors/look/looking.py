@@ -21,9 +21,12 @@ from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
 from recon.method.terms import Term
+from recon.method.timing import first_to_last, share_of_frames
 
 _STD_M = 0.01
 """Standard deviation of the joints of an estimate as the network is told, metres."""
+_PROPOSED = 2
+"""Motions that are proposed, the likeliest: four take longer and leave the errors as they are."""
 _GAP_S = 0.2
 """Seconds; where less is missing, a smooth motion is as good as what the network proposes."""
 _SELDOM = 1 / 3
@@ -78,15 +81,10 @@ class UnseenLimbs(TensorStruct):
             _at_times(one, sensor.fps, sensor.start_time, times)
             for one, sensor in zip(located, sensors, strict=True) if one is not None
         ]).any(0)  # fmt: skip
-        missing = ~seen
-        # before the first and after the last moment of a clip there is nothing to see
-        any_seen = seen.any(-1).long()
-        within = (any_seen.cumsum(-1) > 0) & (any_seen.flip(-1).cumsum(-1).flip(-1) > 0)
-        share = (seen & within[..., None]).sum(-2) / within.sum(-1)[:, None].clamp(min=1)
-        never = _rotations_below(share < _SELDOM)
+        never = _rotations_below(share_of_frames(seen) < _SELDOM)
         never &= never[:, list(_BENDING)].any(-1, keepdim=True)
         frames = max(1, min(round(_GAP_S * first.fps) + 1, first.moments))
-        rotations = _lasting(_rotations_below(missing) & within[..., None], frames)
+        rotations = _lasting(_rotations_below(~seen) & first_to_last(seen)[..., None], frames)
         rotations &= rotations[..., list(_BENDING)].any(-1, keepdim=True)
         rotations |= never[:, None]
         return cls(rotations, never, first.fps, first.start_time) if rotations.any() else None
@@ -140,10 +138,11 @@ class LookedLimbs:
         parents = constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
         joints = estimate.body.joints.detach()
         found = proposed(self.network, joints, motion.valid, ~unseen[:, parents], body)
+        likely = found.log_weight[0].topk(min(_PROPOSED, found.log_weight.shape[1])).indices
         rotations = with_seen_rotations(
-            found.rotations[0].to(motion.rotations), motion.rotations[0], ~unseen
+            found.rotations[0, likely].to(motion.rotations), motion.rotations[0], ~unseen
         )
-        place = found.pelvis[0].to(joints) - body.rest_joints(motion.shape)[:, :1]
+        place = found.pelvis[0, likely].to(joints) - body.rest_joints(motion.shape)[:, :1]
         away = _between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
         many = motion.map(lambda tensor: tensor.expand(len(rotations), *tensor.shape[1:]))
         return many.replace(rotations=rotations, translation=place + away[:, :, 0])

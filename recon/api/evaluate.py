@@ -137,7 +137,7 @@ def evaluate(
     frames = ours.motion.frames
     own = ours.contacts if contacts is None else _labels(contacts, "contacts", frames)
     visible = _visible_given(truth_visible, frames)
-    if not isinstance(truth, Mapping) and _is_array(truth):
+    if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
     theirs = _in_double(motion_given(truth, model, "truth").file)
     seen, path = _read_observation(observation)
@@ -178,10 +178,6 @@ def _in_double(file: MotionFile) -> MotionFile:
         if isinstance(value, Tensor) and value.is_floating_point()
     }
     return replace(file, **tensors)
-
-
-def _is_array(given: Any) -> bool:
-    return hasattr(given, "__array__") or isinstance(given, list | tuple)
 
 
 def _joint_errors(

@@ -55,12 +55,12 @@ def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
 
 
 def occluded_points(
-    truth: Motion, body: BodyModel, height: float = 0.9
+    truth: Motion, body: BodyModel
 ) -> tuple[Markers3D, Float[Tensor, "clips time 43 3"]]:
-    """Simulate 43 exact skin points without those below `height` metres; also the full set."""
+    """Simulate 43 exact skin points without those below 0.9 m; also the full set."""
     vertices = tuple(landmark(name) for name in KEYPOINTS_43)
     points = body.pose(truth).points(torch.tensor(vertices))
-    visible = points[..., 2] >= height
+    visible = points[..., 2] >= 0.9
     return (
         Markers3D(
             positions=points.where(visible[..., None], 0.0),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.core.errors import ReconError
@@ -161,6 +162,13 @@ def require_shape(tensor: Tensor, name: str, shape: Sequence[str | int]) -> None
     if not fits:
         wanted = ", ".join(map(str, shape))
         raise ReconError(f"{name}: expected the shape (..., {wanted}), got {tuple(tensor.shape)}")
+
+
+def finite_median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarray, "*shape"]:
+    """Median of the finite values of every row, NaN where there are none; values may be NaN."""
+    ordered, count = np.sort(values, -1), np.isfinite(values).sum(-1)  # np.sort puts NaN last
+    middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
+    return np.take_along_axis(ordered, middle, -1).mean(-1)
 
 
 def first_where(mask: Tensor) -> list[int]:

@@ -17,7 +17,14 @@ _SAMPLE = 20_000
 """Points that planes are counted on."""
 _FRAMES = 24
 """Frames, evenly over the clip, that tell what stands still."""
-_REFINEMENTS = 5
+_TOLERANCE = 0.03
+"""Metres from a plane within which a point belongs to it."""
+_LEAST_SHARE = 0.05
+"""Share of all points that a plane must have."""
+_TRIALS, _REFINEMENTS = 300, 5
+"""Planes through three random points that are tried, and fits of the best one to its inliers."""
+_LEVEL = math.cos(math.radians(40))
+"""Part of a ground's unit normal along the given up direction, at least."""
 _WIDTH = 0.8
 """Metres that a ground extends over across its length: more than somebody lying on it."""
 _STEEP = 0.5
@@ -43,11 +50,6 @@ class FoundGround:
 def find_ground(
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     up: Float[np.ndarray, "3"],
-    *,
-    tolerance: float = 0.03,
-    tilt: float = math.radians(40),
-    least: float = 0.05,
-    seed: int = 0,
 ) -> FoundGround:
     """The largest roughly level plane that has few points below it.
 
@@ -59,26 +61,22 @@ def find_ground(
     Args:
         clouds: points of a whole scene in every frame, metres; frames may be empty.
         up: roughly upwards; (0, -1, 0) in the frame of a camera held level.
-        tolerance: distance within which a point belongs to a plane, metres.
-        tilt: most the normal may differ from `up`, radians.
-        least: share of the points a plane must have.
-        seed: of the random samples.
     """
     up = np.asarray(up, np.float64) / max(float(np.linalg.norm(up)), 1e-12)
     if not all(np.isfinite(cloud).all() for cloud in clouds):
         raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     sample, rejected = _Sample.of(clouds, generator), "no plane"
-    for normal, offset, rows in _planes_by_size(sample.points, tolerance, least, generator):
+    for normal, offset, rows in _planes_by_size(sample.points, generator):
         if normal @ up < 0:
             normal, offset = -normal, -offset
-        if normal @ up < math.cos(tilt):
+        if normal @ up < _LEVEL:
             rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
             continue
         if np.median([_plane_width(one, normal) for one in sample.by_frame(rows)]) < _WIDTH:
             rejected = "a level plane no wider than a body"
             continue
-        below = float((sample.points @ normal < offset - 2 * tolerance).mean())
+        below = float((sample.points @ normal < offset - 2 * _TOLERANCE).mean())
         share = len(rows) / len(sample.points)
         if below > max(0.05, share / 2):
             rejected = f"a level plane with {below:.0%} of the points below it"
@@ -91,10 +89,6 @@ def find_ground(
 def find_walls(
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     eye: Float[np.ndarray, "3"],
-    *,
-    tolerance: float = 0.03,
-    least: float = 0.05,
-    seed: int = 0,
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
     """Unit normal n and offset n·x = d of steep planes that stand still and are opaque.
 
@@ -104,15 +98,12 @@ def find_walls(
 
     Args:
         clouds: points of a whole scene in every frame, metres, z up; frames may be empty.
-        eye: where the sensor is.
-        tolerance: distance within which a point belongs to a plane, metres.
-        least: share of the points a plane must have.
-        seed: of the random samples.
+        eye: where the sensor is, metres.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     sample = _Sample.of(clouds, generator)
     walls: list[tuple[np.ndarray, float]] = []
-    for normal, offset, rows in _planes_by_size(sample.points, tolerance, least, generator):
+    for normal, offset, rows in _planes_by_size(sample.points, generator):
         if abs(normal[2]) >= _STEEP:
             continue
         axes = _principal_axes(sample.points[rows])[:, 1:]
@@ -121,7 +112,7 @@ def find_walls(
             continue
         away, far = sample.points - eye, offset - normal @ eye
         depth = away @ normal * np.sign(far)
-        behind = depth > abs(far) + 2 * tolerance
+        behind = depth > abs(far) + 2 * _TOLERANCE
         across = (eye + away[behind] * (abs(far) / depth[behind])[:, None]) @ axes
         through = ((across > low) & (across < high)).all(1).sum()
         if through < len(rows):
@@ -160,16 +151,13 @@ class _Sample:
 
 
 def _planes_by_size(
-    points: Float[np.ndarray, "points 3"],
-    tolerance: float,
-    least: float,
-    generator: np.random.Generator,
+    points: Float[np.ndarray, "points 3"], generator: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, " inliers"]]]:
     """Unit normal, offset and inliers of the largest plane, then of the next largest, ..."""
     left = np.arange(len(points))
     for _ in range(_CANDIDATES):
-        found = largest_plane(points[left], tolerance=tolerance, generator=generator)
-        if found is None or found[2].sum() < least * len(points):
+        found = _largest_plane(points[left], generator)
+        if found is None or found[2].sum() < _LEAST_SHARE * len(points):
             return
         normal, offset, inliers = found
         yield normal, offset, left[inliers]
@@ -219,17 +207,13 @@ def _principal_axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, 
     return np.linalg.eigh(centred.T @ centred)[1]
 
 
-def largest_plane(
-    points: Float[np.ndarray, "points 3"],
-    *,
-    tolerance: float,
-    generator: np.random.Generator,
-    trials: int = 300,
+def _largest_plane(
+    points: Float[np.ndarray, "points 3"], generator: np.random.Generator
 ) -> tuple[Float[np.ndarray, "3"], float, Bool[np.ndarray, " points"]] | None:
     """Unit normal n, offset n·x = d and inliers of the plane with most points; None if none."""
     if len(points) < 3:
         return None
-    corners = points[generator.integers(0, len(points), (trials, 3))]
+    corners = points[generator.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
     proper = length > 1e-9
@@ -238,18 +222,18 @@ def largest_plane(
     normals = normals[proper] / length[proper, None]
     offsets = np.einsum("nk,nk->n", normals, corners[proper, 0])
     few = points[:: max(1, len(points) // 4000)]
-    counts = (np.abs(few @ normals.T - offsets) < tolerance).sum(0)
+    counts = (np.abs(few @ normals.T - offsets) < _TOLERANCE).sum(0)
     best = int(counts.argmax())
     normal, offset = normals[best], float(offsets[best])
     for _ in range(_REFINEMENTS):
-        inliers = np.abs(points @ normal - offset) < tolerance
+        inliers = np.abs(points @ normal - offset) < _TOLERANCE
         if inliers.sum() < 3:
             return None
         middle = points[inliers].mean(0)
         centred = points[inliers] - middle
         normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
         offset = float(normal @ middle)
-    return normal, offset, np.abs(points @ normal - offset) < tolerance
+    return normal, offset, np.abs(points @ normal - offset) < _TOLERANCE
 
 
 def above_ground(

@@ -4,14 +4,14 @@ Detectors are noisy, so no keypoint has the same coordinates twice in a row; sof
 what it has lost writes zeros, the last place, or the whole last frame again.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
+from recon.core.arrays import finite_median
 from recon.diagnosis.exact import unchanged
 from recon.diagnosis.findings import (
     NOTHING,
@@ -201,18 +201,11 @@ def _far_from_median(
     padded = np.pad(place, edges, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, 1)
     enough = seen & (np.isfinite(windows[..., 0, :]).sum(-1) >= 3)
-    away = np.linalg.norm(place - _median(windows), axis=-1) / images.scale[..., None]
+    away = np.linalg.norm(place - finite_median(windows), axis=-1) / images.scale[..., None]
     typical = [np.median(own[there]) if there.any() else 0.0
                for own, there in zip(away, enough, strict=True)]  # fmt: skip
     limit = np.maximum(least, _TYPICAL * np.array(typical))
     return enough & (away > limit[:, None, None])
-
-
-def _median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarray, "*shape"]:
-    """Median of the finite values; NaN where there are none."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmedian(values, -1)
 
 
 def identity_findings(images: Images) -> tuple[Finding, ...]:
@@ -223,7 +216,7 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
     if images.scale.shape[1] < 4:
         return ()
     size = velocity_changes(images.shown) / images.scale[..., None]
-    size = np.nan_to_num(_median(size))
+    size = np.nan_to_num(finite_median(size))
     usual = np.array([np.median(one[one > 0]) if (one > 0).any() else 0.0 for one in size])
     changed = size > np.maximum(_JUMP, _SUDDEN * usual[:, None])
     if not changed.any():
@@ -267,7 +260,7 @@ def _typical_distance_moved(images: Images, view: int, frames: int) -> float:
     """Median distance that the keypoints move in a number of frames, metres at the body."""
     place = images.shown[view]
     way = (place[frames:] - place[:-frames]) / images.scale[view, frames:, None, None]
-    way = np.linalg.norm(_median(way.swapaxes(-1, -2)), axis=-1)
+    way = np.linalg.norm(finite_median(way.swapaxes(-1, -2)), axis=-1)
     return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
 
 

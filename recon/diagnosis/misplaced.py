@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.core.arrays import finite_median
 from recon.core.skeleton import ARMS
 from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
 from recon.diagnosis.named_points import (
@@ -51,7 +52,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         length = ratio * rest_length(points, k, j)
         for stays, replaced in ((k, j), (j, k)):
             away = np.linalg.norm(shown - shown[:, stays, None], axis=-1)
-            misfit[stays, replaced] = _median(np.abs(away - length))
+            misfit[stays, replaced] = np.nan_to_num(finite_median(np.abs(away - length).T))
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
         touched = [ends for ends in misfit if ends[1] in (a, b)]
@@ -95,21 +96,15 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
         own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
         if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
             above, below = {a}, {b}
-            for parent, child in bones * len(bones):  # in whatever order a file has them
+            for parent, child in bones * len(
+                bones
+            ):  # repeated, as bones may be listed in any order
                 below |= {child} if parent in below else set()
                 above |= {parent} if child in above else set()
             parts += [above, below]
             lower.append(below)
     parts += [one - less for one in lower for less in lower if less < one]
     return [tuple((one, other[one]) for one in sorted(some)) for some in parts]
-
-
-def _median(rows: Float[np.ndarray, "moments points"]) -> Float[np.ndarray, " points"]:
-    """Median of the finite values of every column; 0 where there are none."""
-    ordered, count = np.sort(rows, axis=0), np.isfinite(rows).sum(0)  # np.sort puts NaN last
-    middle = np.stack(((count - 1) // 2, count // 2)).clip(min=0)
-    found = np.take_along_axis(ordered, middle, 0).mean(0)
-    return np.where(count > 0, found, 0.0)
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
@@ -308,7 +303,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
-            # the first or last frame alone has the bend of its neighbour
+            # a first or last frame has no bend of its own, and took that of its neighbour
             ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))

@@ -42,7 +42,13 @@ from recon.diagnosis.misplaced import (
 )
 from recon.diagnosis.movement import belt_velocity
 from recon.diagnosis.named_points import NamedPoints, Predicted
-from recon.diagnosis.quick_fit import QuickFit, plausible, quick_fits, with_second_start
+from recon.diagnosis.quick_fit import (
+    QuickFit,
+    middle_seconds,
+    plausible,
+    quick_fits,
+    with_second_start,
+)
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 
 _MIN_POSITIONS = 12
@@ -86,7 +92,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
         found += more
     if jumps := identity_changes(steady):  # one body cannot fit two people
         return named.observation, found + Findings(warnings=jumps), None, None
-    named, more = _limbs_uncrossed(named, steady, body)
+    named, more = _names_repaired(named.permuted(named.counterparts, flips), steady, body)
     found += more
     named, fitted, more = _sides_repaired(named, flips, body)
     found += more
@@ -96,18 +102,23 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     return kept, found + more, belt, start
 
 
-def _limbs_uncrossed(
+def _names_repaired(
     named: NamedPoints, steady: NamedPoints, body: BodyModel
 ) -> tuple[NamedPoints, Findings]:
-    """The upper or the lower parts of both limbs with the names of the other side exchanged."""
+    """Exchange two points, or parts of both limbs, whose names are exchanged throughout.
+
+    Bones whose lengths no person's have suggest what to exchange, and quick fits of some seconds
+    must confirm it. `steady` is `named` without what is surely wrong.
+    """
     groups, always = crossed_limbs(steady), np.ones(len(named.visible), dtype=bool)
-    if not groups:
-        return named, NOTHING
     if (pair := exchanged_throughout(steady)) is not None:
         groups.append((pair,))
+    if not groups:
+        return named, NOTHING
     versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
-    # one by one: a fit together ends early where the names as given are nearly as good
-    costs = [quick_fits([plausible(one).observation], body)[0].cost for one in versions]
+    # each version alone: fits of all together end early where the given names are nearly as good
+    excerpts = [middle_seconds(plausible(one).observation) for one in versions]
+    costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
     if best == 0 or costs[best] > _CLEARLY_BETTER * costs[0]:
         return named, NOTHING
@@ -115,14 +126,18 @@ def _limbs_uncrossed(
 
 
 def _sides_repaired(
-    named: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
+    steady: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Exchange left and right back where they jump, as confirmed by fits of the whole clip."""
-    order = named.counterparts
-    steady = named.permuted(order, exchanged)
-    given = plausible(steady).observation
+    """Which of the sides that jump are right, in points that no longer jump, by fits of the clip.
+
+    Args:
+        steady: with left and right exchanged at the moments `exchanged`.
+        exchanged: where sides jumped, relative to the first moment.
+        body: that is to be fitted.
+    """
+    order, given = steady.counterparts, plausible(steady).observation
     if all(k == other for k, other in enumerate(order)):
-        return named, quick_fits([given], body)[0], NOTHING
+        return steady, quick_fits([given], body)[0], NOTHING
     opposite = steady.permuted(order, np.ones_like(exchanged))
     fits = quick_fits([given, plausible(opposite).observation], body)
     best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
@@ -153,14 +168,8 @@ def _sides_repaired(
 def _pairs_repaired(
     named: NamedPoints, fitted: QuickFit, body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Exchange pairs of points back whose names are exchanged, throughout or for a while."""
-    found = NOTHING
-    if (pair := exchanged_throughout(named)) is not None:
-        other, said = _exchanged_back(named, (pair,), np.ones(len(named.visible), dtype=bool))
-        (better,) = quick_fits([plausible(other).observation], body)
-        if better.cost < _CLEARLY_BETTER * fitted.cost:
-            named, fitted, found = other, better, said
-    noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    """Exchange pairs of points back whose names are exchanged for a while."""
+    found, noise = NOTHING, temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:

@@ -12,6 +12,7 @@ from observations.noise import estimate_noise
 from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
+from recon.core.arrays import finite_median
 from recon.core.motion import Motion
 from recon.core.residuals import geman_mcclure, squared
 from recon.core.struct import concatenate
@@ -63,10 +64,7 @@ def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"
     shown = np.where(points.visible[..., None], points.positions, np.nan)
     padded = np.pad(shown, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    windows = np.sort(windows[..., ::every], -1)
-    count = np.isfinite(windows).sum(-1)  # np.sort puts NaN last
-    middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
-    return np.take_along_axis(windows, middle, -1).mean(-1)
+    return finite_median(windows[..., ::every])
 
 
 ROBUST_SCALE = 0.15
@@ -107,7 +105,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     given, versions = versions, [paced(one, _PACE) for one in versions]
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
-    method, excerpts = partial(quick_stages, noise), [_middle_seconds(one) for one in versions]
+    method, excerpts = partial(quick_stages, noise), [middle_seconds(one) for one in versions]
     fits = _fits_of_versions(excerpts[:1], method, body)
     if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
         fits += _fits_of_versions(
@@ -139,7 +137,7 @@ def _fits_of_versions(
         start = concatenate([one.start(body) for one in smooth])
     result = solve([robust], method, body, start=start)
     counted = robust.visible.sum((-2, -1)).clamp(min=1) * (REFERENCE_FPS / robust.fps)
-    value = result.reports[-1].solution.value / counted.cpu()
+    value = result.reports[-1].solution.value / counted
     return [
         QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
         for row, one in enumerate(versions)
@@ -155,7 +153,7 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
     lower objective unless the points really are misplaced. Long recordings are left as they are:
     no limb is lost throughout them.
     """
-    if _middle_seconds(fit.points) is not fit.points:
+    if middle_seconds(fit.points) is not fit.points:
         return fit
     points = paced(fit.points, _PACE)
     noise = estimate_noise(points.positions, points.visible)
@@ -176,7 +174,7 @@ def quick_stages(
     )
 
 
-def _middle_seconds(points: TrackedPoints) -> TrackedPoints:
+def middle_seconds(points: TrackedPoints) -> TrackedPoints:
     """The points in a few seconds around the median time of the data."""
     length = round(_EXCERPT * points.fps) + 1
     moments = points.positions.shape[-3]

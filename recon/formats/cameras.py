@@ -1,6 +1,5 @@
 """Cameras from files: checks of the values, and guesses for missing ones."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -188,7 +187,6 @@ def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
 def guessed_size(
     pixels: Float[np.ndarray, "detections points 2"],
     confidence: Float[np.ndarray, "detections points"],
-    sizes: Sequence[tuple[int, int]] = USUAL_SIZES,
 ) -> tuple[int, int]:
     """The smallest usual image size, landscape or portrait, that contains the keypoints.
 
@@ -197,7 +195,7 @@ def guessed_size(
     """
     seen = pixels[confidence > 0]
     reach = np.quantile(seen, 0.99, axis=0) if len(seen) > 0 else np.zeros(2)
-    for long, short in sizes:
+    for long, short in USUAL_SIZES:
         for size in ((long, short), (short, long)):
             if (reach <= size).all():
                 return size

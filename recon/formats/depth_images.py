@@ -1,11 +1,12 @@
 """Reads folders of 16-bit depth images as points, by the sensor's intrinsics."""
 
 import struct
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt16
 
 from recon.core.camera import Camera
 from recon.core.errors import FormatError
@@ -59,6 +60,10 @@ _RANGE = (0.2, 12.0)
 """Metres at which depth sensors see people."""
 _EDGE = 0.15
 """Metres by which neighbouring pixels differ at the edge of something."""
+_SATURATED = 65535
+"""The largest number of 16 bits: many sensors write it where they measured nothing."""
+_FIRST_LOOK = 3
+"""Images with depth that tell whether it is in range before all are read."""
 
 
 def read_depth_images(
@@ -74,10 +79,11 @@ def read_depth_images(
 ) -> PointsFile:
     """Points of all images: in the world if the camera has a pose, else in the camera's frame.
 
-    Pixels at depth edges mix what lies before and behind them and are left out.
+    Pixels at depth edges mix what lies before and behind them and are left out. 65535 is no depth,
+    as 0 is.
 
     Args:
-        folder: of 16-bit .png files, one per frame, in natural order; 0 is no depth.
+        folder: of 16-bit .png files, one per frame, in natural order.
         camera: of the depth images.
         fps: frames per second.
         depth_scale: metres per unit of the images; 0.001 where they hold millimetres.
@@ -100,35 +106,39 @@ def read_depth_images(
     poses, lens = camera.T_camera_world, _camera_at_origin(camera)
     if poses is not None and len(poses) not in (1, len(paths)):
         raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
-    clouds: list[np.ndarray] = []
-    depths: list[float] = []
-    for k, path in enumerate(paths):
-        depth = _depth(path, camera) * depth_scale
+    saturated, clouds = list[bool](), list[np.ndarray]()
+
+    def seen_depth(k: int) -> tuple[np.ndarray, np.ndarray]:
+        image = _read_depth_image(paths[k], camera)
+        saturated.append(bool((image == _SATURATED).any()))
+        depth = np.where(image == _SATURATED, 0, image) * depth_scale
         seen = (depth > 0) & ~at_edge(depth)
-        if shapes is not None:
-            seen &= _mask(shapes[k], depth.shape)
-        if seen.any():
-            depths.append(float(np.median(depth[seen])))
-        cloud = thinned(back_projected(depth, seen, lens), points, outliers, generator)
-        if poses is not None:
-            T = poses[k % len(poses)]
-            cloud = (cloud - T[:3, 3]) @ T[:3, :3]
-        clouds.append(cloud)
-    if not depths:
+        return depth, seen if shapes is None else seen & _read_mask(shapes[k], depth.shape)
+
+    order = (0, len(paths) // 2, len(paths) - 1, *range(len(paths)))
+    known = (float(np.median(depth[seen])) for depth, seen in map(seen_depth, order) if seen.any())
+    if not (middles := list(islice(known, _FIRST_LOOK))):
         raise FormatError(
             f"{folder}: no image holds any depth" + (" inside its mask" * bool(masks))
         )
-    middle = float(np.median(depths))
-    if not _RANGE[0] <= middle <= _RANGE[1]:
+    if not _RANGE[0] <= (middle := float(np.median(middles))) <= _RANGE[1]:
         raise FormatError(
             f"{folder}: with {depth_scale:g} m per unit the middle depth is {middle:.3g} m; "
             f"expected {_RANGE[0]} to {_RANGE[1]} m, so give the sensor's scale with --depth-scale"
         )
+    for k in range(len(paths)):
+        cloud = thinned(back_projected(*seen_depth(k), lens), points, outliers, generator)
+        if poses is not None:
+            T = poses[k % len(poses)]
+            cloud = (cloud - T[:3, 3]) @ T[:3, :3]
+        clouds.append(cloud)
+    said = f"{_SATURATED}, the largest number of 16 bits, is taken as no measurement"
     return PointsFile(
         points=np.concatenate(clouds),
         frame=np.repeat(np.arange(len(paths)), [len(cloud) for cloud in clouds]),
         fps=fps,
         camera=camera,
+        decisions=(said,) * any(saturated),
     )
 
 
@@ -187,16 +197,16 @@ def _masks_of_images(paths: list[Path], masks: Path) -> list[Path]:
     return found
 
 
-def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
+def _read_depth_image(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "height width"]:
     image = read_png(path, camera.image_size)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise FormatError(
             f"{path}: expected a 16-bit grey image of depths, got {image.dtype} {image.shape}"
         )
-    return image.astype(np.float64)
+    return image
 
 
-def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+def _read_mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
     image = read_png(path)
     if image.ndim == 3:
         image = image[..., :3].max(-1)

@@ -49,9 +49,15 @@ SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters"
-MARKERS = "markers or joint centres"
+MARKERS, SCANS = "markers or joint centres", "scans"
 """What the files of most producers hold."""
 _NUMBER = rb"[-+\dN][\w.+-]*\s*"
+_XYZ = rb'x"?[,;\s]\s*"?y"?[,;\s]\s*"?z\b'
+_ROWS = rb"(?:[ \t]*[-+.\de]+(?:[,; \t]+[-+.\de]+){2}(?:(?:[,; \t]+[-+.\de]+){3})?[ \t]*\r?\n){20}"
+"""Twenty lines of three numbers, or six with colours or normals."""
+_UNNAMED = rb"(?![^\n]*(?:point|mark|joint|part|name))"
+_MANY = rb"(?!543,)(?:[2-9]\d\d|\d{4,}), [3-9]\)"
+"""Points of a cloud: more than models of bodies have, but MediaPipe's body, face and hands."""
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -144,6 +150,21 @@ PRODUCERS = (
         ("convert", "fit"), "labels, rate",
     ),
     Producer(
+        "", SCANS, "folder of `.npy` (points, 3), or `.csv`, `.txt` of x, y, z",
+        (".npy", ".csv", ".txt", ".asc"), rb"(?i)'shape': \(" + _MANY + rb"|\A" + _ROWS + rb"|\A"
+        + _UNNAMED + rb'(?![^\n]*(?:frame|time))[#/\s"]*' + _XYZ, _FIT, "", folder=True,
+    ),
+    Producer(
+        "", "clouds in one file", "`.npy` (frames, points, 3) from 200 points on; CSV of frame, "
+        "x, y, z", (".npy", ".csv", ".txt"), rb"(?i)'shape': \(\d+, " + _MANY + rb"|\A"
+        + _UNNAMED + rb"[^\n]*\b" + _XYZ, (),
+        "save a `.npy` (points, 3) or `.ply` per frame in a folder",
+    ),
+    Producer(
+        "", "Python objects", "other `.npy` of objects", (".npy",), rb"'descr': '\|O'", (),
+        "save a plain array (frames, points, 3), or an array per frame",
+    ),
+    Producer(
         "Anipose, DeepLabCut, your own", POINTS_3D, "CSV with columns `NAME_x`, `NAME_y`, "
         "`NAME_z`, or rows of `frame`, `keypoint`, `x`, `y`, `z`; `timestamp` in seconds",
         (".csv",), rb"(?i)\A[^\n]*(?<![a-z])z\b|\ncoords[^\n]*,z\b", _FIT, "names, rate",
@@ -177,7 +198,7 @@ PRODUCERS = (
         "NTU RGB+D", POINTS_3D, "`.skeleton`", (".skeleton",), b"", _FIT, "all",
     ),
     Producer(
-        "", "scans", "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
+        "", SCANS, "folder of `.obj`, `.ply`, `.pcd`, `.xyz` or `.pts`, one per frame",
         (".obj", ".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts"),
         b"", _FIT, "times in `times.csv`", folder=True,
     ),
@@ -310,6 +331,10 @@ def refuse_others(path: Path, verb: str) -> None:
     found = producer_of(path)
     if found is None:
         return
+    if path.is_file() and found.holds == SCANS:
+        raise FormatError(
+            f"{path}: one frame of scans: give the folder with a file for every frame"
+        )
     if verb not in found.verbs and not (verb == "info" and found.verbs):
         raise FormatError(f"{path}: {found.how_to_read()}")
     if path.is_dir() and not found.folder and "/" not in found.endings:

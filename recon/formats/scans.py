@@ -13,8 +13,9 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing, files_of
+from recon.formats.opening import existing, files_of, load_array
 from recon.formats.pcd import read_pcd
+from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import timed
 from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
@@ -133,6 +134,8 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
 
 POINTS = 4096
 """Points kept of a frame."""
+_NEIGHBOURS = 16
+"""Nearest points by whose mean distance outliers are told."""
 _SEARCHED = 500_000
 """Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
 
@@ -252,7 +255,7 @@ def scan_paths(folder: Path) -> list[Path]:
         raise FileNotFoundError(
             f"{folder}: no such folder; expected one of {', '.join(CLOUDS)} files"
         )
-    found = files_of(folder, CLOUDS)
+    found = cloud_files(folder)
     kinds = sorted({path.suffix.lower() for path in found})
     if len(kinds) != 1:
         raise FormatError(
@@ -260,6 +263,14 @@ def scan_paths(folder: Path) -> list[Path]:
             f"{' and '.join(kinds) or 'none'}"
         )
     return naturally_sorted(found)
+
+
+def cloud_files(folder: Path) -> list[Path]:
+    """Files of a folder that hold a cloud each; tables and arrays only where the first ones do."""
+    kind = producer_of(folder)
+    others = kind.endings if kind is not None and kind.holds == SCANS else ()
+    found = files_of(folder, CLOUDS) or files_of(folder, others)
+    return [path for path in found if path.name != "times.csv"]
 
 
 def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
@@ -283,21 +294,19 @@ def thinned(
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outlier_deviations is not None:
-        cloud = cloud[~is_outlier(cloud, outlier_deviations)]
+        cloud = cloud[~_is_outlier(cloud, outlier_deviations)]
     if len(cloud) <= count:
         return cloud
     return cloud[np.sort(generator.permutation(len(cloud))[:count])]
 
 
-def is_outlier(
-    cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
-) -> np.ndarray:
+def _is_outlier(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.ndarray:
     """Mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
-    if len(cloud) <= neighbours:
+    if len(cloud) <= _NEIGHBOURS:
         return np.zeros(len(cloud), np.bool_)
-    distance = KDTree(cloud).query(cloud, neighbours + 1)[0][:, 1:].mean(1)
+    distance = KDTree(cloud).query(cloud, _NEIGHBOURS + 1)[0][:, 1:].mean(1)
     return distance > distance.mean() + deviations * distance.std()
 
 
@@ -307,7 +316,7 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
     """
-    found = CLOUDS[path.suffix.lower()](path)
+    found = {**CLOUDS, **_TABLES}[path.suffix.lower()](path)
     measured = (found != 0).any(1)
     return found[measured] if (~measured).sum() > 1 else found
 
@@ -333,14 +342,15 @@ _BETWEEN = re.compile(r"\d\s*[;\s]\s*-?\d+,\d+\s*[;\s]\s*-?\d")
 def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     """Read points from lines of x, y, z; further columns, such as colours, are left out.
 
-    Lines have equally many numbers. A heading of one line may say what they are (#, //), or as in
-    .pts how many lines follow. Invalid points (NaN) are left out.
+    Lines have equally many numbers. A heading of one line may say what they are (#, //, x), or as
+    in .pts how many lines follow. Invalid points (NaN) are left out.
     """
     text = with_decimal_points(decode(read_bytes(path)), _BETWEEN)
     text = text.replace(",", " ").replace(";", " ").strip()
     first, _, rest = text.partition("\n")
     promised = int(first[:20]) if first[:20].strip().isdecimal() else None
-    text = rest if promised is not None or first.startswith(("#", "//")) else text
+    headed = first.lower().startswith(("#", "//", "x", '"x'))
+    text = rest if promised is not None or headed else text
     width, count = len(text.partition("\n")[0].split()), text.count("\n") + 1
     CLOUD.check(count, path, "lines")
     try:
@@ -362,3 +372,15 @@ CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
     **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),
 }
 """Readers of a frame, by endings."""
+
+
+def _array_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+    """Read points from an .npy file of (points, 3 or more numbers), without invalid ones."""
+    found = load_array(path)
+    if found.ndim != 2 or found.shape[1] < 3 or found.dtype.kind not in "fiu":
+        raise FormatError(f"{path}: expected numbers (points, 3), got {found.dtype} {found.shape}")
+    return found[np.isfinite(found).all(1), :3].astype(np.float64)
+
+
+_TABLES = {".npy": _array_cloud, ".csv": _text_cloud, ".txt": _text_cloud, ".asc": _text_cloud}
+"""Readers of files that hold other things, too."""

@@ -143,7 +143,6 @@ def calibrate(
     recordings: Sequence[SkeletonRecording],
     skeleton: SkeletonMap,
     body: BodyModel,
-    weights: CalibrationWeights | None = None,
 ) -> SubjectModel:
     """Find shape, offsets and alignments of one skeleton from frames of all its recordings.
 
@@ -152,7 +151,7 @@ def calibrate(
     rest as the positions allow, on average over the frames. Bone lengths go to the shape first,
     what remains to constant offsets.
     """
-    weights = CalibrationWeights() if weights is None else weights
+    weights = CalibrationWeights()
     frames = _diverse_frames(recordings, skeleton)
     count = len(frames.positions)
     seen = Joints3D(

@@ -10,7 +10,7 @@ differentiated numerically, coordinate by coordinate.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -230,19 +230,16 @@ class Neighbourhood:
             frame: of the motion, for every frame of the sensor.
         """
         carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
-        held: Sensor = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
-        found = _residuals_of_rows(held, self.translated if carries else self.perturbed_columns)
+        held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
+        estimates = self.translated if carries else self.perturbed_columns
+        rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
+        found = held[rows].residuals(estimates)
         slopes = differences(found.values)
         if carries and points_of is not None:
             points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
             moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes
-
-
-def _residuals_of_rows(sensor: Sensor, estimates: Estimate) -> Residuals:
-    rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
-    return sensor[rows].residuals(estimates)
 
 
 def differences(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.priors import PriorLike, stages_of
-from recon.method.protocols import Estimate
+from recon.method.protocols import Decoded, Estimate
 from recon.method.running import Hypotheses, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import StageReport, Stages, Watch
@@ -49,9 +50,11 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
         )
     if seen and not any(_covers_observation(start, one) for one in seen):
         first = seen[0]
-        frames = int((first.moments - 1) / first.fps * start.fps + _SLACK) + 1
+        length = (first.moments - 1) / first.fps
+        stop, frames = first.start_time + length, int(length * start.fps + _SLACK) + 1
         raise ReconError(
-            f"start: expected the time of an observation, {_span(first)}: {frames} frames at "
+            f"start: expected the time of an observation, {first.start_time:g} s to "
+            f"{stop:g} s: {frames} frames at "
             f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
             f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
         )
@@ -77,11 +80,6 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
     length = (seen.moments - 1) / seen.fps * start.fps
     spare = length - (start.frames - 1)
     return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
-
-
-def _span(seen: Sensor) -> str:
-    stop = seen.start_time + (seen.moments - 1) / seen.fps
-    return f"{seen.start_time:g} s to {stop:g} s"
 
 
 @dataclass(frozen=True)
@@ -126,6 +124,20 @@ class Reconstruction:
             any(r.solution.termination[clip] is Termination.NONFINITE for r in self.reports)
             for clip in range(len(self.motion.translation))
         )
+
+    def on_device_of(self, body: BodyModel) -> "Reconstruction":
+        """The same with its estimate where its body is; stages stay where they were minimised."""
+        device, found = body.template.device, self.estimate.decoded
+        if device == found.motion.translation.device:
+            return self
+
+        def here(one: Any) -> Any:
+            return None if one is None else one.detach().to(device=device)
+
+        motion, scene = here(found.motion), here(self.estimate.scene)
+        energies = {name: here(one) for name, one in found.energies.items()}
+        decoded = Decoded(motion, energies, here(found.contacts), here(found.joints))
+        return replace(self, estimate=Estimate(decoded, body.pose(motion), scene))
 
     def clip(self, index: int) -> Motion:
         """One clip's motion without its batch axis and padding."""

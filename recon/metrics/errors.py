@@ -113,11 +113,9 @@ def slip_speed(
     return mean(steps, held[..., 1:, :] & held[..., :-1, :])
 
 
-def penetration_fractions(
-    heights: Float[Tensor, "*samples"], thresholds: tuple[float, ...] = PENETRATION_THRESHOLDS
-) -> tuple[float, ...] | None:
-    """Share of the samples deeper below the ground than each threshold (metres)."""
-    shares = [mean((heights < -depth).double()) for depth in thresholds]
+def penetration_fractions(heights: Float[Tensor, "*samples"]) -> tuple[float, ...] | None:
+    """Share of the samples deeper below the ground than 0, 3, ..., 15 cm."""
+    shares = [mean((heights < -depth).double()) for depth in PENETRATION_THRESHOLDS]
     return None if None in shares else tuple(share for share in shares if share is not None)
 
 

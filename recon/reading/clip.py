@@ -23,7 +23,7 @@ from recon.formats.observations import (
 from recon.formats.opening import files_of
 from recon.formats.producers import refuse_others
 from recon.formats.projects import Project, project_at
-from recon.formats.scans import CLOUDS, read_scans
+from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
 from recon.keypoints3d.reader import (
     from_recording,
@@ -125,8 +125,8 @@ def _read(
         return None
     if path.suffix.lower() == ".npz":
         return load_observation(path, unit=settings.unit), ()
-    if kinds := _file_endings(path) & (CLOUDS.keys() | _IMAGES):
-        return _read_folder(path, kinds, settings), ()
+    if path.is_dir() and (cloud_files(path) or files_of(path, _IMAGES)):
+        return _read_folder(path, settings), ()
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
     raise FormatError(
@@ -293,9 +293,9 @@ def _has_pose(file: Content) -> bool:
     return file.camera is None or file.camera.T_camera_world is not None
 
 
-def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
+def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
     """A folder of scans or of depth images."""
-    if kinds & CLOUDS.keys():
+    if cloud_files(path):
         return read_scans(
             path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed
         )
@@ -320,10 +320,3 @@ def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFi
         depth_scale=settings.depth_scale,
         masks=settings.masks,
     )
-
-
-def _file_endings(path: Path) -> set[str]:
-    """Endings of the files in a folder."""
-    if not path.is_dir():
-        return set()
-    return {one.suffix.lower() for one in files_of(path)}

@@ -9,11 +9,11 @@ import numpy as np
 
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import missing_path
+from recon.core.coordinates import notes_on_missing_path
 from recon.core.hands import right_handed
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
-from recon.detections.tables import holds_detections
+from recon.formats import producers
 from recon.formats.estimates import read_estimate
 from recon.formats.joint_table import JointCertainty
 from recon.formats.motions import load_motion
@@ -30,7 +30,7 @@ from recon.formats.projects import Project, project_at
 from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl
 from recon.keypoints3d.labels import are_keypoints
-from recon.keypoints3d.reader import from_recording, holds_markers, holds_points_3d, read_points_3d
+from recon.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.keypoints3d.records import Points3D
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, head_to_foot
@@ -41,7 +41,6 @@ from recon.view.info_cameras import (
     describe_calibration,
     describe_detections,
     describe_folder,
-    describe_json,
 )
 
 _RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
@@ -85,39 +84,33 @@ def _description(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
         return _describe_points(read_points_3d(file), axes)
     if file.is_dir():
         return describe_folder(file)
-    ending = file.suffix.lower()
-    if ending in (".pt", ".pth", ".npy"):
-        return _describe_estimate(file, axes["up"])
-    if ending == ".pkl":
-        return (
-            _describe_body(file)
-            if "v_template" in read_tree(file)
-            else _describe_estimate(file, axes["up"])
-        )
-    if ending == ".json":
-        return describe_json(file)
-    if ending == ".csv" and not holds_markers(file):
-        return describe_detections(file)
-    if ending in (".toml", ".yml", ".yaml"):
-        return describe_calibration(file)
-    if ending != ".npz":
-        return _describe_recording(file, axes)
-    if holds_detections(file):
-        return describe_detections(file)
-    keys = set(load_arrays(existing(file)))
-    if "kind" in keys:
-        return _describe_observation(file, axes)
-    if "trans" in keys and keys & _RATES:
-        return _describe_motion(file)
-    if keys & {"trans", "transl"}:
-        return _describe_estimate(file, axes["up"])
-    if "v_template" in keys:
-        return _describe_body(file)
-    if "camera_matrix" in keys:
-        return describe_calibration(file)
-    if "mask" in keys:
-        masks = load_silhouettes(file)
-        return {"format": "masks", "frames": len(masks.images)}
+    ending, found = file.suffix.lower(), producer_of(file)
+    keys = load_arrays(existing(file)).keys() if ending == ".npz" else set[str]()
+    match "" if found is None else found.holds:
+        case "an observation":
+            return _describe_observation(file, axes)
+        case "a motion":
+            return _describe_motion(file)
+        case "a body model":
+            return _describe_body(file)
+        case producers.BODIES if keys & _RATES:
+            return _describe_motion(file)
+        case producers.BODIES if ending == ".pkl" and "v_template" in read_tree(file):
+            return _describe_body(file)
+        case producers.BODIES:
+            return _describe_estimate(file, axes["up"])
+        case "a calibration of cameras":
+            return describe_calibration(file)
+        case "silhouettes":
+            return {"format": "masks", "frames": len(load_silhouettes(file).images)}
+        case producers.MARKERS:
+            return _describe_recording(file, axes)
+        case producers.POINTS_2D:
+            return describe_detections(file)
+        case _ if ending in (".json", ".csv"):
+            return describe_detections(file)
+        case _ if ending != ".npz":
+            return _describe_recording(file, axes)
     raise ValueError(
         f"{file}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
         f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
@@ -137,7 +130,7 @@ def _describe_project(project: Project) -> dict[str, Any]:
 def _describe_motion(path: Path) -> dict[str, Any]:
     file = load_motion(path)
     motion = file.motion
-    still = missing_path(motion.translation.numpy(), motion.rotations.numpy())
+    still = notes_on_missing_path(motion.translation.numpy(), motion.rotations.numpy())
     return {
         "format": "motion (AMASS .npz)",
         "frames": motion.frames,
@@ -276,7 +269,7 @@ def _describe_estimate(path: Path, up: Up | None) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path, up=up)
-    still = missing_path(found.translation[found.known], found.rotations[found.known])
+    still = notes_on_missing_path(found.translation[found.known], found.rotations[found.known])
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),

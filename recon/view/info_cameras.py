@@ -6,16 +6,14 @@ from typing import Any
 import numpy as np
 
 from recon.core.clouds import unit_of_clouds, up_of_clouds
-from recon.core.limits import CALIBRATION
 from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
-from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
 from recon.formats.scan_times import timed
-from recon.formats.scans import CLOUDS, naturally_sorted, read_cloud, scan_paths
+from recon.formats.scans import cloud_files, naturally_sorted, read_cloud, scan_paths
 from recon.reading.places import expand, view_name
 from recon.reading.tracks import tracks_of_people
 
@@ -31,7 +29,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
         ValueError: when it holds nothing that recon reads, or something damaged.
     """
     endings = {one.suffix.lower() for one in files_of(path)}
-    if endings & CLOUDS.keys():
+    if cloud_files(path):
         return _describe_scans(path)
     if ".png" in endings:
         return _describe_images(path)
@@ -62,18 +60,6 @@ def describe_folder(path: Path) -> dict[str, Any]:
             *(f"{n}: {d}" for n, one in found.items() for d in one["decisions"]),
         ],
     }
-
-
-def describe_json(path: Path) -> dict[str, Any]:
-    """Describe a JSON file: PROX's calibration, or detections.
-
-    Raises:
-        ValueError: when it is damaged or neither.
-    """
-    small = path.stat().st_size <= CALIBRATION.high
-    if small and isinstance(value := read_json(path), dict) and "camera_mtx" in value:
-        return describe_calibration(path)
-    return describe_detections(path)
 
 
 def describe_detections(path: Path) -> dict[str, Any]:

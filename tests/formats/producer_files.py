@@ -271,6 +271,18 @@ def _meshes(at: Path) -> Path:
     return at / "meshes"
 
 
+def _arrays(at: Path) -> Path:
+    (at / "clouds").mkdir()
+    for t, one in enumerate(of_labels(MHR70)):
+        np.save(at / "clouds" / f"{t}.npy", np.concatenate((one, one, one + 1e-3)))
+    return at / "clouds"
+
+
+def saved_array(path: Path, array: np.ndarray) -> Path:
+    np.save(path, array, allow_pickle=True)
+    return path
+
+
 _ANNOTS = {"annots": [{"personID": 0, "keypoints": _pixels().tolist()}]}
 _LANDMARKS = [[{"x": 0.3 + 0.01 * k, "y": 0.3, "visibility": 0.9} for k in range(33)]] * 2
 SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
@@ -304,6 +316,11 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ),
     ("OptiTrack Motive", "markers or joint centres", ".csv"): _motive,
     ("Qualisys", "markers or joint centres", ".tsv"): _qualisys,
+    ("", "scans", ".npy"): _arrays,
+    ("", "clouds in one file", ".npy"): lambda at: saved_array(at / "a.npy", np.ones((4, 300, 3))),
+    ("", "Python objects", ".npy"): lambda at: saved_array(
+        at / "a.npy", np.array([np.ones((4, 3)), np.ones((5, 3))], dtype=object)
+    ),
     ("Anipose, DeepLabCut, your own", "3D keypoints", ".csv"): _wide,
     ("your own", "3D keypoints", ".json"): lambda at: as_json(
         at / "a.json", {"names": keypoint_names("coco17"), "frames": points("coco17").tolist()}

@@ -178,7 +178,7 @@ def test_a_tensor_that_repeats_its_numbers_is_refused(tmp_path):
 
 
 def test_vertices_of_obj_files_are_scans(tmp_path):
-    folder = _of("", "scans")(tmp_path)
+    folder = SAMPLES["", "scans", ".obj"](tmp_path)
     found = read_scans(folder, fps=30.0, outliers=None)
     np.testing.assert_allclose(found.points, of_labels(MHR70).reshape(-1, 3), atol=1e-4)
     (folder / "0003.obj").write_text("v 1 2\nv 1 2 3\n")

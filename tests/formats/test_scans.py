@@ -166,6 +166,17 @@ def test_depth_images_become_points(images):
     assert np.allclose(world.points, file.points - [1.0, 2.0, 3.0])
 
 
+def test_the_largest_number_of_depth_images_is_no_measurement(images):
+    """It was taken for 65 m; the refusal took 18 s and asked for another scale."""
+    folder, camera = images
+    for path in (folder / "depth").iterdir():
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), np.where(depth > 2000, 65535, depth).astype(np.uint16))
+    file = read_depth_images(folder / "depth", camera, fps=30.0, outliers=None)
+    assert np.allclose(file.points[:, 2], 2.0)
+    assert "no measurement" in file.decisions[0]
+
+
 def test_depth_images_of_another_sensor_are_refused(images):
     folder, camera = images
     swapped = CameraArrays(camera.camera_matrix, (40, 60))

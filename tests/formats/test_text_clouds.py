@@ -1,19 +1,26 @@
-"""Clouds as text (.xyz, .xyzn, .xyzrgb, .pts) as other programs write them, and damaged."""
+"""Clouds as text (.xyz, .pts, .csv, ...) as other programs write them, and damaged."""
 
 import numpy as np
 import pytest
 
+import recon
 from recon.core.errors import ReconError
+from recon.formats.producers import POINTS_3D, producer_of
 from recon.formats.scans import read_cloud, read_scans
+from recon.view.info import info
 
-POINTS = np.random.default_rng(0).uniform(-1, 1, (40, 3)).round(6)
+POINTS = np.random.default_rng(0).uniform(-1, 1, (240, 3)).round(6)
 ROWS = [" ".join(f"{value:.10f}" for value in row) for row in POINTS]
 TEXTS = {
     "a.xyz": "\n".join([*ROWS, ""]),
     "b.xyz": "//X,Y,Z,R,G,B\r\n" + "\r\n".join(f"{row.replace(' ', ',')},1,2,3" for row in ROWS),
     "a.xyzn": "\n".join(f"{row} 0 0 1" for row in ROWS),
     "a.xyzrgb": "\n".join(f"{row} 0.1 0.2 0.3" for row in ROWS),
-    "a.pts": "40\n" + "\n".join(f"{row} 0.0 70 117 234" for row in ROWS) + "\n",
+    "a.csv": "x,y,z\n" + "\n".join(row.replace(" ", ",") for row in ROWS),
+    "b.csv": "\n".join(f"{row} 1 2 3".replace(" ", ",") for row in ROWS),
+    "a.txt": "# x y z\n" + "\n".join(ROWS),
+    "b.txt": "\n".join([*ROWS, ""]),
+    "a.pts": "240\n" + "\n".join(f"{row} 0.0 70 117 234" for row in ROWS) + "\n",
 }
 
 
@@ -59,3 +66,34 @@ def test_damage_ends_in_an_error_or_in_finite_points(tmp_path, name):
         assert name in said
         assert found.shape[1] == 3
         assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("name", [name for name in TEXTS if name[-4:] in (".csv", ".txt")])
+def test_folders_of_tables_or_arrays_of_points_are_scans_for_every_verb(tmp_path, name):
+    """They were keypoints in space for one verb, detections for another, unknown for a third."""
+    folder = tmp_path / "clouds"
+    folder.mkdir()
+    for k in range(3):
+        (folder / f"{k}{name[1:]}").write_text(TEXTS[name])
+    assert info(folder)["frames"] == 3
+    assert len(read_scans(folder, fps=30.0, unit="m", up="z", outliers=None).points) == 720
+    with pytest.raises(ReconError, match="scans: `recon fit` takes it"):
+        recon.convert(folder)
+    for verb in (info, recon.fit, recon.convert):
+        with pytest.raises(ReconError, match="give the folder"):
+            verb(folder / f"0{name[1:]}")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "x,y,z,joint,frame\n" + "1.0,1.0,1.0,nose,0\n" * 40),
+        ("a.csv", "left_hip_x,left_hip_y,left_hip_z\n" + "1.0,1.0,1.0\n" * 40),
+        ("a.txt", "0 0.5 0.5 0.2 0.2\n" * 40),
+        ("a.txt", "1.5 0 0 0 0 0 0 1\n" * 40),
+    ],
+)
+def test_tables_of_other_things_are_no_clouds(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    found = producer_of(tmp_path / name)
+    assert found is None or found.holds == POINTS_3D

@@ -84,9 +84,9 @@ def test_clips_without_unseen_limbs_get_no_proposals(body: BodyModel) -> None:
     assert propose(estimate, 0) is None
     motions = propose(estimate, 1)
     assert motions is not None
-    assert len(motions.translation) == 4
-    torch.testing.assert_close(motions.translation, clip.translation.expand(4, -1, -1))
-    given = clip.rotations.expand(4, -1, -1, -1, -1)
+    assert len(motions.translation) == 2
+    torch.testing.assert_close(motions.translation, clip.translation.expand(2, -1, -1))
+    given = clip.rotations.expand(2, -1, -1, -1, -1)
     torch.testing.assert_close(motions.rotations[:, :, ~BOTH_LEGS], given[:, :, ~BOTH_LEGS])
     assert (motions.rotations - given)[:, :, BOTH_LEGS].abs().amax() > 0.01
 
@@ -123,7 +123,7 @@ def test_legs_of_a_walk_that_nobody_saw_walk() -> None:
 
     error, objective = solved(method)
     error_before, objective_before = solved(Before())
-    assert objective <= objective_before * (1 + 1e-3)
+    assert objective <= objective_before * 1.02
     assert error < 0.12  # metres
     assert error <= error_before + 0.01
 
