@@ -13,7 +13,7 @@ from recon.api.made import Made
 from recon.api.result import motion_file_of
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive
+from recon.core.arrays import finite, usable_rate
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.interpolation import (
@@ -62,7 +62,7 @@ def interpolate(
     share = finite(at, "at")
     if not 0 <= share <= 1:
         raise ReconError(f"at: lies between 0 (the first motion) and 1, got {at}")
-    rate = None if fps is None else positive(fps, "fps")
+    rate = None if fps is None else usable_rate(fps, "fps")
     model = body_given(body)
     prior = AnchorFrames.load(weights, model)
     given = (motion_given(a, model, "a"), motion_given(b, model, "b"))
