@@ -15,9 +15,10 @@ from observations.checks import (
     checked_positions,
     checked_view,
 )
+from observations.matched import Discs, MatchedCloud
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import kinds_of_surfels, label_costs
-from observations.surfels import Surfels, to_discs, tukey, tukey_kernel, tukey_scale
+from observations.surfels import Surfels, tukey
 from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor, geometries_given
@@ -28,9 +29,8 @@ from recon.core.motion import Motion
 from recon.core.nearest import nearest, nearest_alike
 from recon.core.raster import facing
 from recon.core.residuals import Noise, Residuals
-from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
-from recon.method.timing import padded
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
 _FLESH, _FLESH_POINTS = 0.15, 3
@@ -74,11 +74,6 @@ class PointCloud(Sensor):
     """Whether the plane z = 0 of the recording is the ground."""
     ground_seen: bool = False
     """Whether the plane z = 0 of the recording was laid on a plane that the sensor sees."""
-    pairs: Int[Tensor, "*batch moments points"] | None = None
-    """Number of the disc that corresponds to each point, while correspondences are fixed; None
-    finds the nearest in every evaluation."""
-    scale: Float[Tensor, "*batch"] | None = None
-    """Scale of `tukey` in metres, while correspondences are fixed; None estimates it."""
     labels: PointLabels | None = None
     """What is believed of every point, if a network or somebody has looked at the cloud."""
     std: Float[Tensor, "*batch moments"] | None = None
@@ -96,8 +91,6 @@ class PointCloud(Sensor):
         kernel: Callable[[Tensor, Tensor], Tensor] = tukey,
         ground_known: bool = True,
         ground_seen: bool = False,
-        pairs: Int[Tensor, "*batch moments points"] | None = None,
-        scale: Float[Tensor, "*batch"] | None = None,
         labels: PointLabels | None = None,
         std: Numbers | None = None,
     ) -> None:
@@ -130,7 +123,7 @@ class PointCloud(Sensor):
         self._settle(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
             camera=view, kernel=kernel, ground_known=ground_known,
-            ground_seen=ground_seen, pairs=pairs, scale=scale, labels=labels, std=deviation,
+            ground_seen=ground_seen, labels=labels, std=deviation,
         )  # fmt: skip
 
     @property
@@ -167,8 +160,8 @@ class PointCloud(Sensor):
             found[moment] = ((away < _FLESH).sum(-1) >= _FLESH_POINTS).cpu().numpy()
         return found
 
-    def matched(self, estimate: Estimate) -> "PointCloud":
-        """A smooth energy with correspondences and scale fixed at the given estimate."""
+    def matched(self, estimate: Estimate) -> MatchedCloud:
+        """The energy with correspondences and scale fixed at the given estimate."""
         with torch.no_grad():
             middles, normals, seen = self._discs_in_recording(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
@@ -176,12 +169,16 @@ class PointCloud(Sensor):
                 pairs[..., seen, :] = self._nearest_discs(
                     estimate.body.model, middles, normals, seen
                 )
-            if self.kernel is not tukey:
-                return self.derived(pairs=pairs, scale=None)
-            squared, present = self._squared_to_discs(middles, normals, seen, pairs[..., seen, :])
-            squared = squared / self._relative_variances(seen)[0]
-            scale = tukey_scale(squared.flatten(-2), present.flatten(-2))
-            return self.derived(pairs=pairs, scale=scale)
+            filled = self.present.any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
+            pairs = pairs[..., filled, :]
+            variance, worth = self._relative_variances(filled)
+            held = MatchedCloud(
+                pairs, self.points[..., filled, :, :].mT.contiguous(),
+                self.present[..., filled, :], variance, worth,
+                Discs.of(self.surfels, estimate.body.model, pairs), self.surfels, self.kernel,
+                tuple(filled.tolist()), self.fps, self.start_time, self.moments,
+            )  # fmt: skip
+            return held.with_tukey_scale(estimate) if self.kernel is tukey else held
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
@@ -189,81 +186,27 @@ class PointCloud(Sensor):
         One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
         faces the sensor. Where no vertex faces the sensor, all of them are searched.
         """
-        squared, present, seen = self.squared_distances(estimate)
-        variance, worth = self._relative_variances(seen)
-        relative, present = (squared / variance).flatten(-2), present.flatten(-2)
-        held = self.scale
-        counted = self.kernel(relative, present) if held is None else tukey_kernel(relative, held)
-        counted = worth.expand(squared.shape).flatten(-2) * counted.where(present, 0.0)
-        return 0.5 * counted.sum(-1) * (REFERENCE_FPS / self.fps)
+        return self.matched(estimate)(estimate)
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Distance of every point from the surface at every moment, metres; one dimension."""
+        return self.matched(estimate).residuals(estimate)
 
     def _relative_variances(
-        self, seen: slice | Tensor
+        self, seen: Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Variances of distances in units of `CLOUD_NOISE`², and the weights of their squares.
+        """Variances of distances in units of `CLOUD_NOISE`², and the weights of squared distances.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.
         So a frame tells as much as CLOUD_WORTH / (CLOUD_NOISE² + std² CLOUD_WORTH / n) does.
         """
         if self.std is None:
-            one = self.points.new_ones((*self.present.shape[:-2], 1, 1))
+            one = self.points.new_ones(self.present[..., seen, :1].shape)
             return one, one
         added = (self.std / CLOUD_NOISE).square()[..., seen, None]
         count = self.present[..., seen, :].sum(-1, keepdim=True).clamp(min=CLOUD_WORTH)
         return 1 + added, (1 + added) / (1 + added * CLOUD_WORTH / count)
-
-    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
-        """Squared distances (*batch, seen, points), metres², which exist, and their moments."""
-        if self.pairs is not None and estimate.body.model.pose_directions is None:
-            return self._squared_for_pairs(estimate, self.pairs)
-        middles, normals, seen = self._discs_in_recording(estimate)
-        if self.pairs is not None:
-            return *self._squared_to_discs(middles, normals, seen, self.pairs[..., seen, :]), seen
-        if self.present[..., seen, :].numel() == 0:
-            return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :], seen
-        index = self._nearest_discs(estimate.body.model, middles, normals, seen)
-        return *self._squared_to_discs(middles, normals, seen, index), seen
-
-    def residuals(self, estimate: Estimate) -> Residuals:
-        """Distance of every point from the surface at every moment, metres; one dimension.
-
-        Where the cloud is `matched`, from the discs that its points were given.
-        """
-        squared, present, seen = self.squared_distances(estimate)
-        away = squared.clamp(min=0).sqrt()[..., None]
-        return padded(away, present, seen, self.moments)
-
-    def _squared_to_discs(
-        self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Squared distances of points from discs given by index, and which points exist."""
-        pick = index[..., None].expand(*index.shape, 3)
-        return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
-
-    def _squared_for_pairs(
-        self, estimate: Estimate, pairs: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Squared distances for given pairs of points and discs, which exist, and their frames."""
-        bones = estimate.body.bones.flatten(-3, -2)
-        bones, seen = self.at_own_times(bones, estimate.motion)
-        full = self.present[..., seen, :].any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
-        moments = full + seen.start
-        index = pairs[..., moments, :]
-        bones = bones[..., full, :, :].unflatten(-2, (22, 4))
-        middles, normals = self.surfels.at(estimate.body, bones, index)
-        scene = estimate.scene
-        middles, normals = scene.to_recording(middles), scene.to_recording_directions(normals)
-        return *self._from_discs(middles, normals, moments, index), moments
-
-    def _from_discs(
-        self, middles: Tensor, normals: Tensor, seen: slice | Tensor, index: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Squared distances of the points from these discs, one each, at these moments."""
-        points, present = self.points[..., seen, :, :], self.present[..., seen, :]
-        radii = torch.from_numpy(self.surfels.radii).to(points)[index]
-        squared = to_discs(points - middles, normals, radii)
-        return squared.where(present, 0.0), present
 
     def _nearest_discs(
         self, body: BodyModel, middles: Tensor, normals: Tensor, seen: slice

@@ -60,7 +60,7 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
         ObservationError: when there are other points.
     """
     values = float_tensor(array, "push").to(torch.float32).cpu()
-    count = len(sensor.marks)
+    count = len(sensor.point_ids)
     if values.shape != (count, 3):
         raise ObservationError(
             f"the points changed: expected an array of shape ({count}, 3), got "

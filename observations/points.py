@@ -51,7 +51,7 @@ class PointsOfBody(Sensor):
         return self.points.of(body)
 
     @property
-    def marks(self) -> tuple[str, ...] | tuple[int, ...]:
+    def point_ids(self) -> tuple[str, ...] | tuple[int, ...]:
         """Identifiers of the points: names, or numbers of joints or vertices."""
         return self.points.names
 

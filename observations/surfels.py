@@ -21,24 +21,6 @@ LEAST_SCALE = 0.005
 """Metres; surfaces are not taken for nearer to each other than this."""
 
 
-def to_discs(
-    offset: Float[Tensor, "*shape 3"],
-    normal: Float[Tensor, "*shape 3"],
-    radius: Float[Tensor, "*shape"],
-) -> Float[Tensor, "*shape"]:
-    """Squared distance from a disc: (n·e)² + max(|e - (n·e) n| - radius, 0)².
-
-    Points between vertices are then as near as the surface is; beyond the ends of the body,
-    where a plane would go on, distances grow.
-    """
-    height = (offset * normal).sum(-1)
-    across = (offset - height[..., None] * normal).square().sum(-1)
-    outside = across > radius.square()
-    # the square root is taken outside the disc only, since its gradient at zero is infinite
-    beyond = torch.where(outside, across, radius.square().clamp(min=1e-12)).sqrt() - radius
-    return height.square() + torch.where(outside, beyond, 0.0).square()
-
-
 def tukey(
     squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
 ) -> Float[Tensor, "*batch samples"]:
@@ -100,7 +82,7 @@ class Surfels:
 
     @classmethod
     def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
-        """Vertices that are farthest from each other, one after the other."""
+        """Discs at vertices of the average body, chosen by farthest point sampling."""
         from scipy.spatial import KDTree
 
         template = body.template.detach().cpu().double().numpy()
@@ -110,33 +92,6 @@ class Surfels:
         distance = KDTree(template[chosen]).query(template[chosen], near)[0]
         radii = distance.reshape(len(chosen), near)[:, 1:].sum(-1) / max(near - 1, 1)
         return cls(chosen, normals[chosen], radii)
-
-    def at(
-        self,
-        body: PosedBody,
-        bones: Float[Tensor, "*batch moments 22 4 3"],
-        pairs: Int[Tensor, "*batch moments points"],
-    ) -> tuple[Float[Tensor, "*batch moments points 3"], Float[Tensor, "*batch moments points 3"]]:
-        """Middles (metres) and unit normals of discs whose numbers differ from frame to frame.
-
-        Only these are skinned: far fewer than all where few points are seen. The offsets that
-        follow the pose (SMPL) are left out.
-
-        Args:
-            body: whose surface it is.
-            bones: its bones at these moments, as `PosedBody.bones`.
-            pairs: the discs.
-        """
-        index = torch.from_numpy(self.vertices).to(pairs.device)
-        rest = body.model.rest_vertices(body.shape, index)
-        pick = pairs.flatten(-2)
-        middles = rest.take_along_dim(pick[..., None], -2).unflatten(-2, pairs.shape[-2:])
-        normals = torch.from_numpy(self.normals).to(rest)[pairs]
-        blended = body.model.weights[index][pairs] @ bones.flatten(-2)
-        rows = blended.unflatten(-1, (4, 3))
-        turned = (normals[..., None] * rows[..., :3, :]).sum(-2)
-        placed = (middles[..., None] * rows[..., :3, :]).sum(-2) + rows[..., 3, :]
-        return placed, torch.nn.functional.normalize(turned, dim=-1, eps=1e-6)
 
     def posed(self, body: PosedBody) -> tuple[Tensor, Tensor]:
         """Middles (metres) and unit normals of the discs in a posed body, world frame."""

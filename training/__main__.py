@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from recon.cli import run_command
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 
 _IN_STEPS = {
     "humor": "training.humor.train:HumorTraining",
@@ -34,7 +34,7 @@ def _outputs_of_run(out: Path, given: Arguments) -> tuple[Output, ...]:
     """Outputs: the weights, and the log or the folder of the run, which can be resumed."""
     if given["prior"] in _AT_ONCE:
         return Output(out), Output(out.with_suffix(".log"))
-    run = Output(out.with_suffix(""), Kind.CONTINUED, is_former=_is_former)
+    run = Output(out.with_suffix(""), OutputKind.CONTINUED, is_former=_is_former)
     return Output(out), run
 
 

@@ -218,12 +218,12 @@ class Collocation(Prior[PoseVariables]):
         # imported here: fits in which every joint was seen draw no limbs from the networks
         from priors.humor.likely import LikelyStates, tempo
         from priors.humor.limbs import UnseenLimbs, unseen_limbs
-        from recon.physics.support import Support
+        from recon.physics.support import SupportEnergy
 
         unseen = unseen_limbs(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
-        carried = Term("support", Support(unseen[:, KNEES].any(-1)), w.support)
+        carried = Term("support", SupportEnergy(unseen[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen), w.state)
         read = replace(self, tempo=tempo(data))
         steps, limbs, feet = (

@@ -82,6 +82,8 @@ def lower_median(
     values: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
 ) -> Float[Tensor, "*batch"]:
     """The median of the present values, the lower of two middle ones; zero without values."""
+    if values.shape[-1] == 0:
+        return values.sum(-1)
     count = present.sum(-1, keepdim=True)
     ordered = torch.where(present, values, torch.inf).sort(-1).values
     middle = ordered.gather(-1, (count - 1).clamp(min=0) // 2)

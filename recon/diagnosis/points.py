@@ -115,7 +115,7 @@ def _names_repaired(
     if not groups:
         return named, NOTHING
     versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
-    # one by one: a fit together ends early where the names as given are nearly as good
+    # each version alone: fits of all together end early where the given names are nearly as good
     excerpts = [middle_seconds(plausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))

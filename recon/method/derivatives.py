@@ -10,7 +10,7 @@ differentiated numerically, coordinate by coordinate.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -230,7 +230,7 @@ class Neighbourhood:
             frame: of the motion, for every frame of the sensor.
         """
         carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
-        held: Sensor = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
+        held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
         estimates = self.translated if carries else self.perturbed_columns
         rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
         found = held[rows].residuals(estimates)

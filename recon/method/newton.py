@@ -35,6 +35,10 @@ _OF_SCENE = (offsets, ground_moved, lens_changed)
 """Terms of the scene's own variables, which are minimised as they are."""
 
 
+_SURFACE = "add_surface_curvature"
+"""Method of energies of points that are matched to places of the surface."""
+
+
 class NoHessian(LookupError):
     """Raised when a term has no known Hessian: steps that ignore the term would overshoot."""
 
@@ -48,7 +52,7 @@ def hessians(
         NoHessian: when nothing is known of the data, or a term's curvature is not known.
     """
     prior = stage.prior
-    known = any(is_pointwise(term.energy) for term in stage.terms)
+    known = any(is_pointwise(e) or hasattr(e, _SURFACE) for e in (t.energy for t in stage.terms))
     if not known or estimate.motion.frames < 2:
         raise NoHessian(stage.name)
     found: list[Banded] = []
@@ -70,10 +74,13 @@ def is_pointwise(energy: Any) -> bool:
 
 def _add_term(term: Term, model: ClipModel) -> bool:
     """Add the Hessian of a term that is not the prior's; False if the term has none."""
-    energy, motion = term.energy, model.motion
+    energy: Any = term.energy
+    motion = model.motion
     rate = motion.fps / REFERENCE_FPS
     if is_pointwise(energy):
         _add_point_curvature(term.weight, energy, model)
+    elif hasattr(energy, _SURFACE):
+        energy.add_surface_curvature(term.weight, model)
     elif energy is shape:
         frames = motion.valid.sum() / rate
         model.part.corner.diagonal().add_(2 * term.weight * frames)

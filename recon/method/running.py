@@ -17,7 +17,7 @@ from recon.core.scene import Scene
 from recon.core.struct import S, concatenate
 from recon.method.priors import Prior
 from recon.method.protocols import Estimate
-from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
+from recon.method.stages import ComparedHypotheses, Proposals, Stage, StageReport, Watch
 from recon.method.unknowns import Layout, Unknowns, objective
 from recon.solver.solution import Solution, joined_in_turn
 
@@ -95,12 +95,12 @@ class Hypotheses(Generic[S]):
 
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
-    ) -> Compared:
+    ) -> ComparedHypotheses:
         """A record of the compared hypotheses: their objectives and which are kept."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
-        return Compared(
+        return ComparedHypotheses(
             self.clips, value.detach().cpu(), remains, motion.detach().to(device="cpu")
         )
 

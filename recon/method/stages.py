@@ -100,7 +100,7 @@ Stages = Callable[[tuple[Term, ...]], tuple[Stage[Any], ...]]
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedHypotheses:
     """The hypotheses that a stage compared at its end, and which of them were kept."""
 
     clip: Int[Tensor, " rows"]
@@ -119,7 +119,7 @@ class StageReport:
     stage: Stage[Any]
     solution: Solution
     seconds: float
-    compared: Compared | None = None
+    compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":

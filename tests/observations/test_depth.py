@@ -14,7 +14,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
 from recon.formats.observations import PointsFile
 from recon.reading.clouds import cloud_of
-from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.depth import PERFECT, DepthSensor, PixelSurface, depth_points, without_pose
 from recon.simulation.points import Corruption, scan_points
 from tests import laws
 from tests.conftest import GOLDEN
@@ -128,12 +128,12 @@ def test_discs_are_the_surface_where_vertices_are_not(body):
     points = corners.mean(-2)  # middles of triangles lie on the surface
     cloud = PointCloud(points, all_present(points), Surfels.of(body), 30.0)
     estimate = laws.estimate_of(body, motion)
-    to_disc = cloud.squared_distances(estimate)[0].sqrt()
+    to_disc = cloud.residuals(estimate).distances
     vertices = estimate.body.vertices[0, 0]
     to_vertex = torch.cdist(points[0, 0], vertices).amin(-1)
     assert to_disc.median() < 0.003 < 0.006 < to_vertex.median()  # metres
     away = cloud.replace(points=points + torch.tensor([0.0, 0.0, 3.0]).double())
-    assert (away.squared_distances(estimate)[0].sqrt() > 0.7).all()
+    assert (away.residuals(estimate).distances > 0.7).all()
 
 
 def test_only_what_faces_the_sensor_is_seen(body):
@@ -144,12 +144,12 @@ def test_only_what_faces_the_sensor_is_seen(body):
     file = depth_points(motion[0], body, front, Corruption(), 0, sensor=PERFECT, points=500)
     cloud = cloud_of(file, body).cloud
     estimate = laws.estimate_of(body, motion)
-    assert cloud.squared_distances(estimate)[0].sqrt().median() < 0.004
+    assert cloud.residuals(estimate).distances.median() < 0.004
     back = camera.placed(chest - torch.tensor([3.0, 0.0, 0.0]).double(), chest)
     poses = back.T_camera_world[None, None]
     assert cloud.camera is not None
     behind = cloud.replace(camera=cloud.camera.replace(T_camera_world=poses))
-    assert behind.squared_distances(estimate)[0].sqrt().median() > 0.03
+    assert behind.residuals(estimate).distances.median() > 0.03
 
 
 def test_another_clock_and_windows(toy_body):
@@ -228,7 +228,8 @@ def test_a_sensor_that_does_not_know_its_place_finds_the_ground(body):
     sensor = camera.placed(pelvis + torch.tensor([3.0, 0.0, 0.9]).double(), pelvis)
     file = depth_points(
         motion[0], body, sensor, Corruption(), 0,
-        sensor=DepthSensor(farthest=6.0), points=20000, surfaces=(Surface.BODY, Surface.GROUND),
+        sensor=DepthSensor(farthest=6.0), points=20000,
+        surfaces=(PixelSurface.BODY, PixelSurface.GROUND),
     )  # fmt: skip
     loaded = cloud_of(without_pose(file), body)
     assert loaded.ground.ground is not None

@@ -31,7 +31,6 @@ def test_points_of_a_leg_hold_that_leg():
 
     def right(one: PointCloud) -> float:
         pairs = one.matched(moved).pairs
-        assert pairs is not None
         index = torch.from_numpy(one.surfels.vertices)
         return float(
             (regions.of_vertex[index][pairs] == regions.of_vertex[vertices]).float().mean()
