@@ -20,13 +20,12 @@ from recon.api.given import (
     prior_of,
     shape_known,
 )
-from recon.api.observations import GroundChoice, ObservationsLike, Sighting
+from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLike
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive, usable_device
+from recon.core.arrays import finite, positive, usable_device, usable_rate
 from recon.core.errors import ObservationError, ReconError
-from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
@@ -149,7 +148,7 @@ def fit(
     )
     clip = sighting.clip
     if fps is not None:
-        FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
+        usable_rate(fps, "fps")
     held, expected = shape_known(shape, model)
     options = FitOptions(
         prior=prior_of(prior, weights, method),
@@ -316,7 +315,8 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
-            f"{path}: is refined as an estimate of a motion, which takes no {', '.join(given)}"
+            f"{path}: is an estimate of a motion, for which {', '.join(given)} mean nothing; "
+            "leave them out"
         )
 
 
@@ -346,7 +346,7 @@ def _noises(
 
 
 def _start(
-    given: Motion | Result | Path | str | None, sighting: Sighting, body: BodyModel
+    given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:

@@ -60,7 +60,7 @@ def contact_labels(
         rest_height: Of every joint above the sole (see `rest_heights`), metres.
         fps: Frames per second.
     """
-    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    lower, slower, may_touch = _contact_margins(joints, rest_height, fps)
     return (lower > 0) & (slower > 0) & may_touch
 
 
@@ -83,14 +83,14 @@ def contact_probabilities(
         fps: Frames per second.
         std: Standard deviation of the height of every joint, metres; None takes all as seen.
     """
-    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    lower, slower, may_touch = _contact_margins(joints, rest_height, fps)
     unsure = torch.zeros_like(lower) if std is None else std
     height = (_HEIGHT_SCALE**2 + unsure.square()).sqrt()
     speed = (_SPEED_SCALE**2 + (unsure / _TIME_SCALE).square()).sqrt()
     return torch.minimum(lower / height, slower / speed).sigmoid() * may_touch
 
 
-def _margins(
+def _contact_margins(
     joints: Float[Tensor, "*batch time 22 3"], rest_height: Float[Tensor, "*batch 22"], fps: float
 ) -> tuple[Tensor, Tensor, Bool[Tensor, "22"]]:
     """The margins of height (metres) and speed (m/s) below the limits of `contact_labels`.

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
-from recon.diagnosis.doubts import Alternative, alternatives, observed_joints
+from recon.diagnosis.doubts import AlternativeMotion, alternatives, observed_joints
 from recon.diagnosis.findings import NOTHING, Finding, Findings, run_checks
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
@@ -107,7 +107,7 @@ class CheckedClip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Examined(CheckedClip):
+class ExaminedClip(CheckedClip):
     """A clip with its fit, uncertainty and findings."""
 
     fit: ClipFit
@@ -121,11 +121,11 @@ class Examined(CheckedClip):
     """False where a joint of the fitted motion was inferred rather than seen."""
     deviations: Deviations | None
     """Standard deviations of joints, root and shape; None where the prior has no density."""
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[AlternativeMotion, ...]
     """Other motions that the fit compared with the one it gives, the likeliest first."""
 
     @classmethod
-    def of(cls, clip: CheckedClip, fit: ClipFit) -> "Examined":
+    def of(cls, clip: CheckedClip, fit: ClipFit) -> "ExaminedClip":
         """A clip after its fit, without further checks."""
         here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
@@ -175,7 +175,7 @@ class Examined(CheckedClip):
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
-AfterFit = Callable[[Examined], tuple[Examined, Findings]]
+AfterFit = Callable[[ExaminedClip], tuple[ExaminedClip, Findings]]
 Check = BeforeFit | AfterFit
 """Looks for one fault: takes the clip, returns it (repaired where certain) with the findings."""
 

@@ -242,8 +242,9 @@ class ClipProblem:
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
     ) -> Reconstruction:
-        """The whole clip, from a start, moving some of the scene; on the options' device and back.
+        """Fit the whole clip from an initial motion, optimising the unknowns `moved` of the scene.
 
+        It is minimised on the device of the options; the result is on the device of the data.
         Long clips find the scene in their first seconds and keep it.
         """
         run = solve
@@ -315,7 +316,7 @@ class ClipProblem:
         return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
 
     def with_ground(self) -> Reconstruction:
-        """The whole clip and its ground, found from the way people stand."""
+        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported here: in most clips the ground is known
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 

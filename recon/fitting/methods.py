@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # the shape of most people is unknown
+else:  # imported for type checkers only: the shape of most people is unknown
     from typing import Any as ShapePrior
 
 

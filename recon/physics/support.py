@@ -48,7 +48,7 @@ _FIRST, _SECOND = zip(*combinations_with_replacement(range(len(FEET)), 2), stric
 
 
 @dataclass(frozen=True)
-class Support(TensorStruct):
+class SupportEnergy(TensorStruct):
     """Energy of unobserved feet, one of which must support the body."""
 
     unseen: Bool[Tensor, "*batch"]
