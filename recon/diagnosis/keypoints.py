@@ -264,6 +264,31 @@ def _typical_distance_moved(images: Images, view: int, frames: int) -> float:
     return float(np.median(way[np.isfinite(way)])) if np.isfinite(way).any() else 0.0
 
 
+_ON_HEAD = 0.9
+"""Share of the frames in which somebody is upside down from which on the image may be."""
+
+
+def upside_down_findings(images: Images) -> tuple[Finding, ...]:
+    """Warnings for views in which the shoulders are below the hips nearly throughout."""
+    named = [[f"{side}_{part}" for side in ("left", "right")] for part in ("shoulder", "hip")]
+    if not {*named[0], *named[1]} <= {*images.points}:
+        return ()
+    shoulders, hips = (images.shown[:, :, [*map(images.points.index, some)]] for some in named)
+    # the world's z axis, as the image shows it
+    upwards = ((shoulders.sum(2) - hips.sum(2)) * images.pose[..., :2, 2]).sum(-1)
+    said = (
+        "the person is upside down nearly throughout: if y of the keypoints counts upwards, write "
+        "the image's height less y; if the film is turned, turn it before keypoints are detected"
+    )
+    known = np.isfinite(upwards)
+    down = (upwards < 0).sum(-1) > _ON_HEAD * np.maximum(known.sum(-1), 1)
+    return tuple(
+        Finding("mirrored", said).of(name)
+        for name, here in zip(images.names, down, strict=True)
+        if here
+    )
+
+
 def screen_views(
     views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
 ) -> tuple[list[Keypoints2D], Findings]:
@@ -305,7 +330,9 @@ def screened(images: Images) -> tuple[Images, Findings]:
         images, more = repaired_sides(images)
         found += more
     jumps = () if disorder else identity_findings(images)
-    return images, found + Findings(warnings=(*jumps, *disorder, *scale_findings(images)))
+    return images, found + Findings(
+        warnings=(*jumps, *disorder, *upside_down_findings(images), *scale_findings(images))
+    )
 
 
 def grouped_views(

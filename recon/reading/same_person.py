@@ -1,6 +1,7 @@
 """One person in several calibrated views: the tracks whose rays meet."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +33,8 @@ def across_views(
     """The tracks of one person, one per view or None where it is not found, and the reasons.
 
     For two tracks of two views, keypoints seen in both are triangulated; the tracks can be one
-    person when the median reprojection error is at most 3 % of the body's size in the image.
+    person when the median reprojection error is at most 3 % of the body's size in the image. Where
+    none are, and some are with y pointing up in all views or in one, y is turned down.
     Parts of a track that was lost and found again are joined where the other views agree.
 
     Args:
@@ -53,6 +55,13 @@ def across_views(
     seeds = [(0, person)] if person is not None else _starting_tracks(views)
     groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
     if len(groups) == 0:
+        for turned, names in _turned_over(views):
+            if any(len(_Pairs(turned).group(*seed)) > 1 for seed in seeds):
+                tracks, said = across_views(turned, person, up_given=up_given)
+                told = (
+                    f"y of the keypoints of {names} points up, as rays meet only so: turned down"
+                )
+                return tracks, (told, *said)
         raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
             f"each other (least median error {pairs.least():.1%} of the body, at most "
@@ -76,6 +85,20 @@ def across_views(
         none = "left out, the person of the other views is not found"
         notes.append(f"{view.name}: {found or none}")
     return _tracks_of(views, best), tuple(notes)
+
+
+def _turned_over(views: Sequence[TrackedView]) -> Iterator[tuple[list[TrackedView], str]]:
+    """The views with y of the pixels turned over in all or in one, and whose it is."""
+    over = [
+        replace(
+            view,
+            tracks=tuple(track.turned_over(view.camera.image_size[1]) for track in view.tracks),
+        )
+        for view in views
+    ]
+    yield over, "all views"
+    for v, view in enumerate(views):
+        yield [over[v] if one is view else one for one in views], view.name
 
 
 def everybody_across_views(

@@ -1,7 +1,7 @@
 """Tracks of people in one view, and the choice of one of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -56,6 +56,10 @@ class Track:
         low, high = np.nanpercentile(places, (16, 84), axis=0)
         sizes = [body_size(p, c) for p, c in zip(self.pixels, self.confidence, strict=True)]
         return float(np.median(np.linalg.norm(high - low, axis=-1)) / 2 / np.median(sizes))
+
+    def turned_over(self, height: int) -> "Track":
+        """The track in an image of this height whose y counts the other way."""
+        return replace(self, pixels=self.pixels * (1, -1) + (0, height))
 
     def __str__(self) -> str:
         place = self.pixels[self.confidence > 0].mean(0)

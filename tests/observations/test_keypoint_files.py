@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -75,6 +76,26 @@ def test_the_same_person_is_taken_in_every_view(tmp_path, person, who):
         assert np.allclose(file.pixels, true)
     with pytest.raises(ValueError, match=r"two persons .*--person"):
         load_views([folder], folder / "Calib.toml", fps=60.0)
+
+
+@pytest.mark.parametrize("upwards", [("01", "02", "03"), ("02",)])
+def test_keypoints_whose_y_points_up_are_turned_where_rays_tell(tmp_path, upwards):
+    """The message blamed cameras and calibration."""
+    folder = write_scene(tmp_path / "trial", walker)
+    if len(upwards) == 1:  # of three views, the other two would agree without it
+        shutil.rmtree(folder / "cam03_json")
+    for path in (one for name in upwards for one in (folder / f"cam{name}_json").iterdir()):
+        record = json.loads(path.read_text())
+        points = np.reshape(record["people"][0]["pose_keypoints_2d"], (-1, 3))
+        record["people"][0]["pose_keypoints_2d"] = (
+            (points * (1, -1, 1) + (0, SIZE[1], 0)).ravel().tolist()
+        )
+        path.write_text(json.dumps(record))
+    views = load_views([folder], folder / "Calib.toml", fps=60.0)
+    for name, file in zip(views.names, views.files, strict=True):
+        true = np.stack([image(walker(t), CAMERAS[name])[:, :2] for t in range(FRAMES)])
+        assert np.allclose(file.pixels, true)
+    assert any("points up" in said for said in views.decisions)
 
 
 def test_a_track_lost_in_one_view_is_joined_where_the_others_agree(tmp_path):
