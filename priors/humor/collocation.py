@@ -211,7 +211,7 @@ class Collocation(Prior[PoseVariables]):
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=preconditioned,
         )  # fmt: skip
-        if all_joints_located(data, self.humor.body):
+        if all_joints_located(data, self.humor.body) or surface_seen(data):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
@@ -238,6 +238,11 @@ class Collocation(Prior[PoseVariables]):
         limbs = replace(limbs, minimiser=replace(limbs.minimiser, max_iterations=_COMPARED))
         limbs = replace(limbs, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1)
         return root, poses, steps, limbs, feet
+
+
+def surface_seen(data: tuple[Term, ...]) -> bool:
+    """Whether any observation is of points of the body's surface."""
+    return any(getattr(term.energy, "sees", "") == "surface" for term in data)
 
 
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
