@@ -57,7 +57,7 @@ from recon.formats.observations import (
     save_observation,
 )
 from recon.metrics.evaluation import evaluate
-from recon.simulation.depth import Shown, Surface, depth_points, without_pose
+from recon.simulation.depth import PixelSurface, WatchedSurface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption, joints3d
 
@@ -77,9 +77,9 @@ class Seen:
     """Number of the window in the list, which seeds everything random and the view."""
 
     @functools.cached_property
-    def shown(self) -> Shown:
+    def shown(self) -> WatchedSurface:
         """The body that the sensor sees."""
-        return Shown.of(self.truth, self.body)
+        return WatchedSurface.of(self.truth, self.body)
 
     @functools.cached_property
     def camera(self) -> Camera:
@@ -91,7 +91,8 @@ class Seen:
         """Body and ground before a sensor of known pose; the legs hidden for the middle third."""
         return depth_points(
             self.truth, self.body, self.camera, corruption(self.truth, 0.0), self.number,
-            points=_PIXELS_KEPT, surfaces=(Surface.BODY, Surface.GROUND), shown=self.shown,
+            points=_PIXELS_KEPT, surfaces=(PixelSurface.BODY, PixelSurface.GROUND),
+            shown=self.shown,
         )  # fmt: skip
 
     @functools.cached_property
@@ -157,10 +158,10 @@ class SeenWalk(Seen):
     @functools.cached_property
     def cloud(self) -> PointsFile:
         """Nothing is hidden."""
-        ground = (Surface.GROUND,) if self.number // len(VIEWS) % 2 else ()
+        ground = (PixelSurface.GROUND,) if self.number // len(VIEWS) % 2 else ()
         return depth_points(
             self.truth, self.body, self.camera, Corruption(), self.number,
-            points=_PIXELS_KEPT, surfaces=(Surface.BODY, *ground), shown=self.shown,
+            points=_PIXELS_KEPT, surfaces=(PixelSurface.BODY, *ground), shown=self.shown,
         )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ import torch
 import recon
 from recon import Motion
 from recon.benchmark.dataset import SPLITS, Splits
-from recon.benchmark.table import Interval, interval
+from recon.benchmark.table import MeanWithInterval, interval
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.replacing import files_checksum, write_text
@@ -119,7 +119,7 @@ def number(value: float | None, factor: float = 1.0) -> float | None:
     return None if value is None else float(f"{value * factor:.9g}")
 
 
-def spread(found: Interval | None, factor: float = 1.0) -> Cell:
+def spread(found: MeanWithInterval | None, factor: float = 1.0) -> Cell:
     """A mean and its interval; the mean alone where all draws are alike."""
     if found is None:
         return None
@@ -143,7 +143,7 @@ def cells(
     ]
 
 
-def mean_of(values: Sequence[float | None], windows: TrueWindows) -> Interval | None:
+def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInterval | None:
     """The mean over subjects; None where no window has a value."""
     kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
     clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))

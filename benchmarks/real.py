@@ -29,7 +29,7 @@ import recon
 from benchmarks.protocol import Cell, Table, number, parser, recordings_source, spread, tell
 from benchmarks.strangers.compare import estimated, over_people, quotient
 from recon import BodyModel, Markers3D
-from recon.benchmark.table import Interval
+from recon.benchmark.table import MeanWithInterval
 from recon.ingest.marker_fit import MarkerFit, fit_markers
 from recon.ingest.marker_sets import MarkerSet, full_body_markers
 from recon.mocap.reader import read_recording
@@ -157,7 +157,7 @@ def means(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
 
 def over(
     errors: Mapping[HiddenMarkers, Mapping[str, float]], label: str, other: str | None = None
-) -> Interval:
+) -> MeanWithInterval:
     """The mean over people of an error, or of its ratio to another.
 
     People are drawn again where there are several, and their recordings.

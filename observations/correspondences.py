@@ -202,7 +202,7 @@ class BodyPoints:
         return points + own.of_vertices @ body.rest_vertices(shape, own.vertices)
 
     def on(self, device: torch.device, dtype: torch.dtype) -> "BodyPoints":
-        """The points with their numbers on a device, which are copied to it once."""
+        """The points with their tensors on a device; copied there once and cached."""
         return _on_device(self, device, dtype)
 
 

@@ -195,7 +195,7 @@ class PointCloud(Sensor):
     def _relative_variances(
         self, seen: Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Variances of distances in units of `CLOUD_NOISE`², and the weights of their squares.
+        """Variances of distances in units of `CLOUD_NOISE`², and the weights of squared distances.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.

@@ -28,7 +28,7 @@ _UNSEEN = 10.0
 
 
 @dataclass(frozen=True)
-class Drifting:
+class ErrorCovariance:
     """Covariance of an error over time.
 
     White jitter plus a slowly changing part, metres per axis.
@@ -57,7 +57,7 @@ class Drifting:
         """
         times = torch.arange(scale.shape[-1], dtype=torch.float64) / fps
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
-        slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn's of smoothness 3/2
+        slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])
         # sums over frames are scaled to 30 Hz, so that jitter counts the same at any rate
         jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
@@ -78,9 +78,9 @@ class EstimatedPoints(Markers3D):
     timed = (*Markers3D.timed, "segment")
     momentwise: ClassVar[bool] = False
     """Whether the energy is a sum over moments, which a banded Hessian can hold."""
-    own: Drifting
+    own: ErrorCovariance
     """Error of a point beside the path."""
-    path: Drifting
+    path: ErrorCovariance
     """Error that all points have in common."""
     segment: Float[Tensor, "*batch moments points"]
     """Number of the stretch of time in which a point does not jump."""
@@ -95,7 +95,7 @@ class EstimatedPoints(Markers3D):
         return Noise(_SCALE, _SCALE)
 
     def robust_beyond(self, distance: float) -> "EstimatedPoints":
-        """The sensor unchanged: untrusted points are marked before, so no kernel is needed."""
+        """The sensor itself, as its untrusted points were marked when it was made."""
         del distance
         return self
 

@@ -60,7 +60,7 @@ class Joints3D(TrackedPoints):
         return body.joints[..., constant(self.joints, body.joints.device), :]
 
     @property
-    def marks(self) -> tuple[int, ...]:
+    def point_ids(self) -> tuple[int, ...]:
         """Joint numbers of the points."""
         return self.joints
 

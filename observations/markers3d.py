@@ -82,7 +82,7 @@ class Markers3D(TrackedPoints):
         return points + (turns @ offsets[..., None])[..., 0]
 
     @property
-    def marks(self) -> tuple[int, ...]:
+    def point_ids(self) -> tuple[int, ...]:
         """Numbers of the vertices."""
         return self.vertices
 

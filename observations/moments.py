@@ -60,7 +60,7 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
         ObservationError: when there are other points.
     """
     values = float_tensor(array, "push").to(torch.float32).cpu()
-    count = len(sensor.marks)
+    count = len(sensor.point_ids)
     if values.shape != (count, 3):
         raise ObservationError(
             f"the points changed: expected an array of shape ({count}, 3), got "
@@ -76,6 +76,13 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
 def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
     """Some frames of a sensor, selected by index; `start_time` does not change."""
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
+
+
+def collapsed(moment: Tracker) -> bool:
+    """Whether most of the points that are seen lie in one place, as those of a lost person do."""
+    places = moment.pixels if isinstance(moment, Keypoints2D) else moment.positions
+    shown = places[moment.shown]
+    return 2 * len(shown.unique(dim=0)) < len(shown)
 
 
 def joined_in_time(before: Tracker, after: Tracker) -> Tracker:

@@ -82,7 +82,7 @@ class Surfels:
 
     @classmethod
     def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
-        """Vertices that are farthest from each other, one after the other."""
+        """Discs at vertices of the average body, chosen by farthest point sampling."""
         from scipy.spatial import KDTree
 
         template = body.template.detach().cpu().double().numpy()

@@ -16,7 +16,7 @@ from recon.api.result import motion_file_of
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion, save_motion
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.reports import versions
 from recon.formats.writing import writing, writing_file
 from recon.method.priors import Prior
@@ -92,7 +92,9 @@ def demo(out: Path | str = "demo", *, overwrite: bool = False) -> Demo:
     place = Path(out)
     report = {"seed": SEED, "cases": {name: case.title for name, case in CASES.items()}}
     report["versions"] = versions()
-    with writing(Output(place, Kind.FOLDER), report=report, overwrite=overwrite) as (staged,):
+    with writing(Output(place, OutputKind.FOLDER), report=report, overwrite=overwrite) as (
+        staged,
+    ):
         return Demo(_demo(staged), place)
 
 

@@ -6,18 +6,18 @@ refuses them. What makes the host wait is counted by the line that asks for it.
 
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_map
 
 FAKE = torch.device("meta")
 WAITS = {"_local_scalar_dense", "nonzero", "equal", "is_nonzero", "masked_select"}
 """Operations whose result the host waits for; indexing by booleans and copies are two more."""
-_HANDS_OVER = {"copy_", "index", "index_put_", "_index_put_impl_"}
+_HANDS_OVER = {"copy_", "index", "index_put", "index_put_", "_index_put_impl_"}
 """Operations that take tensors of the processor beside those of the device: they copy them."""
 
 
@@ -93,6 +93,8 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any], waits: Counter[str]) -> A
     asked = kwargs.get("device")
     target = None if asked is None else torch.device(asked)
     goes = bool(fake) if target is None else target.type == FAKE.type
+    if not fake and not goes:
+        return func(*args, **kwargs)
     foreign = [one for one in flat if not isinstance(one, FakeTensor) and one.ndim > 0]
     hands_over = name in _HANDS_OVER or target is not None
     if fake and foreign and not hands_over:
@@ -105,27 +107,43 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any], waits: Counter[str]) -> A
     kwargs = {
         k: torch.device("cpu") if k == "device" and v is not None else v for k, v in kwargs.items()
     }
-    out = func(*tree_map(_bare, args), **tree_map(_bare, kwargs))
+    out = func(*_changed(args, _bare), **{k: _changed(v, _bare) for k, v in kwargs.items()})
     if name.endswith("_") and fake and isinstance(args[0], FakeTensor):
         return args[0]
-    return tree_map(_wrapped, out) if goes else out
+    return _changed(out, _wrapped) if goes else out
 
 
 def _tensors(given: Any) -> list[Tensor]:
-    found: list[Tensor] = []
-    tree_map(lambda one: found.append(one) if isinstance(one, Tensor) else None, given)
-    return found
+    """The tensors in a tuple, also in lists in it."""
+    if isinstance(given, Tensor):
+        return [given]
+    return [t for one in given for t in _tensors(one)] if isinstance(given, tuple | list) else []
 
 
-def _bare(one: Any) -> Any:
+def _changed(given: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """The same with every tensor changed."""
+    if isinstance(given, Tensor):
+        return change(given)
+    if isinstance(given, tuple | list):
+        return type(given)([_changed(one, change) for one in given])
+    return given
+
+
+def _bare(one: Tensor) -> Tensor:
     return one.held if isinstance(one, FakeTensor) else one
 
 
-def _wrapped(one: Any) -> Any:
-    return FakeTensor(one) if isinstance(one, Tensor) and not isinstance(one, FakeTensor) else one
+def _wrapped(one: Tensor) -> Tensor:
+    return one if isinstance(one, FakeTensor) else FakeTensor(one)
 
 
 def _line() -> str:
-    ours = [one for one in traceback.extract_stack() if "site-packages" not in one.filename]
-    ours = [one for one in ours if not one.filename.endswith("fake_device.py")]
-    return f"{ours[-1].filename}:{ours[-1].lineno}"
+    """The innermost line of ours."""
+    calls = traceback.walk_stack(None)
+    ours = (
+        (call.f_code.co_filename, line)
+        for call, line in calls
+        if call.f_code.co_filename != __file__
+    )
+    name, line = next(one for one in ours if "site-packages" not in one[0])
+    return f"{name}:{line}"

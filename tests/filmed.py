@@ -2,9 +2,11 @@
 
 import functools
 from importlib import resources
+from typing import Any
 
 import torch
 
+import recon
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -52,6 +54,17 @@ def view(
     """What a detector finds of it."""
     file = keypoints2d(motion, bundled(), camera, Corruption(noise=noise), seed, layout)
     return keypoints_of(file, bundled())
+
+
+def seen_of(motion: Motion, kind: str) -> Any:
+    """What sensors of a kind see of it: `joints3d`, `hidden` (without legs), `views`, ..."""
+    if kind == "views":
+        return [view(motion, one) for one in cameras(motion, 3)]
+    if kind == "hidden":
+        return recon.simulate(motion, "joints3d", noise=0.01, hide_below=0.9)
+    if kind == "depth":
+        return recon.simulate(motion, "depth", noise=0.005, points=512)
+    return recon.simulate(motion, kind, noise=0.02)  # pyright: ignore[reportArgumentType]
 
 
 def two_people(frames: int) -> list[Motion]:

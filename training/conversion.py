@@ -31,7 +31,7 @@ from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.mocap.recording import SkeletonRecording
 from training.lessons import Source, lesson_rows
-from training.manifest import Row, minutes, write_manifest
+from training.manifest import ManifestRow, minutes, write_manifest
 from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
@@ -169,7 +169,7 @@ def _residuals(found: Conversion) -> list[float]:
     ]
 
 
-def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
+def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[ManifestRow]:
     """Write which seconds of a corpus trainings may use, and the minutes of each part.
 
     Args:
@@ -180,7 +180,7 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[Row]:
     Raises:
         FileNotFoundError: when the corpus holds no motions.
     """
-    parts, rows = Splits.load(splits), list[Row]()
+    parts, rows = Splits.load(splits), list[ManifestRow]()
     for name, path in clip_files(out).items():
         told = conversion_notes(path)
         collection = str(told.get("collection", path.parent.name))

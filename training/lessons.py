@@ -17,7 +17,7 @@ from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import stretches
 from recon.diagnosis.frame_rate import rates_by_falls
 from recon.diagnosis.movement import Movement
-from training.manifest import Row
+from training.manifest import ManifestRow
 
 _RATE = 60.0
 """Frames per second at which motions are judged."""
@@ -72,7 +72,7 @@ class Source:
     """Mean distance of markers from their places in every second, metres; skeletons have none."""
 
 
-def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
+def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[ManifestRow]:
     """The stretches of a clip by what they may teach, in whole seconds; the last may be longer.
 
     Args:
@@ -88,7 +88,7 @@ def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[Row]:
         _row_of_stretch(first, stop, why, source)
         for (first, stop), why in zip(pairwise(edges), against, strict=True)
     ]
-    joined: list[Row] = []
+    joined: list[ManifestRow] = []
     for _, group in groupby(spans, key=lambda span: replace(span, first=0, stop=0)):
         same = list(group)
         seconds = round((same[-1].stop - same[0].first) / motion.fps, 3)
@@ -104,11 +104,11 @@ _SPOILS = {
 """The first lesson that each finding takes away: steps need poses, contacts need steps."""
 
 
-def _row_of_stretch(first: int, stop: int, why: tuple[str, ...], source: Source) -> Row:
+def _row_of_stretch(first: int, stop: int, why: tuple[str, ...], source: Source) -> ManifestRow:
     lost = {_SPOILS[word] for word in why}
     poses = "poses" not in lost
     steps = poses and "steps" not in lost
-    return Row(
+    return ManifestRow(
         source.clip, source.collection, first, stop, 0.0, poses, steps,
         steps and "contacts" not in lost, poses and source.own_bones, " ".join(why),
     )  # fmt: skip

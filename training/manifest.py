@@ -21,7 +21,7 @@ LESSONS: tuple[Lesson, ...] = ("poses", "steps", "contacts", "shape")
 
 
 @dataclass(frozen=True)
-class Row:
+class ManifestRow:
     """A stretch of one clip that is fit for the same trainings throughout."""
 
     clip: str
@@ -42,7 +42,7 @@ class Row:
     """What speaks against the lessons that it does not teach, as words of `training.lessons`."""
 
 
-def write_manifest(rows: Iterable[Row], corpus: Path) -> Path:
+def write_manifest(rows: Iterable[ManifestRow], corpus: Path) -> Path:
     """Write the manifest of a corpus in one step; its path."""
     path = corpus / MANIFEST
     write_rows(path, [
@@ -51,7 +51,7 @@ def write_manifest(rows: Iterable[Row], corpus: Path) -> Path:
     return path
 
 
-def read_manifest(corpus: Path) -> dict[str, list[Row]] | None:
+def read_manifest(corpus: Path) -> dict[str, list[ManifestRow]] | None:
     """The rows of every clip; None where the corpus has no manifest.
 
     Raises:
@@ -60,7 +60,7 @@ def read_manifest(corpus: Path) -> dict[str, list[Row]] | None:
     path = corpus / MANIFEST
     if not path.is_file():
         return None
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[ManifestRow]] = {}
     with path.open(newline="", encoding="utf-8") as file:
         for line, row in enumerate(csv.DictReader(file), 2):
             try:
@@ -74,15 +74,17 @@ def read_manifest(corpus: Path) -> dict[str, list[Row]] | None:
     return found
 
 
-def _parsed_row(row: Mapping[str, Any]) -> Row:
+def _parsed_row(row: Mapping[str, Any]) -> ManifestRow:
     lessons = {lesson: bool(int(row[lesson])) for lesson in LESSONS}
-    return Row(
+    return ManifestRow(
         row["clip"], row["collection"], int(row["first"]), int(row["stop"]),
         float(row["seconds"]), why=row["why"], **lessons,
     )  # fmt: skip
 
 
-def stretches_to_teach(path: Path, rows: Sequence[Row] | None, lesson: Lesson) -> list[MotionFile]:
+def stretches_to_teach(
+    path: Path, rows: Sequence[ManifestRow] | None, lesson: Lesson
+) -> list[MotionFile]:
     """The stretches of a clip that are fit for training; contacts only where they are reliable.
 
     Args:
@@ -114,13 +116,13 @@ def _cut(file: MotionFile, first: int, stop: int, contacts: bool) -> MotionFile:
     )
 
 
-def minutes(rows: Sequence[Row], splits: Splits) -> list[dict[str, str | float]]:
+def minutes(rows: Sequence[ManifestRow], splits: Splits) -> list[dict[str, str | float]]:
     """Minutes and people of every collection and part, and minutes that teach each lesson.
 
     Clips in no part have the part "none".
     """
     parts = splits.parts([row.clip for row in rows])
-    groups: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[ManifestRow]] = {}
     for row in rows:
         groups.setdefault((row.collection, parts.get(row.clip, "none")), []).append(row)
     return [

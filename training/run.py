@@ -112,7 +112,7 @@ class Run(Generic[S, N]):
         self.step = 0
         self.rows: list[dict[str, float]] = []
         """Losses, one row for every validation."""
-        self.sums: dict[str, float] = {}
+        self.sums: dict[str, Tensor | float] = {}
         """Sums of the training losses since the last row."""
         path = settings.out / CHECKPOINT
         state = read_state(path)
@@ -173,7 +173,7 @@ class Run(Generic[S, N]):
             random=self.random.get_state(),
             torch_random=torch.get_rng_state(),
             rows=self.rows,
-            sums=self.sums,
+            sums={name: float(value) for name, value in self.sums.items()},
         )
 
     def _write(self, name: str, **state: Any) -> None:
@@ -191,7 +191,7 @@ class Run(Generic[S, N]):
             losses = self.losses()
             self.descend(losses["total"], self.rate())
             for name, value in losses.items():
-                self.sums[name] = self.sums.get(name, 0.0) + value.item()
+                self.sums[name] = self.sums.get(name, 0.0) + value.detach()
             last = self.step == steps
             if self.step % settings.validate_every == 0 or last:
                 self._validate((self.step - first) / (time.monotonic() - began))
@@ -229,7 +229,7 @@ class Run(Generic[S, N]):
     def _validate(self, pace: float) -> None:
         """Log, save and plot a row of mean training losses and validation errors."""
         count = (self.step - 1) % self.settings.validate_every + 1
-        row = {f"train_{name}": value / count for name, value in self.sums.items()}
+        row = {f"train_{name}": float(value) / count for name, value in self.sums.items()}
         row |= self.errors()
         self.sums = {}
         self.rows.append({"step": float(self.step), **row})

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
 from recon.core.motion import MotionFile
 from recon.formats.replacing import file_checksum, files_checksum
-from training.manifest import MANIFEST, Lesson, Row, read_manifest, stretches_to_teach
+from training.manifest import MANIFEST, Lesson, ManifestRow, read_manifest, stretches_to_teach
 from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
@@ -60,7 +60,7 @@ class CorpusSettings:
         """
         manifest = read_manifest(self.corpus)
         for name, path in self.files(part).items():
-            rows: list[Row] | None = None
+            rows: list[ManifestRow] | None = None
             if manifest is not None:
                 rows = manifest.get(name)
                 if rows is None:

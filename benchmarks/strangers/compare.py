@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from benchmarks.protocol import DASH, Cell, Table, number, spread
 from benchmarks.strangers.fits import HUMOR, POSE
-from recon.benchmark.table import DRAWS, LEVEL, Interval
+from recon.benchmark.table import DRAWS, LEVEL, MeanWithInterval
 
 Row = Mapping[str, Any]
 """Fields of `benchmarks.strangers.fits.Row`, as the folder of the folds keeps them."""
@@ -64,13 +64,13 @@ def more_balanced(counts: Float[np.ndarray, "*draws 8"]) -> Float[np.ndarray, "*
     return balanced(counts[..., :4]) - balanced(counts[..., 4:])
 
 
-def estimated(sums: Sums, statistic: Statistic) -> Interval:
+def estimated(sums: Sums, statistic: Statistic) -> MeanWithInterval:
     """A statistic of one fold."""
     drawn = _resampled(sums, statistic, np.random.default_rng(0))
     return _estimate(float(statistic(sums.sum(0))), drawn)
 
 
-def over_people(folds: Sequence[Sums], statistic: Statistic) -> Interval:
+def over_people(folds: Sequence[Sums], statistic: Statistic) -> MeanWithInterval:
     """The mean of a statistic over folds."""
     random = np.random.default_rng(0)
     each = np.stack([_resampled(sums, statistic, random) for sums in folds])
@@ -106,10 +106,10 @@ def _resampled(
     return statistic(sums[drawn].sum(1))
 
 
-def _estimate(mean: float, drawn: Float[np.ndarray, " draws"]) -> Interval:
+def _estimate(mean: float, drawn: Float[np.ndarray, " draws"]) -> MeanWithInterval:
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.nanpercentile(drawn, (tail, 100 - tail))
-    return Interval(mean, float(low), float(high))
+    return MeanWithInterval(mean, float(low), float(high))
 
 
 COLUMNS = (

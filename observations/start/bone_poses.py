@@ -47,7 +47,7 @@ def torques(
 def inertia(
     bones: Float[Tensor, "rows 22 3 4"], stiffness: Float[Tensor, "rows 22 4 4"]
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3 66"], Float[Tensor, "rows 66 66"]]:
-    """Gauss-Newton second derivatives: by translations, by one and a turn, and by two turns.
+    """Gauss-Newton Hessian: by two translations, by a translation and a turn, by two turns.
 
     With the points x that hang from joint b, which is a or hangs from it, weighed by w, and
     U = Σ w (x - p_a) (x - p_b)ᵀ, those by turns about a and b are tr(U) - Uᵀ, as in a body's
@@ -332,7 +332,7 @@ def _by_coordinates(
     mass, across, between = inertia(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
-    # the turns of the root, and those of the other joints by v = B z
+    # rotations of all joints by steps of the root and of z; other joints turn by v = B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)
     whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)

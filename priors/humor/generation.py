@@ -35,7 +35,7 @@ _ABOVE = 0.02
 
 
 @dataclass(frozen=True)
-class Footing:
+class FootingSettings:
     """Settings that keep sampled motions on the ground; chosen on validation people."""
 
     draws: int = 8
@@ -126,7 +126,7 @@ def drawn_step(
 TEMPERATURE = 0.9
 """Factor on the standard deviations of the prior for motions that are made up: with all of the
 spread, errors of steps add up to motions that leave their feet more often."""
-_FOOTING = Footing()
+_FOOTING = FootingSettings()
 
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
@@ -150,7 +150,7 @@ def roll_from(
     random: torch.Generator | None,
     *,
     temperature: float = 1.0,
-    footing: Footing | None = _FOOTING,
+    footing: FootingSettings | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
     """Given states followed by random continuations; axes (clips, frames), 30 Hz.
@@ -215,7 +215,7 @@ def predict(
     random: torch.Generator | None,
     *,
     temperature: float = TEMPERATURE,
-    footing: Footing | None = _FOOTING,
+    footing: FootingSettings | None = _FOOTING,
 ) -> Decoded:
     """Motions that continue the last frame of given ones; axes (samples · clips, frames), 30 Hz.
 
@@ -265,7 +265,7 @@ def sample(
     random: torch.Generator,
     *,
     temperature: float = TEMPERATURE,
-    footing: Footing | None = _FOOTING,
+    footing: FootingSettings | None = _FOOTING,
 ) -> Decoded:
     """Motions drawn from the prior: first states from the mixture, latents from the prior.
 

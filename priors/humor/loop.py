@@ -142,7 +142,7 @@ def _last_layer_in_loop_order(rows: Float[Tensor, "outputs ..."]) -> Float[Tenso
 
 
 @dataclass(frozen=True)
-class Turn:
+class HeadingTurn:
     """The rotation of a state about the vertical into its canonical frame.
 
     The body's right side along +x.
@@ -153,7 +153,7 @@ class Turn:
     """The matrix that maps (c, s) to (c, s, -s, c)."""
 
     @classmethod
-    def like(cls, tensor: Tensor) -> "Turn":
+    def like(cls, tensor: Tensor) -> "HeadingTurn":
         """A turn in a tensor's precision and on its device."""
         quarters = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
         return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
@@ -191,7 +191,7 @@ def _unrolled(
     added: Float[Tensor, "steps batch all_outputs"],
 ) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
     """States of all steps from a canonical state, and the outputs of the hidden layers at each."""
-    turn = Turn.like(start)
+    turn = HeadingTurn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
     for each in zip(*(part.unbind(0) for part in decoder.by_layer(added)), strict=True):
@@ -252,7 +252,7 @@ class _Unroll(torch.autograd.Function):
         decoder: FrozenDecoder = ctx.decoder
         layers = [_LayerBackward.of(decoder, k, values) for k, values in enumerate(units)][::-1]
         exponential, jacobian = _turned_adjoints(rest[..., :SPIN].unflatten(-1, (-1, 3)))
-        to_own = Turn.like(turns)(turns).mT
+        to_own = HeadingTurn.like(turns)(turns).mT
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
@@ -377,5 +377,5 @@ def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
     """Derivatives of the angle of the heading by the first column of the root's rotation."""
-    x, y = Turn.like(turns).right_side(turns).unbind(-1)
+    x, y = HeadingTurn.like(turns).right_side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

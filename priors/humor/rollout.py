@@ -18,7 +18,7 @@ from priors.humor.loop import (
     STATE_ORDER,
     VECTORS,
     FrozenDecoder,
-    Turn,
+    HeadingTurn,
     Unrolled,
     unroll_given,
 )
@@ -97,7 +97,7 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
         joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
     )
     inputs = _from_loop_layout(steps.inputs.transpose(0, 1), pelvis[:, None])
-    return Rollout(inputs, states, contacts, Turn.like(turns).heading(turns))
+    return Rollout(inputs, states, contacts, HeadingTurn.like(turns).heading(turns))
 
 
 def _to_loop_layout(

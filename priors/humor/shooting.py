@@ -85,7 +85,7 @@ one camera, of weight 0.002 (fit_rgb_demo_*.cfg), and these with depth (fit_prox
 
 
 @dataclass(frozen=True)
-class Schedule:
+class IterationSchedule:
     """Iteration limits of the phases; a phase with none is skipped."""
 
     first: int = 0
@@ -102,7 +102,7 @@ class Schedule:
     """Steps from which the minimiser learns how the objective bends."""
 
     @classmethod
-    def published(cls) -> "Schedule":
+    def published(cls) -> "IterationSchedule":
         """The published numbers of iterations (600, 500, 300), without a test of convergence."""
         return cls(600, 500, 300, tolerance=1e-9)
 
@@ -123,7 +123,7 @@ class Shooting(Prior[HumorVariables]):
     level: ClassVar[bool] = True
     humor: Humor
     weights: HumorWeights = PUBLISHED["joints"][0]
-    schedule: Schedule = field(default_factory=Schedule)
+    schedule: IterationSchedule = field(default_factory=IterationSchedule)
     start: Prior[Any] = field(default_factory=PosePrior.load)
     """Finds the motion from which first state and latents are encoded."""
     data_weights: Mapping[str, float] | None = None
@@ -136,7 +136,7 @@ class Shooting(Prior[HumorVariables]):
         return cls(
             humor,
             HumorWeights.for_noise(noise),
-            Schedule(scale=0.5 * _NUMBERS * variance),
+            IterationSchedule(scale=0.5 * _NUMBERS * variance),
             start=Collocation.for_noise(humor, noise),
         )
 
@@ -145,7 +145,7 @@ class Shooting(Prior[HumorVariables]):
         """The fit of the publication for a kind of sensor, a key of `PUBLISHED`."""
         weights, poses = PUBLISHED[sensor]
         start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
-        return cls(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
+        return cls(humor, weights, IterationSchedule.published(), start, _AS_PUBLISHED)
 
     def encode(self, motion: Motion) -> HumorVariables:
         """First state and latents; see `Humor.encode`."""

@@ -174,7 +174,7 @@ def _bones_above_joints() -> Float[Tensor, "22 21"]:
 
 
 @lru_cache(maxsize=1)
-def levers() -> Float[Tensor, " 22"]:
+def lever_lengths() -> Float[Tensor, " 22"]:
     """Approximate metres by which turning a bone by one radian moves the bones that follow it.
 
     Of the average body; bones of the legs count half as much again, and none less than 8 cm.
@@ -192,7 +192,7 @@ def levers() -> Float[Tensor, " 22"]:
 def _metres_per_feature() -> Float[Tensor, " numbers"]:
     """Factor that converts every feature of a frame to metres."""
     places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
-    return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))
+    return torch.cat((lever_lengths().repeat_interleave(6), torch.tensor(places)))
 
 
 HOP = 8

@@ -18,7 +18,7 @@ from priors.cosines import cosines
 from priors.humos.frames import (
     BodyFrames,
     existing_windows,
-    levers,
+    lever_lengths,
     lowest_heights,
     turn_of,
     window_count,
@@ -241,7 +241,7 @@ class Humos(Prior[HumosVariables]):
 @lru_cache(maxsize=1)
 def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
     """Typical size of the corrections of every bone's rotation, radians."""
-    return _BEND / levers()[:, None]
+    return _BEND / lever_lengths()[:, None]
 
 
 def frames_at_rate(frames: int, fps: float) -> int:

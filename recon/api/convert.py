@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
-from recon.api.made import Made
+from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
-from recon.core.arrays import positive
+from recon.core.arrays import usable_rate
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.findings import Finding
 from recon.ingest import single
@@ -25,7 +25,7 @@ def convert(
     fps: float | None = None,
     body: BodyLike = None,
     keep_frame: bool = False,
-) -> Made:
+) -> MadeMotion:
     """Bring a recording of motion capture onto the body.
 
     Recordings of joints or markers (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER). The
@@ -55,7 +55,7 @@ def convert(
         FileNotFoundError: when there is no such file.
     """
     model = body_given(body)
-    rate = None if fps is None else positive(fps, "fps")
+    rate = None if fps is None else usable_rate(fps, "fps")
     source = str(recording) if isinstance(recording, Path) else recording
     found = single.convert(
         source, model, unit=unit, up=up, hand=hand, mapping=mapping, fps=rate,
@@ -70,14 +70,16 @@ def convert(
     lines = (f"mean residual {found.report['residual_mm']:.1f} mm", *found.decisions)
     shown = {"conversion": {key: {"value": value} for key, value in found.report.items()}}
     file = found.file(model)
-    return Made(file, model, found.warnings, about, lines, found.repairs, found.diagnosis, shown)
+    return MadeMotion(
+        file, model, found.warnings, about, lines, found.repairs, found.diagnosis, shown
+    )
 
 
 _NEAR = 0.005
 """Metres of the median distance between the surfaces up to which the bodies agree."""
 
 
-def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> Made:
+def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> MadeMotion:
     """Transfer a motion to another body so that the two surfaces coincide.
 
     Shape and poses are fitted to the first body's surface, so the shape of the result means what
@@ -118,4 +120,4 @@ def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> M
         "percentile_95_mm": round(most, 2),
     }
     line = f"surface of {other.name!r}: median {median:.1f} mm from that of {own.name!r}"
-    return Made(file, other, warnings, about, (line,))
+    return MadeMotion(file, other, warnings, about, (line,))

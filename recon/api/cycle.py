@@ -37,7 +37,7 @@ def cycle_report(
         found: by `recon.fitting.cycles.complete`.
         medians: of the residuals of its observations, metres; None where nothing was seen.
     """
-    motion = found.result.clip(0).detach().to(device="cpu")
+    motion = found.result.clip(0).detach()
     prior = found.result.reports[-1].stage.prior
     assert isinstance(prior, CyclePrior)
     latent = found.result.estimate.decoded.energies["latent"][0]

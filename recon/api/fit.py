@@ -20,13 +20,12 @@ from recon.api.given import (
     prior_of,
     shape_known,
 )
-from recon.api.observations import GroundChoice, ObservationsLike, Sighting
+from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLike
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive, usable_device
+from recon.core.arrays import finite, positive, usable_device, usable_rate
 from recon.core.errors import ObservationError, ReconError
-from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
@@ -113,7 +112,7 @@ def fit(
         fps: rate of the result; None is that of the first observation.
         start: a motion, a result or the path of a motion file to begin with, in the frame of the
             observations; it covers the time of one of them.
-        device: where to compute, `cpu` or `cuda`.
+        device: where stages are minimised, `cpu` or `cuda`; cycles of gait stay on the processor.
         callback: called as callback(stage, progress) after every iteration; True ends the fit.
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
             counted. A fit that is ended early has a warning and its last finite estimate.
@@ -143,13 +142,13 @@ def fit(
             robust=robust, physics=physics, between=between, fps=fps, device=device,
             callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
-    model = body_given(body).to(device=usable_device(device), dtype=torch.float32)
+    model = body_given(body).to(device="cpu", dtype=torch.float32)
     sighting = observed(
         observations, model, how_read, ground=ground, between=between, robust=robust
     )
     clip = sighting.clip
     if fps is not None:
-        FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
+        usable_rate(fps, "fps")
     held, expected = shape_known(shape, model)
     options = FitOptions(
         prior=prior_of(prior, weights, method),
@@ -163,6 +162,7 @@ def fit(
         shape=held,
         shape_prior=expected,
         terms=tuple(terms),
+        device=str(usable_device(device)),
     )
     stopper = None
     if callback is not None or max_seconds is not None:
@@ -177,10 +177,7 @@ def fit(
         "max_seconds": max_seconds, "device": device,
         "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
-    result = result_of(
-        examined, clip, model.to(device="cpu"), fps, options.completes, arguments,
-        _stopped(stopper),
-    )  # fmt: skip
+    result = result_of(examined, clip, model, fps, options.completes, arguments, _stopped(stopper))
     for finding in (*result.repairs, *result.warnings):
         _LOG.info("%s", finding.message)
     return result
@@ -318,7 +315,8 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     given += [] if start is None else ["start"]
     if given:
         raise ReconError(
-            f"{path}: is refined as an estimate of a motion, which takes no {', '.join(given)}"
+            f"{path}: is an estimate of a motion, for which {', '.join(given)} mean nothing; "
+            "leave them out"
         )
 
 
@@ -348,7 +346,7 @@ def _noises(
 
 
 def _start(
-    given: Motion | Result | Path | str | None, sighting: Sighting, body: BodyModel
+    given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:

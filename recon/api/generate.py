@@ -17,11 +17,11 @@ from recon.api.given import (
     shape_given,
     shape_name,
 )
-from recon.api.made import Made, MotionResults
+from recon.api.made import MadeMotion, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive, usable_device
+from recon.core.arrays import finite, usable_device, usable_rate
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
@@ -69,16 +69,21 @@ def sample(
     _checked_count(count, "count")
     if prior == "humos" or isinstance(prior, Humos):
         if temperature is not None:
-            raise ReconError(f"temperature: is HuMoR's; HUMOS has none, got {temperature}")
+            raise ReconError(
+                f"temperature is an option of HuMoR: leave it out with HUMOS, got {temperature}"
+            )
         if device != "cpu":
             raise ReconError(f"device: HUMOS makes motions on the processor, got {device!r}")
         found = prior if isinstance(prior, Humos) else None
         return _humos_motions(found, count, seconds, shape, fps, weights, body, seed)
     if prior != "humor" and not isinstance(prior, Humor):
-        raise WeightsError(f"prior: expected 'humor', 'humos' or one of them, got {prior!r:.60}")
+        raise WeightsError(
+            f"prior: expected 'humor', 'humos' or a loaded Humor or Humos, got {prior!r:.60}"
+        )
     if shape is not None or fps is not None:
         raise ReconError(
-            "shape and fps are of the prior humos (--prior humos): HuMoR draws bodies, at 30 Hz"
+            "shape and fps are options of the prior humos (--prior humos): HuMoR draws the shape "
+            "itself, and its motions have 30 Hz; leave them out"
         )
     frames = _frame_count(seconds)
     humor = _humor_prior(prior, weights, body, device)
@@ -163,7 +168,7 @@ def _humos_motions(
 ) -> MotionResults:
     """Random motions of one body, drawn from the prior HUMOS."""
     _frame_count(seconds)
-    rate = REFERENCE_FPS if fps is None else positive(fps, "fps")
+    rate = REFERENCE_FPS if fps is None else usable_rate(fps, "fps")
     model = body_given(body) if prior is None else prior.body
     asked = "0" if shape is None else shape
     coefficients = shape_given(asked, model)
@@ -189,7 +194,7 @@ def _motion_results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
     contacts, here = made.contacts, body.to(device="cpu")
     assert contacts is not None
     results = [
-        Made(
+        MadeMotion(
             MotionFile(
                 made.motion[k].to(device="cpu"),
                 body=body.name,

@@ -158,7 +158,9 @@ class Shape:
             ReconError: when nothing is given, a number is none that it can be, or no body has it.
         """
         if self.height is None and self.like is None:
-            raise ReconError("shape: expected a height, or a shape that it is like, got neither")
+            raise ReconError(
+                "Shape: expected height or like, the shape that the person's is near; got neither"
+            )
         from recon.body.identities import identity
         from recon.method.shape_prior import ShapePrior
 
@@ -236,8 +238,8 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
     names = ", ".join(registered(PRIORS))
     if weights != "open":
         raise WeightsError(
-            f"weights: {weights!r} are of a prior that is given by its name ({names}); "
-            "load the prior with them instead"
+            f"weights: {weights!r} is for a prior that is given by its name ({names}), but a "
+            "loaded prior was given; load it with these weights, and leave weights out"
         )
     if isinstance(given, type) or not (is_prior(given) or trait_of(given, "completes")):
         raise WeightsError(

@@ -9,11 +9,11 @@ from torch import Tensor
 from priors.anchor.frames import ANCHORS
 from priors.anchor.prior import AnchorFrames
 from recon.api.given import BodyLike, GivenMotion, MotionLike, body_given, motion_given
-from recon.api.made import Made
+from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive
+from recon.core.arrays import finite, usable_rate
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.interpolation import (
@@ -34,7 +34,7 @@ def interpolate(
     weights: str = "open",
     body: BodyLike = None,
     fps: float | None = None,
-) -> Made:
+) -> MadeMotion:
     """Make a gait cycle between the gait cycles of two motions.
 
     Of each the best cycle is taken. Best are those that look like gait and stand on the same feet:
@@ -61,8 +61,10 @@ def interpolate(
     """
     share = finite(at, "at")
     if not 0 <= share <= 1:
-        raise ReconError(f"at: lies between 0 (the first motion) and 1, got {at}")
-    rate = None if fps is None else positive(fps, "fps")
+        raise ReconError(
+            f"at: expected a number from 0 (the first motion) to 1 (the second), got {at}"
+        )
+    rate = None if fps is None else usable_rate(fps, "fps")
     model = body_given(body)
     prior = AnchorFrames.load(weights, model)
     given = (motion_given(a, model, "a"), motion_given(b, model, "b"))
@@ -101,7 +103,9 @@ def interpolate(
     }
     lines = [f"cycle of {name}: {seconds:.2f} s" for name, seconds in durations.items()]
     shown = {f"{share:g} of the way": {"seconds": durations}}
-    return Made(motion_file_of(motion[0], model), model, (), about, tuple(lines), shown=shown)
+    return MadeMotion(
+        motion_file_of(motion[0], model), model, (), about, tuple(lines), shown=shown
+    )
 
 
 def _gait_cycles(given: GivenMotion) -> tuple[Cycle, ...]:

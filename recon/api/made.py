@@ -9,12 +9,12 @@ from recon.api.results import MotionResult, Tables, closing_fields, in_ten_lines
 from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import save_motion
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.writing import writing
 
 
 @dataclass(frozen=True, repr=False)
-class Made(MotionResult):
+class MadeMotion(MotionResult):
     """A motion made from other motions, by a prior, or from a recording."""
 
     about: Mapping[str, Any]
@@ -50,7 +50,7 @@ class Made(MotionResult):
 class MotionResults:
     """Several motions, used like a tuple."""
 
-    made: tuple[Made, ...]
+    made: tuple[MadeMotion, ...]
     """Each with its motion, joints, contacts and ground."""
     noun: str
     """What one of them is called, in names of files: "sample"."""
@@ -71,11 +71,11 @@ class MotionResults:
         """The number of results."""
         return len(self.made)
 
-    def __getitem__(self, index: int) -> Made:
+    def __getitem__(self, index: int) -> MadeMotion:
         """One of them."""
         return self.made[index]
 
-    def __iter__(self) -> Iterator[Made]:
+    def __iter__(self) -> Iterator[MadeMotion]:
         """Iterates over the results."""
         return iter(self.made)
 
@@ -127,7 +127,7 @@ class MotionResults:
         path = Path(out)
         names = file_names(path, len(self), self.noun)
         one = path.suffix == ".npz"
-        output = Output(path, Kind.FILE if one else Kind.FOLDER)
+        output = Output(path, OutputKind.FILE if one else OutputKind.FOLDER)
         said = self.report(path) if report is None else report
         with writing(output, report=said, overwrite=overwrite) as (staged,):
             for name, made in zip(names, self.made, strict=True):

@@ -24,7 +24,7 @@ GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 
 @dataclass(frozen=True)
-class Sighting:
+class ClipInFitFrame:
     """A clip in the frame of coordinates in which it is fitted."""
 
     clip: Clip
@@ -60,7 +60,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     return Clip(one, names, (), unposed_camera(one))
 
 
-def on_ground(clip: Clip, ground: Any) -> Sighting:
+def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
     """The clip in a frame that agrees with what the caller knows about the ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
@@ -76,7 +76,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     unposed = any(one.unposed for one in clip.observations)
     if ground is None and not unposed:
         ungrounded = tuple(one.derived(ground_known=False) for one in clip.observations)
-        return Sighting(replace(clip, observations=ungrounded))
+        return ClipInFitFrame(replace(clip, observations=ungrounded))
     if ground is None or isinstance(ground, str):
         if ground not in (None, "auto", "known", "unknown"):
             raise ReconError(
@@ -92,7 +92,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
             from recon.fitting.ground import LEVEL_CAMERA, camera_above
 
             return _clip_in_world(clip, camera_above(LEVEL_CAMERA), known=False)
-        return Sighting(
+        return ClipInFitFrame(
             clip if ground == "auto" else _with_ground_known(clip, known=ground == "known")
         )
     from recon.fitting.ground import camera_above, world_above  # rarely needed
@@ -171,9 +171,9 @@ def _with_ground_known(clip: Clip, *, known: bool) -> Clip:
     return replace(clip, observations=seen, T_recording_camera=unposed_camera(seen))
 
 
-def _clip_in_world(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> Sighting:
+def _clip_in_world(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> ClipInFitFrame:
     moved = replace(clip, observations=tuple(one.transformed(T) for one in clip.observations))
-    return Sighting(_with_ground_known(moved, known=known), T)
+    return ClipInFitFrame(_with_ground_known(moved, known=known), T)
 
 
 def _checked_plane(ground: object) -> Plane:

@@ -9,12 +9,12 @@ from typing import Any
 
 from observations.first_guess import guessed
 from recon.api.given import paths_given
-from recon.api.observations import Sighting, clip_of, on_ground, with_robust_kernel
+from recon.api.observations import ClipInFitFrame, clip_of, on_ground, with_robust_kernel
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, geometries_given
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.diagnosis.examination import Check, CheckedClip, Examined, checked
+from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.fitting.clip import posed
 from recon.fitting.methods import FitOptions, loaded
 from recon.fitting.records import ClipFit, window
@@ -32,7 +32,7 @@ def observed(
     ground: Any = "auto",
     between: tuple[float, float] | None = None,
     robust: float | str = "auto",
-) -> Sighting:
+) -> ClipInFitFrame:
     """Read the observations of one clip into one frame, with what the caller knows of the ground.
 
     Args:
@@ -79,7 +79,7 @@ def fitted(
     watch: Watch | None = None,
     start: Motion | None = None,
     checks: Sequence[Check] | None = None,
-) -> Examined:
+) -> ExaminedClip:
     """Fit one clip: check the observations, fit, check the result.
 
     Args:
@@ -120,7 +120,7 @@ def fitted(
             from recon.diagnosis.movement import in_room  # imported here: treadmills are rare
 
             start = in_room(start, -clip.belt)
-        # first guess: a motion from the data without a prior, or the caller's
+        # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem: residuals of each sensor over its noise; unknown ground and focal length
@@ -128,7 +128,7 @@ def fitted(
         # minimise the stages of the prior, one after the other
         fit = problem.solved()
     # check the result: residuals, standard deviations, other hypotheses, plausible movement
-    return checked(Examined.of(clip, fit), of_fit)
+    return checked(ExaminedClip.of(clip, fit), of_fit)
 
 
 def _start_at_data_rate(

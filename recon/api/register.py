@@ -18,7 +18,7 @@ from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
 from recon.formats.depth_images import read_depth_images
 from recon.formats.observations import PointsFile, load_observation, save_observation
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.scans import read_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
@@ -74,7 +74,7 @@ class DepthRig:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
         said = self.report() if report is None else report
-        output = Output(Path(out), Kind.FOLDER)
+        output = Output(Path(out), OutputKind.FOLDER)
         with writing(output, report=said, overwrite=overwrite) as (staged,):
             for name, file in self.files.items():
                 save_observation(staged / f"{name}.npz", file)
@@ -141,8 +141,8 @@ def register(
         start = rough_poses(views, base, names)
     else:
         raise ObservationError(
-            f"{names[int(level.argmin())]}: no ground is seen in it, so that nothing tells how it "
-            "stands to the others; give files with rough poses (T_camera_world)"
+            f"{names[int(level.argmin())]}: this camera sees no ground, so its pose "
+            "relative to the others is unknown; give files with rough poses (T_camera_world)"
         )
     found, shared = aligned(views, start, base, level)
     for name, share in zip(names, shared, strict=True):

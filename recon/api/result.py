@@ -16,8 +16,8 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, MotionFile
 from recon.core.residuals import Noise
 from recon.diagnosis.certainty import certainty_report
-from recon.diagnosis.doubts import Alternative
-from recon.diagnosis.examination import Examined, ResidualSummary
+from recon.diagnosis.doubts import AlternativeMotion
+from recon.diagnosis.examination import ExaminedClip, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.records import Clip, Stretch
 from recon.method.derivatives import GroundDeviation
@@ -144,7 +144,7 @@ _UP = (0.0, 0.0, 1.0)
 class Result(MotionResult):
     """One clip's motion and everything the fit knows about it; tensors have no leading axis."""
 
-    examined: Examined
+    examined: ExaminedClip
     """The fit, and what is known about the data and the result."""
     notes: tuple[str, ...]
     """What was assumed in reading files."""
@@ -161,7 +161,7 @@ class Result(MotionResult):
 
     @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
-        """Pose of the camera that was given without one, as it was found; metres."""
+        """Pose that the fit found for a camera that was given without a pose; metres."""
         return None if self.file.T_world_camera is None else self.file.T_world_camera[0]
 
     @property
@@ -212,7 +212,7 @@ class Result(MotionResult):
         return self.file.contact_probability
 
     @property
-    def alternatives(self) -> tuple[Alternative, ...]:
+    def alternatives(self) -> tuple[AlternativeMotion, ...]:
         """Other motions that explain the data, the likeliest first, with their energies.
 
         They are first guesses (headings, postures, beginnings of a gait cycle) that the fit
@@ -278,7 +278,7 @@ class Result(MotionResult):
 
 
 def result_of(
-    examined: Examined,
+    examined: ExaminedClip,
     clip: Clip,
     body: BodyModel,
     fps: float | None,
@@ -298,7 +298,7 @@ def result_of(
         stopped: why the fit was ended early, if it was.
     """
     found = examined.fit
-    motion = found.result.clip(0).detach().to(device="cpu")
+    motion = found.result.clip(0).detach()
     first = clip.observations[0]
     # a few scans per second are too few for a result, so it has the frame rate of the fit
     rate = max(first.fps, motion.fps) if completes else first.fps

@@ -19,7 +19,7 @@ from recon.api.given import (
     shape_given,
     shape_name,
 )
-from recon.api.made import Made
+from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
 from recon.body.identities import doubts, weight
 from recon.body.model import BodyModel
@@ -52,7 +52,7 @@ def retarget(
     body: BodyLike = None,
     fps: float | None = None,
     ground: float | None = None,
-) -> Made:
+) -> MadeMotion:
     """Transfer a motion to another body.
 
     By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
@@ -144,7 +144,7 @@ def retarget(
         "physics at 20 Hz": {k: _metrics_to_show(row) for k, row in about["physics"].items()},
     }
     file = motion_file_of(raised(result, level), model, level)
-    return Made(file, model, warnings, about, tuple(lines), shown=shown)
+    return MadeMotion(file, model, warnings, about, tuple(lines), shown=shown)
 
 
 def ground_height(given: GivenMotion, asked: float | None) -> float:

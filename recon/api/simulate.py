@@ -15,7 +15,7 @@ from recon.core.motion import Motion
 from recon.fitting.records import Clip
 from recon.fitting.settings import DEFAULTS
 from recon.formats.observations import ObservationFile, PointsFile, save_observation
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.scans import write_scans
 from recon.formats.writing import writing
 from recon.method.sensor import Sensor
@@ -97,7 +97,7 @@ class Simulated:
                 f"{path} is one file, but there are {len(self.files)} cameras; give a folder"
             )
         scans = self.kind == "scans" and path.suffix != ".npz"
-        output = Output(path, Kind.FOLDER if scans or several else Kind.FILE)
+        output = Output(path, OutputKind.FOLDER if scans or several else OutputKind.FILE)
         said = self.report() if report is None else report
         with writing(output, report=said, overwrite=overwrite) as (staged,):
             for name, file in self.files.items():

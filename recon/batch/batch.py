@@ -23,7 +23,7 @@ Shape = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Job:
+class FitJob:
     """What a process needs to fit one clip."""
 
     clip: BatchClip
@@ -41,7 +41,7 @@ class Job:
     """Coefficients that are held, those of the clip's subject; None estimates them."""
 
 
-def fit_one(job: Job) -> Record:
+def fit_one(job: FitJob) -> Record:
     """Fit a clip unless the log has its result; returns the record for the log.
 
     Its status is `failed` when the fit met nan or inf; the last finite estimate is written then.
@@ -72,14 +72,14 @@ def fit_one(job: Job) -> Record:
     }
 
 
-def is_done(job: Job, work_checksum: str) -> bool:
+def is_done(job: FitJob, work_checksum: str) -> bool:
     """Whether the log lists the same work as done and the result file is unchanged."""
     known = job.known
     same = known.get("status") == "ok" and known.get("key") == work_checksum
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
 
 
-def estimate_shape(job: Job) -> Record:
+def estimate_shape(job: FitJob) -> Record:
     """Estimate the body shape in one clip by a fit under the pose prior, or take it from the log.
 
     Raises:
@@ -123,14 +123,14 @@ def shapes_of_subjects(
         return {}
     if trait_of(settings.prior, "completes"):
         raise ValueError(
-            "subject: cycles are completed with shapes of their own; leave `subject` out of the "
-            "manifest, or fit with another prior"
+            "subject: clips of one subject share a shape, but this prior finds one for each gait "
+            "cycle; leave `subject` out of the manifest, or fit with another prior"
         )
     found: dict[str, list[torch.Tensor]] = {}
     names = {clip.name: str(clip.subject) for clip in known}
     with open_log(log.with_name(f"shapes-{log.name}")) as lines:
         jobs = (
-            (Job(clip, log, settings, checksum, lines.records.get(clip.name, {})),)
+            (FitJob(clip, log, settings, checksum, lines.records.get(clip.name, {})),)
             for clip in large_first(known)
         )
         for _, record in run(estimate_shape, jobs, processes):
@@ -153,7 +153,7 @@ def fit_all(
     settings: FitSettings,
     processes: int,
     log: Path,
-    work: Callable[[Job], Record] = fit_one,
+    work: Callable[[FitJob], Record] = fit_one,
     *,
     overwrite: bool = False,
     run: Run = run_jobs,
@@ -188,10 +188,10 @@ def fit_all(
     shapes = shapes_of_subjects(clips, settings, processes, log, common, run)
     with open_log(log) as lines:
 
-        def job(clip: BatchClip) -> tuple[Job]:
+        def job(clip: BatchClip) -> tuple[FitJob]:
             known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
             target = out / f"{clip.name}.npz"
-            return (Job(clip, target, settings, common, known, overwrite, shape),)
+            return (FitJob(clip, target, settings, common, known, overwrite, shape),)
 
         for (done,), result in run(work, map(job, large_first(clips)), processes):
             record = result
@@ -204,10 +204,10 @@ def fit_all(
 
 def large_first(clips: Sequence[BatchClip]) -> list[BatchClip]:
     """Sort clips by kind of file, and those of one kind from large to small."""
-    return sorted(clips, key=_size, reverse=True)
+    return sorted(clips, key=_kind_and_size, reverse=True)
 
 
-def _size(clip: BatchClip) -> tuple[str, int]:
+def _kind_and_size(clip: BatchClip) -> tuple[str, int]:
     """Kind and size of the file of a clip's first observation.
 
     That of a folder is the number of files in it. What is not there is refused by its own fit.

@@ -155,7 +155,7 @@ def _check_names(clips: Sequence[SourceClip]) -> None:
 
 
 @dataclass(frozen=True)
-class Content:
+class ClipContent:
     """The content of a clip: its file, or its text in an archive, or why it is missing."""
 
     clip: SourceClip
@@ -196,7 +196,7 @@ class Content:
         return drop_lead_in(recording)
 
 
-def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
+def contents(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
     """The contents of clips; each archive is read only once.
 
     A clip that its archive holds twice comes again, as one that cannot be read.
@@ -204,7 +204,7 @@ def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
     packed: dict[Path, dict[str, SourceClip]] = {}
     for clip in clips:
         if clip.member is None:
-            yield Content(clip)
+            yield ClipContent(clip)
         else:
             packed.setdefault(clip.path, {})[clip.member] = clip
     for archive, members in packed.items():
@@ -214,15 +214,15 @@ def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
                 names = (inside, _without_suffix(inside), Path(inside).stem)
                 if (member := next((name for name in names if name in members), None)) is not None:
                     found[member] = members.pop(member)
-                    yield Content(found[member], text, inside)
+                    yield ClipContent(found[member], text, inside)
                 elif (member := next((name for name in names if name in found), None)) is not None:
                     several = f"{archive.name} has several recordings {member!r}, one of them "
                     several += f"{inside}; name it in the manifest by its path in the archive"
-                    yield Content(found[member], missing=several)
+                    yield ClipContent(found[member], missing=several)
         except (FileNotFoundError, ValueError) as error:
             missing = str(error)
         for clip in members.values():
-            yield Content(clip, missing=missing)
+            yield ClipContent(clip, missing=missing)
 
 
 def skeleton_key(recording: SkeletonRecording) -> str:

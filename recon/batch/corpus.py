@@ -150,7 +150,7 @@ class _Corpus:
             )
 
     def _calibrate_and_convert(
-        self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]
+        self, waiting: Sequence["_WaitingClips"], checksums: Mapping[str, str]
     ) -> None:
         """Calibrate skeletons and convert their clips."""
         tasks: dict[str, Task] = {}
@@ -204,7 +204,7 @@ class _Corpus:
 
     def _waiting(
         self, group: Sequence[SourceClip], checksums: Mapping[str, str]
-    ) -> Iterator["_Waiting"]:
+    ) -> Iterator["_WaitingClips"]:
         """Yield the group of a skeleton's clips if some of them must be converted."""
         some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
         subject = value_checksum([checksums[clip.id] for clip in some])
@@ -218,7 +218,7 @@ class _Corpus:
             else:
                 left.append((clip, key))
         if left:
-            yield _Waiting(some, left)
+            yield _WaitingClips(some, left)
 
     def _is_unchanged(self, clip: SourceClip, known: Record) -> bool:
         """Whether all outputs of a former run still are as it wrote them."""
@@ -295,7 +295,7 @@ class _Corpus:
 
 
 @dataclass(frozen=True)
-class _Waiting:
+class _WaitingClips:
     """Clips of one skeleton that must be converted, with their keys."""
 
     some: list[SourceClip]

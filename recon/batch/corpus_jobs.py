@@ -10,7 +10,7 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
-from recon.batch.collection import Content, SourceClip, contents, skeleton_key
+from recon.batch.collection import ClipContent, SourceClip, contents, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
 from recon.core.visible import visible
@@ -88,7 +88,7 @@ class RecordingPiece:
     """What was cut off, for the report."""
 
 
-def survey(content: Content) -> tuple[str, str]:
+def survey(content: ClipContent) -> tuple[str, str]:
     """Checksum of a recording, and a key that recordings of the same skeleton share.
 
     Raises:
@@ -120,7 +120,7 @@ def calibrate_group(
     return calibrate(recordings, skeleton, _loaded_body(body_path))
 
 
-def convert_task(task: Task, content: Content) -> Record:
+def convert_task(task: Task, content: ClipContent) -> Record:
     """Convert a clip, and write each of its pieces with its row of the report.
 
     Returns `rows` of the report, one per piece and one for what was left out, and `outputs`:
@@ -232,9 +232,9 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
         *_reported_checksums(path),
     }:
         raise FileExistsError(
-            f"{path} is there already, and recon did not write it as it is (its checksum does not "
-            f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
-            "replace it by --overwrite"
+            f"{path} exists, and recon did not write it or it was changed since (its checksum "
+            f"is not that in {path.with_suffix('.json').name}); move it away, give another OUT, "
+            "or replace it by --overwrite"
         )
 
 

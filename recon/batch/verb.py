@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 
 if TYPE_CHECKING:
     from recon.batch.workers import Run
@@ -27,7 +27,7 @@ def _is_former(folder: Path) -> bool:
 
 
 def _batch_output(out: Path, _: Arguments) -> tuple[Output, ...]:
-    return (Output(out, Kind.CONTINUED, is_former=_is_former),)
+    return (Output(out, OutputKind.CONTINUED, is_former=_is_former),)
 
 
 def _observations_in_manifest(given: Arguments) -> Iterator[Path]:
@@ -137,7 +137,7 @@ def _is_former_corpus(folder: Path) -> bool:
 
 def _corpus_output(out: Path, _: Arguments) -> tuple[Output, ...]:
     # OUT may lie in the folder of recordings, since motion files are no recordings
-    return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
+    return (Output(out, OutputKind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
 
 
 @writes(Place("out", _corpus_output))

@@ -75,7 +75,7 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
     if not isinstance(name, str) or not all(isinstance(file, str) for file in files):
         raise ValueError(f"{where}: expected texts, as in {_EXPECTED}, got {line[:80]!r}")
     if name != Path(name).name or name in ("", ".", "..") or "\0" in name:
-        raise ValueError(f"{where}: an id names a file, so not {name[:80]!r}")
+        raise ValueError(f"{where}: expected an id that can be a file name, got {name[:80]!r}")
     if foreign := [field.name for field in fields(FitSettings) if field.name in row]:
         raise ValueError(
             f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
@@ -98,11 +98,11 @@ def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip
     return tuple(
         clip
         for clip in clips
-        if int(hashlib.sha256(_kept_together(clip).encode()).hexdigest(), 16) % count == index
+        if int(hashlib.sha256(_shard_key(clip).encode()).hexdigest(), 16) % count == index
     )
 
 
-def _kept_together(clip: BatchClip) -> str:
+def _shard_key(clip: BatchClip) -> str:
     return clip.name if clip.subject is None else f"subject {clip.subject}"
 
 

@@ -38,7 +38,9 @@ def stance_height(
     motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
 ) -> float | None:
     """Mean distance of a standing foot's lowest skin from the ground, metres."""
-    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)  # of either foot
+    stands = (
+        touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)
+    )  # ankle or toes of the left, the right foot
     return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
 
 

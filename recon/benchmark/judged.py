@@ -21,7 +21,7 @@ from recon.benchmark.windows import BenchPart, TrueWindows, bench_source
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.formats.observations import save_observation
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.reports import versions
 from recon.formats.writing import writing
 
@@ -143,7 +143,7 @@ def write_windows(
     report = {"protocol": asked.name, "about": asked.about, "source": about}
     report |= {"data": checksum, "versions": versions()}
     written: list[Path] = []
-    output = Output(Path(folder), Kind.FOLDER)
+    output = Output(Path(folder), OutputKind.FOLDER)
     with writing(output, report=report, overwrite=overwrite) as (staged,):
         for window in seen_windows(asked, windows, body):
             save_observation(staged / window.file_name, window.seen)

@@ -20,7 +20,7 @@ Values = Sequence[float | None]
 
 
 @dataclass(frozen=True)
-class Interval:
+class MeanWithInterval:
     """A mean with its confidence interval."""
 
     mean: float
@@ -33,7 +33,7 @@ class Interval:
         return self.low > 0 or self.high < 0
 
 
-def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> Interval:
+def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> MeanWithInterval:
     """Mean over subjects of each subject's mean over windows, with a 95 % interval.
 
     Args:
@@ -57,12 +57,12 @@ def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> I
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(drawn, (tail, 100 - tail))
     mean = np.mean([own[:, 0].sum() / own[:, 1].sum() for own in groups.values()])
-    return Interval(float(mean), float(low), float(high))
+    return MeanWithInterval(float(mean), float(low), float(high))
 
 
 def paired(
     values: Values, others: Values, clips: Sequence[str], subjects: Sequence[str]
-) -> Interval:
+) -> MeanWithInterval:
     """Mean difference of two methods on the same windows, with a 95 % interval.
 
     Raises:
@@ -119,7 +119,7 @@ class BenchTable:
     data: str
     """SHA-256 of the motion files that were read, with their names."""
 
-    def mean(self, method: str, metric: str) -> Interval | None:
+    def mean(self, method: str, metric: str) -> MeanWithInterval | None:
         """Mean of a metric over the counted subjects, with its 95 % interval.
 
         Whole clips are drawn again within each subject (`recon.benchmark.table`). None where no
@@ -211,7 +211,7 @@ class BenchTable:
         return "\n".join([f"{self.protocol.name}, {self.source}: {heading} ({metric})", *lines])
 
 
-def _interval_as_text(found: Interval | None, factor: float, with_interval: bool) -> str:
+def _interval_as_text(found: MeanWithInterval | None, factor: float, with_interval: bool) -> str:
     if found is None:
         return "–"
     mean = f"{factor * found.mean:.2f}"
@@ -221,7 +221,7 @@ def _interval_as_text(found: Interval | None, factor: float, with_interval: bool
 
 
 def _interval_as_numbers(
-    found: Interval | None, with_interval: bool
+    found: MeanWithInterval | None, with_interval: bool
 ) -> dict[str, float | None] | None:
     if found is None:
         return None

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core.arrays import constant
 from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS, TOES
 
 MAXIMUM_SPEED = 0.25
@@ -38,9 +39,9 @@ def touching_heights(rest_height: Float[Tensor, "*batch 22"]) -> Float[Tensor, "
     them does, not at standing height: they are measured from the level of the toe joints, as in
     HuMoR, and so is everything else.
     """
-    toes = rest_height[..., list(TOES)].mean(-1, keepdim=True)
-    feet = torch.tensor([j in FEET for j in range(len(JOINTS))], device=rest_height.device)
-    return torch.where(feet, rest_height, toes)
+    toes = rest_height[..., constant(TOES, rest_height.device)].mean(-1, keepdim=True)
+    of_foot = tuple(j in FEET for j in range(len(JOINTS)))
+    return torch.where(constant(of_foot, rest_height.device, torch.bool), rest_height, toes)
 
 
 def contact_labels(
@@ -59,7 +60,7 @@ def contact_labels(
         rest_height: Of every joint above the sole (see `rest_heights`), metres.
         fps: Frames per second.
     """
-    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    lower, slower, may_touch = _contact_margins(joints, rest_height, fps)
     return (lower > 0) & (slower > 0) & may_touch
 
 
@@ -82,14 +83,14 @@ def contact_probabilities(
         fps: Frames per second.
         std: Standard deviation of the height of every joint, metres; None takes all as seen.
     """
-    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    lower, slower, may_touch = _contact_margins(joints, rest_height, fps)
     unsure = torch.zeros_like(lower) if std is None else std
     height = (_HEIGHT_SCALE**2 + unsure.square()).sqrt()
     speed = (_SPEED_SCALE**2 + (unsure / _TIME_SCALE).square()).sqrt()
     return torch.minimum(lower / height, slower / speed).sigmoid() * may_touch
 
 
-def _margins(
+def _contact_margins(
     joints: Float[Tensor, "*batch time 22 3"], rest_height: Float[Tensor, "*batch 22"], fps: float
 ) -> tuple[Tensor, Tensor, Bool[Tensor, "22"]]:
     """The margins of height (metres) and speed (m/s) below the limits of `contact_labels`.

@@ -116,7 +116,7 @@ def centre_of_mass(
 
 
 def vertex_masses_of_segments(body: BodyModel) -> Float[Tensor, " vertices"]:
-    """Vertex masses by de Leva's measured segment masses, which know of air in the trunk."""
+    """Vertex masses by de Leva's measured segment masses, which account for air in the trunk."""
     return spread_over_skin(body, body.template.new_tensor(DE_LEVA))
 
 

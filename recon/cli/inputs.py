@@ -48,7 +48,7 @@ def check_inputs(given: Mapping[str, Any]) -> None:
         FileNotFoundError: names the path, what was expected there, and files like it.
     """
     for name, path in _named_paths(given):
-        # of FILE::MEMBER, FILE must exist
+        # FILE::MEMBER is a member of an archive, whose FILE must exist
         if not path.exists() and not Path(str(path).partition("::")[0]).exists():
             raise FileNotFoundError(
                 f"there is nothing at {path}: expected {EXPECTED[name]}{_hint_at_missing(path)}"

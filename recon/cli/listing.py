@@ -13,13 +13,15 @@ from recon.cli.making import Verb, command
 from recon.cli.places import Arguments, Place, folder, its_own_report, several_or_npz
 from recon.core.plugins import VERBS, registered
 from recon.fitting.settings import FitSettings
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 
 
 def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
     """The output as one file, or as a folder for scans and for several cameras."""
     several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
-    return (Output(out, Kind.FOLDER if several and out.suffix != ".npz" else Kind.FILE),)
+    return (
+        Output(out, OutputKind.FOLDER if several and out.suffix != ".npz" else OutputKind.FILE),
+    )
 
 
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
@@ -41,13 +43,23 @@ CORE = {
         out_follows=True,
     ),
     "register": Verb(
-        "recon.api.register:register", (Place("out", folder),), "folder for a file per camera."
+        "recon.api.register:register",
+        (Place("out", folder),),
+        "folder for a file per camera.",
     ),
     "evaluate": Verb(
-        "recon.api.evaluate:evaluate", (Place("json", its_own_report),), "File for the metrics."
+        "recon.api.evaluate:evaluate",
+        (Place("json", its_own_report),),
+        "File for the metrics.",
     ),
     "view": Verb(
-        "recon.view.files:view", (Place("html"), Place("png"), Place("mp4"), Place("rrd"))
+        "recon.view.files:view",
+        (
+            Place("html"),
+            Place("png"),
+            Place("mp4"),
+            Place("rrd"),
+        ),
     ),
     "info": Verb("recon.view.info:info", ()),
 }

@@ -66,7 +66,7 @@ class Verb:
 
 def command(name: str, verb: Verb) -> Callable[..., None]:
     """Make the function of a verb, which checks, computes, writes and reports."""
-    function = _function(verb.function_name)
+    function = _parsed_function(verb.function_name)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
     own = [one for one in _parameters(function) if one.name not in taken]
     shown = [*own, *_further_options(verb, {one.name for one in own})]
@@ -83,7 +83,7 @@ def command(name: str, verb: Verb) -> Callable[..., None]:
     return writes(*verb.places)(run)
 
 
-def _function(function_place: str) -> ast.FunctionDef:
+def _parsed_function(function_place: str) -> ast.FunctionDef:
     """Parse the definition of a function "module:name"."""
     module, _, name = function_place.partition(":")
     path = Path(recon.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
@@ -103,7 +103,7 @@ def _parameters(node: ast.FunctionDef) -> list[Parameter]:
 def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter:
     assert node.annotation is not None
     try:
-        kind = _type_of(node.annotation)
+        kind = _type_of_annotation(node.annotation)
     except NameError:
         return Parameter(node.arg, Parameter.KEYWORD_ONLY)
     if default is None:
@@ -113,7 +113,7 @@ def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter
     return _option(node.arg, kind, Path(value) if kind is Path else value)
 
 
-def _type_of(node: ast.expr) -> Any:
+def _type_of_annotation(node: ast.expr) -> Any:
     """The type that an annotation in source code means for a command line.
 
     Raises:
@@ -128,13 +128,13 @@ def _type_of(node: ast.expr) -> Any:
         case ast.Name(id="int" | "float" | "str" | "bool" | "tuple" as name):
             return getattr(builtins, name)
         case ast.BinOp(left=left, op=ast.BitOr(), right=right):
-            return _type_of(left) | _type_of(right)
+            return _type_of_annotation(left) | _type_of_annotation(right)
         case ast.Subscript(value=ast.Name(id="Literal"), slice=values):
             return Literal[ast.literal_eval(values)]
         case ast.Subscript(value=value, slice=ast.Tuple(elts=parts)):
-            return _type_of(value)[tuple(_type_of(part) for part in parts)]
+            return _type_of_annotation(value)[tuple(_type_of_annotation(part) for part in parts)]
         case ast.Subscript(value=value, slice=part):
-            return _type_of(value)[_type_of(part)]
+            return _type_of_annotation(value)[_type_of_annotation(part)]
         case _:
             raise NameError(text)
 

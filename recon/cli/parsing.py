@@ -61,7 +61,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     verb = listing.verb(name)
     options = options_of(verb)
     if "--out" not in options and "out" in inspect.signature(verb).parameters:
-        words = _out_last(words)
+        words = _with_out_option_last(words)
     later = _storing_arguments(verb)
     ask = functools.partial(
         tyro.cli, later, prog=f"recon {name}", description=_description(name, verb), args=words
@@ -81,7 +81,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     return ask()
 
 
-def _out_last(words: Sequence[str]) -> Sequence[str]:
+def _with_out_option_last(words: Sequence[str]) -> Sequence[str]:
     """Move `--out PLACE` to the end, for verbs whose output is the last argument."""
     for k, word in enumerate(words):
         if word == "--out" and k + 1 < len(words):

@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from recon.cli import console
 from recon.cli.inputs import check_inputs
-from recon.formats.outputs import Kind, Output, check_outputs, paths_in
+from recon.formats.outputs import Output, OutputKind, check_outputs, paths_in
 
 Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
 """The option of every verb that writes."""
@@ -37,12 +37,12 @@ def a_file(path: Path, _: Arguments) -> tuple[Output, ...]:
 
 def its_own_report(path: Path, _: Arguments) -> tuple[Output, ...]:
     """The output is a JSON file that is its own report."""
-    return (Output(path, Kind.REPORT),)
+    return (Output(path, OutputKind.REPORT),)
 
 
 def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
     """The output is a folder, written as a whole."""
-    return (Output(path, Kind.FOLDER),)
+    return (Output(path, OutputKind.FOLDER),)
 
 
 def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
@@ -54,7 +54,7 @@ def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
     count = given.get("count", given.get("samples"))
     if path.suffix == ".npz" and count > 1:
         raise ValueError(f"{path} is one file, but {count} motions were asked for; give a folder")
-    return (Output(path, Kind.FILE if path.suffix == ".npz" else Kind.FOLDER),)
+    return (Output(path, OutputKind.FILE if path.suffix == ".npz" else OutputKind.FOLDER),)
 
 
 @dataclass(frozen=True)

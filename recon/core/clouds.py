@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.arrays import is_geometry
-from recon.core.coordinates import along
+from recon.core.coordinates import along_axis
 from recon.core.errors import ReconError, UnitsError
 from recon.core.units import METRES, Up, to_z_up
 
@@ -125,22 +125,22 @@ def up_of_clouds(
             "scans are often scaled to unit height. Multiply their points by the person's height "
             "in metres, or give --unit m for a child or a part of a body"
         )
-    evidence = _head_above_feet(shown, along(axis, 1.0))
+    evidence = _head_above_feet(shown, along_axis(axis, 1.0))
     usual = axis == 2 and evidence > -_SURE
     below = -high if usual or evidence > 0 else low
     if below > _BELOW and abs(evidence) < 2 * _SURE:
         raise UnitsError(
-            f"{name}: somebody stands along {along(axis, 1.0)}, {below:.1f} m below the origin if "
-            f"the head is where it seems to be, which says the opposite; {asked}"
+            f"{name}: somebody stands along {along_axis(axis, 1.0)}, {below:.1f} m below the "
+            f"origin if the head is where it seems to be, which says the opposite; {asked}"
         )
     if usual:
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(
-            f"{name}: somebody stands along {along(axis, 1.0)}, but which end is up is unknown; "
-            f"{asked}"
+            f"{name}: somebody stands along {along_axis(axis, 1.0)}, but which end is up is "
+            f"unknown; {asked}"
         )
-    up = along(axis, evidence)
+    up = along_axis(axis, evidence)
     return up, (f"up axis {up}: who is in the clouds stands along it",)
 
 
@@ -153,13 +153,16 @@ def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
     sway = np.log((np.ptp(high) + _SWAY) / (np.ptp(low) + _SWAY))
     share = float(np.median((middle - low) / (high - low)))
     apart = [
-        np.log(_width(cloud[cloud[:, 2] <= a]) / _width(cloud[cloud[:, 2] >= b]))
+        np.log(
+            _mean_horizontal_radius(cloud[cloud[:, 2] <= a])
+            / _mean_horizontal_radius(cloud[cloud[:, 2] >= b])
+        )
         for cloud, a, b in zip(turned, foot, head, strict=True)
     ]
     return float(sway + 20 * (share - 0.5) + np.median(apart))
 
 
-def _width(points: Float[np.ndarray, "points 3"]) -> float:
+def _mean_horizontal_radius(points: Float[np.ndarray, "points 3"]) -> float:
     """Mean horizontal distance of points from their centroid."""
     level = points[:, :2]
     return float(np.linalg.norm(level - level.mean(0), axis=-1).mean()) + _SWAY

@@ -84,7 +84,7 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
 
 
 def unusual_unit(size: float) -> str:
-    """Words on the unit in which a body of a size, in an unknown unit, is as tall as an adult."""
+    """A remark that names the unit in which a body of this size would be as tall as an adult."""
     found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
@@ -105,8 +105,8 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
 
-def check_declared(unit: str, size: float, name: str) -> str:
-    """The reason for a unit that the file itself states, once its size is possible.
+def reason_for_declared_unit(unit: str, size: float, name: str) -> str:
+    """The reason for the unit that a file states, after a check that a body can have that size.
 
     Raises:
         ValueError: when no body has that size.
@@ -170,10 +170,10 @@ def unit_of_path(
     )
 
 
-def missing_path(
+def notes_on_missing_path(
     path: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time joints 3 3"]
 ) -> str:
-    """What to know of a body that moves and whose path is one place; empty of other paths.
+    """Notes on a body that moves although its path stays in one place; empty for other paths.
 
     Args:
         path: of the body, in any unit.
@@ -288,7 +288,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     """
     if rise is not None:
         best, second = (int(k) for k in np.argsort(np.abs(rise))[:-3:-1])
-        found = along(best, rise[best])
+        found = along_axis(best, rise[best])
         if abs(rise[best]) >= 1.5 * abs(rise[second]):
             against = f" (the file hints at {usual})" if usual not in (None, found) else ""
             if rise[best] > 0:
@@ -306,7 +306,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     )
 
 
-def along(axis: int, sign: float) -> Up:
+def along_axis(axis: int, sign: float) -> Up:
     """The direction along the axis of this number, or against it for a negative sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
@@ -326,7 +326,7 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(rise).max())
-    ways: list[Up] = [along(axis, rise[axis]) for axis in range(3)]
+    ways: list[Up] = [along_axis(axis, rise[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
@@ -374,4 +374,4 @@ def surely_up(
         return None
     if best != own and abs(mean[best]) < _CLEAR * abs(mean[own]):
         return None
-    return along(best, mean[best])
+    return along_axis(best, mean[best])

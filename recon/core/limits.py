@@ -41,7 +41,7 @@ class Limit:
             ValueError: naming file, quantity, the first number outside, and where it stands.
         """
         numbers = np.asarray(values)
-        # half precision cannot hold the limits themselves
+        # in half precision the limits themselves may overflow
         with np.errstate(invalid="ignore", over="ignore"):
             bad = ~((numbers >= self.low) & (numbers <= self.high))
         if seen is not None:

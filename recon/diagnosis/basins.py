@@ -148,9 +148,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
         if not bool(shown.any()):
             continue
         points = cloud.points[0, moment][cloud.present[0, moment]]
-        shares.append(
-            _share_far_from_rays((middles[0, row][shown] - eye).cpu(), (points - eye).cpu())
-        )
+        shares.append(_share_far_from_rays(middles[0, row][shown] - eye, points - eye))
     return float(np.median(shares)) if shares else None
 
 

@@ -118,7 +118,7 @@ def carried_finding(
         rests: whether some part of a foot rests in the image most of the time.
     """
     movement = Movement.of(motion, body)
-    feet = None if observed is None else _seen_feet(observed.cpu().numpy(), motion.fps)
+    feet = None if observed is None else _seen_feet(observed.numpy(), motion.fps)
     places, velocities = standing_soles(movement, feet)
     if len(places) < 2 * _MIN_MOMENTS:
         return None

@@ -73,7 +73,7 @@ def certainty(found: ClipFit) -> Deviations | None:
         noises.append(replace(noise, own=noise.own / worth**0.5))
     with torch.no_grad():
         try:
-            body = estimate.body.model.to(device="cpu", dtype=torch.float64)
+            body = estimate.body.model.to(dtype=torch.float64)
             known = deviations(
                 estimate, seen, noises, density, _ground_uncertainty(found), angle_slopes(body)
             )
@@ -131,8 +131,8 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
         deviations: how sure its joints are; None takes all as seen.
     """
     motion, posed = fit.result.clip(0).detach(), fit.result.body
-    joints = posed.joints[0, : motion.frames].detach().cpu()
-    heights = rest_heights(posed.model, motion.shape).cpu()
+    joints = posed.joints[0, : motion.frames].detach()
+    heights = rest_heights(posed.model, motion.shape)
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
     held = fit.result.reports[-1].stage.prior.knows_gravity

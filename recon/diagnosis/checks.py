@@ -3,7 +3,7 @@
 A check is a function of the clip that gives the clip, put right where that is sure, and what it
 found. `recon.fit(..., checks=...)` takes any of them, and functions of your own:
 
-    def short(clip: Examined) -> tuple[Examined, Findings]:
+    def short(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         said = Finding("gap", "less than a second was seen")
         return clip, Findings(warnings=(said,) if clip.motion.frames < clip.motion.fps else ())
 """
@@ -20,7 +20,7 @@ from recon.diagnosis.examination import (
     AfterFit,
     BeforeFit,
     CheckedClip,
-    Examined,
+    ExaminedClip,
     after_fit,
     before_fit,
 )
@@ -87,7 +87,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 
 
 @after_fit("view")
-def focal_length(clip: Examined) -> tuple[Examined, Findings]:
+def focal_length(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Report the fitted focal length of an uncalibrated camera."""
     from recon.diagnosis.cameras import lens_findings
 
@@ -95,7 +95,7 @@ def focal_length(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit("view")
-def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
+def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn when the clip's only camera moved although it is declared fixed."""
     view = clip.observations[0].view
     if len(clip.observations) > 1 or view is None or not clip.fit.grounded:
@@ -106,18 +106,18 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
     from recon.diagnosis.carried import carried_finding
     from recon.diagnosis.images import Images
 
-    seen = Images.of([view], clip.names, clip.model)
+    seen = Images.of([view], clip.names, clip.body)
     rest = foot_rest(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _rate_is_untestable(clip):
         return clip, NOTHING
     rests = rest is not None and not rest.may_move
-    said = carried_finding(clip.names[0], clip.motion, clip.model, clip.seen, rests=rests)
+    said = carried_finding(clip.names[0], clip.motion, clip.body, clip.seen, rests=rests)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
-def _rate_is_untestable(clip: Examined) -> bool:
+def _rate_is_untestable(clip: ExaminedClip) -> bool:
     """Whether other faults make the speed useless for judging the frame rate."""
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
@@ -145,7 +145,7 @@ def _likely_causes(observations: Sequence[Sensor]) -> str:
 
 
 @after_fit()
-def residuals(clip: Examined) -> tuple[Examined, Findings]:
+def residuals(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warnings about sensors whose residuals are far above their noise."""
     found: list[Finding] = []
     for sensor, one in zip(clip.observations, clip.residuals, strict=True):
@@ -169,7 +169,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit("view")
-def distance(clip: Examined) -> tuple[Examined, Findings]:
+def distance(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of an implausible distance of the person, which a wrong focal length causes."""
     from recon.diagnosis.cameras import distance_warnings
 
@@ -183,7 +183,7 @@ def distance(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit("cloud")
-def basin(clip: Examined) -> tuple[Examined, Findings]:
+def basin(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn when a fit to clouds has converged to a wrong posture or heading."""
     from recon.diagnosis.basins import basin_findings
 
@@ -197,7 +197,7 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit()
-def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
+def size_and_soles(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of an implausible size or shape of the fitted person, or feet off a known ground."""
     return clip, body_findings(clip.fit)
 
@@ -254,7 +254,7 @@ def body_findings(found: ClipFit) -> Findings:
 
 
 @after_fit("view")
-def mirrored(clip: Examined) -> tuple[Examined, Findings]:
+def mirrored(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of images that agree better when mirrored, unless the checks before the fit did."""
     from recon.diagnosis.keypoints import grouped_views
     from recon.diagnosis.odds import mirror_warnings
@@ -262,13 +262,13 @@ def mirrored(clip: Examined) -> tuple[Examined, Findings]:
     if any(one.code == "mirrored" for one in clip.warnings):
         return clip, NOTHING
     names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
-    groups = grouped_views([one.view for one in clip.observations if one.view], names, clip.model)
+    groups = grouped_views([one.view for one in clip.observations if one.view], names, clip.body)
     found = [said for _, images in groups for said in mirror_warnings(images)]
     return clip, Findings(warnings=found)
 
 
 @after_fit()
-def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
+def frame_rate(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of a frame rate that gait, falls or balance contradict."""
     # feet off a calibrated ground mean that the calibration's unit is wrong
     in_metres = not any(one.view for one in clip.observations) or all(
@@ -276,7 +276,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     )
     if not clip.fit.grounded or _rate_is_untestable(clip) or not in_metres:
         return clip, NOTHING
-    said = rate_finding(clip.motion, clip.model, clip.seen)
+    said = rate_finding(clip.motion, clip.body, clip.seen)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -290,7 +290,7 @@ first guesses leave smaller differences to the fit that follows."""
 
 
 @after_fit()
-def other_motions(clip: Examined) -> tuple[Examined, Findings]:
+def other_motions(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Warn of the likeliest alternative motion if it explains the data nearly as well."""
     close = [
         one
@@ -310,7 +310,7 @@ def other_motions(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit()
-def unseen(clip: Examined) -> tuple[Examined, Findings]:
+def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note joints that were never seen, and frames without any data."""
     found: list[Finding] = []
     if never := chosen(JOINTS, ~np.any(clip.observed, axis=0)):
@@ -339,7 +339,7 @@ _SHORTEST = 0.2
 
 
 @after_fit()
-def guessed(clip: Examined) -> tuple[Examined, Findings]:
+def guessed(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note stretches in which a large unobserved part of the body is very uncertain.
 
     Joints that were seen are left out: that one camera leaves their distance open is no guess.
@@ -362,11 +362,11 @@ def guessed(clip: Examined) -> tuple[Examined, Findings]:
 
 
 @after_fit()
-def support(clip: Examined) -> tuple[Examined, Findings]:
+def support(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     """Note feet at several heights, and support by something other than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
-    return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
+    return clip, Findings(diagnosis=support_findings(clip.motion, clip.body, clip.seen))
 
 
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)

@@ -17,7 +17,7 @@ from recon.core.skeleton import JOINTS, LEGS, MIRROR
 from recon.fitting.records import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
-from recon.method.stages import Compared
+from recon.method.stages import ComparedHypotheses
 
 _SAME_MOTION_M = 0.05
 """Mean distance of joints, metres, below which two hypotheses have come to the same motion."""
@@ -27,7 +27,7 @@ _LEGS, _EXCHANGED = list(LEGS), [MIRROR[k] for k in LEGS]
 
 
 @dataclass(frozen=True)
-class Alternative:
+class AlternativeMotion:
     """Another motion that explains the data, and by how much its energy is higher."""
 
     kind: str
@@ -66,19 +66,19 @@ class Alternative:
         )
 
 
-def alternatives(fit: ClipFit) -> tuple[Alternative, ...]:
+def alternatives(fit: ClipFit) -> tuple[AlternativeMotion, ...]:
     """Rejected hypotheses of the first clip, the likeliest first.
 
     They are other first guesses (headings, postures) and other beginnings of a gait cycle, each as
     the quick fit that compared them had left it. Hypotheses that came to the motion that was
     chosen, or to that of a likelier one, are left out.
     """
-    body = fit.result.body.model.to(device="cpu")
+    body = fit.result.body.model
     found = [one for compared in fit.compared for one in _runners_up(compared, body)]
     return tuple(sorted(found, key=lambda one: one.excess))
 
 
-def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
+def _runners_up(compared: ComparedHypotheses, body: BodyModel) -> list[AlternativeMotion]:
     """The hypotheses that one comparison rejected."""
     own = (compared.clip == 0).nonzero()[:, 0]
     finite = own[compared.value[own].isfinite()]
@@ -91,7 +91,7 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     with torch.no_grad():
         clips = [compared.motion[k] for k in (best, *ordered)]
         posed = [body.pose(one.window(0, int(one.valid.sum()))).joints for one in clips]
-    (kept_joints, *others), found = posed, list[Alternative]()
+    (kept_joints, *others), found = posed, list[AlternativeMotion]()
     distinct = [kept_joints]
     for row, joints in zip(ordered, others, strict=True):
         if all(_mean_joint_distance(joints, other) > _SAME_MOTION_M for other in distinct):
@@ -105,7 +105,7 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
             kind = "heading" if turn > _TURNED else kind
             energies = (float(compared.value[k]) for k in (row, best))
             found.append(
-                Alternative(
+                AlternativeMotion(
                     kind, math.degrees(turn), _mean_joint_distance(kept_joints, joints), *energies
                 )
             )

@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.estimated import Drifting, EstimatedPoints
+from observations.estimated import ErrorCovariance, EstimatedPoints
 from observations.noise import estimate_noise
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
-from recon.core.coordinates import missing_path
+from recon.core.coordinates import notes_on_missing_path
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.findings import Finding, Findings, stretches
@@ -41,8 +41,8 @@ def exchanged_frames(
     both = torch.stack((rotations, mirrored), 1).double()
     step = (
         both[1:, :, None] - both[:-1, None, :]
-    )  # axes (time, this frame's version, the last one's, joints, 3, 3)
-    squared = step.square().sum((-1, -2)).mean(-1) / 2  # about the squared angle
+    )  # axes: time, this frame as it is or exchanged, the frame before likewise, joints, 3, 3
+    squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
     return cheapest_path(here[None], (squared + switch).mT)[0].bool()
@@ -57,12 +57,12 @@ def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "ti
 
 FASTEST = 60.0
 """Hz; estimates at higher rates are thinned to it."""
-OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
+OWN = ErrorCovariance(jitter=0.015, slow=0.06, seconds=1.0)
 """Error of a point relative to the path of the body, as networks on video make it. The numbers are
 chosen on windows of validation people and on martial arts, runs and climbs of training people
 (benchmarks/refine.py): numbers that suit walks alone let a prior that never saw a handspring
 overrule it. Estimates with smaller errors get a share of it; the jitter is the least assumed."""
-PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
+PATH = ErrorCovariance(jitter=0.003, slow=0.06, seconds=2.0)
 """Error of the path."""
 _ALIKE = 2.0
 """Points of one limb err together, so that the jitter estimated from one point is
@@ -127,7 +127,9 @@ def as_measurement(
         segment=_segments(points - path)[None],
         start_time=motion.start_time,
     )
-    alone = missing_path(motion.translation[known].numpy(), motion.rotations[known].numpy())
+    alone = notes_on_missing_path(
+        motion.translation[known].numpy(), motion.rotations[known].numpy()
+    )
     return seen, motion, Findings(repairs, [Finding("no path", alone)] if alone else ())
 
 

@@ -147,7 +147,7 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
         return 0.0
     moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
     seen = torch.from_numpy(np.any(shown, axis=1)[moments.clip(max=len(shown) - 1)])
-    clip = motion[0].detach().to(device="cpu")
+    clip = motion[0].detach()
     stance = Stance.of(clip, body, Soles.of(body), frames=seen)
     if stance.frames < _STANDING * motion.fps:
         return 0.0

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
-from recon.diagnosis.doubts import Alternative, alternatives, observed_joints
+from recon.diagnosis.doubts import AlternativeMotion, alternatives, observed_joints
 from recon.diagnosis.findings import NOTHING, Finding, Findings, run_checks
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
@@ -51,8 +51,8 @@ def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> Resi
     """Summary of the residuals of the first clip, for its report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
-    seen_here = residuals.seen[0].cpu().numpy()
-    lengths = np.where(seen_here, residuals.distances[0].double().cpu().numpy(), np.nan)
+    seen_here = residuals.seen[0].numpy()
+    lengths = np.where(seen_here, residuals.distances[0].double().numpy(), np.nan)
     flat = lengths[np.isfinite(lengths)]
     names = seen.point_names(estimate.body.model)
     return ResidualSummary(
@@ -107,25 +107,25 @@ class CheckedClip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Examined(CheckedClip):
+class ExaminedClip(CheckedClip):
     """A clip with its fit, uncertainty and findings."""
 
     fit: ClipFit
     estimate: Estimate
     """The fitted motion and scene, without derivatives."""
     motion: Motion
-    """The fitted motion on the processor, at the fit's own frames."""
+    """The fitted motion at the fit's own frames."""
     residuals: tuple[ResidualSummary, ...]
     """Residuals of every sensor, in the order of the observations."""
     observed: Bool[np.ndarray, "time 22"]
     """False where a joint of the fitted motion was inferred rather than seen."""
     deviations: Deviations | None
     """Standard deviations of joints, root and shape; None where the prior has no density."""
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[AlternativeMotion, ...]
     """Other motions that the fit compared with the one it gives, the likeliest first."""
 
     @classmethod
-    def of(cls, clip: CheckedClip, fit: ClipFit) -> "Examined":
+    def of(cls, clip: CheckedClip, fit: ClipFit) -> "ExaminedClip":
         """A clip after its fit, without further checks."""
         here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
@@ -133,17 +133,12 @@ class Examined(CheckedClip):
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
             estimate=here,
-            motion=fit.result.clip(0).detach().to(device="cpu"),
+            motion=fit.result.clip(0).detach(),
             residuals=tuple(summarise(*sensor, here) for sensor in sensors),
             observed=observed_joints(fit.observations, here),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
-
-    @property
-    def model(self) -> BodyModel:
-        """The fitted body on the processor."""
-        return self.estimate.body.model.to(device="cpu")
 
     @property
     def seen(self) -> Bool[Tensor, "time 22"]:
@@ -173,14 +168,14 @@ class Examined(CheckedClip):
         return {
             "ground_std": None if ground is None else torch.tensor([ground.normal, ground.height]),
             **{
-                name: None if one is None else one[frames.clamp(0, len(one) - 1)].cpu()
+                name: None if one is None else one[frames.clamp(0, len(one) - 1)]
                 for name, one in values.items()
             },
         }
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
-AfterFit = Callable[[Examined], tuple[Examined, Findings]]
+AfterFit = Callable[[ExaminedClip], tuple[ExaminedClip, Findings]]
 Check = BeforeFit | AfterFit
 """Looks for one fault: takes the clip, returns it (repaired where certain) with the findings."""
 

@@ -28,7 +28,7 @@ _INLIER = 0.02
 
 
 @dataclass(frozen=True)
-class Explained:
+class ExplainedView:
     """One view after the correction that a hypothesis asks for, and the remaining error."""
 
     cause: Cause
@@ -67,7 +67,7 @@ class DoubtedView:
         away = self.misses(images)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
-    def explained(self, causes: tuple[Cause, ...]) -> list[Explained]:
+    def explained(self, causes: tuple[Cause, ...]) -> list[ExplainedView]:
         """The view corrected under each hypothesis, simplest first, with the remaining errors."""
         undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
             "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
@@ -76,10 +76,10 @@ class DoubtedView:
             "placed": self._with_new_pose,
             "moving": self._with_smooth_turn,
         }
-        out: list[Explained] = []
+        out: list[ExplainedView] = []
         for cause in causes:
             images, value = undone[cause]()
-            out.append(Explained(cause, images, value, self.miss(images)))
+            out.append(ExplainedView(cause, images, value, self.miss(images)))
         return out
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -60,16 +60,16 @@ class Images:
         """The arrays of views of one clip, whose batch axis has length one."""
         moments, points = views[0].pixels.shape[-3], views[0].points.names
         average = body.joint_template.new_zeros(body.shape_size)
-        rest = views[0].points.at_rest(body, average).double().cpu().numpy()
-        pixels = np.stack([view.pixels[0].double().cpu().numpy() for view in views])
-        confidence = np.stack([view.confidence[0].double().cpu().numpy() for view in views])
-        poses = [view.camera.T_camera_world[0].double().cpu().numpy() for view in views]
+        rest = views[0].points.at_rest(body, average).double().numpy()
+        pixels = np.stack([view.pixels[0].double().numpy() for view in views])
+        confidence = np.stack([view.confidence[0].double().numpy() for view in views])
+        poses = [view.camera.T_camera_world[0].double().numpy() for view in views]
         each = zip(pixels, confidence, strict=True)
         return cls(
             pixels=pixels,
             confidence=confidence,
             matrix=np.stack(
-                [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
+                [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double() for v in views]
             ),
             pose=np.stack([np.broadcast_to(one, (moments, 4, 4)) for one in poses]),
             scale=np.stack([_pixels_per_metre(*own, points, rest, views[0].fps) for own in each]),
@@ -248,4 +248,4 @@ def _costs_of_views(
         return without_root(quick_stages(noise.metres, data))
 
     found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
-    return found.reports[-1].solution.value.double().cpu().numpy()
+    return found.reports[-1].solution.value.double().numpy()

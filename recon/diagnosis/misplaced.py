@@ -96,7 +96,9 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
         own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
         if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
             above, below = {a}, {b}
-            for parent, child in bones * len(bones):  # in whatever order a file has them
+            for parent, child in bones * len(
+                bones
+            ):  # repeated, as bones may be listed in any order
                 below |= {child} if parent in below else set()
                 above |= {parent} if child in above else set()
             parts += [above, below]
@@ -301,7 +303,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
-            # the first or last frame alone has the bend of its neighbour
+            # a first or last frame has no bend of its own, and took that of its neighbour
             ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))

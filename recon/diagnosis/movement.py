@@ -62,14 +62,14 @@ class Movement:
             body: whose motion it is.
             observed: joints that the data shows; None means all.
         """
-        seen = motion.valid.cpu()
+        seen = motion.valid
         if observed is not None:
-            seen = seen & observed[:, list(_ASKED)].cpu().all(-1)
+            seen = seen & observed[:, list(_ASKED)].all(-1)
         runs = stretches(seen.numpy())
         first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
         posed = body.pose(motion.window(first, last + 1).detach())
         centre = centre_of_mass(posed, vertex_masses_of_segments(body))
-        rest, joints = (x.double().cpu().numpy() for x in (posed.rest, posed.joints))
+        rest, joints = (x.double().numpy() for x in (posed.rest, posed.joints))
         sole = float(body.rest_vertices(motion.shape)[..., 1].amin())
         thigh = np.linalg.norm(rest[list(_HIPS)] - rest[list(_KNEES)], axis=-1).mean()
         shank = np.linalg.norm(rest[list(_KNEES)] - rest[list(_ANKLES)], axis=-1).mean()
@@ -81,7 +81,7 @@ class Movement:
         along = toes - ankles
         return cls(
             joints=joints,
-            centre=centre.double().cpu().numpy(),
+            centre=centre.double().numpy(),
             leg=float(thigh + shank),
             ankles=ankles,
             toes=toes,
@@ -310,4 +310,4 @@ def _path_of_belt(
     count: int, fps: float, start: float, belt: Float[Tensor, " 2"]
 ) -> Float[Tensor, "time 3"]:
     times = start + torch.arange(count, dtype=torch.float64) / fps
-    return torch.nn.functional.pad(times[:, None] * belt.double().cpu(), (0, 1))
+    return torch.nn.functional.pad(times[:, None] * belt.double(), (0, 1))

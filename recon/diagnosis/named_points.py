@@ -49,16 +49,16 @@ class NamedPoints:
     def of(cls, observation: TrackedPoints, body: BodyModel) -> "NamedPoints":
         """The points of a sensor with one clip, without the batch axis."""
         return cls(
-            positions=observation.positions[0].double().cpu().numpy(),
-            visible=observation.visible[0].cpu().numpy(),
+            positions=observation.positions[0].double().numpy(),
+            visible=observation.visible[0].numpy(),
             names=observation.point_names(body),
             bones=observation.bones(body),
-            rest=observation.at_rest(body).double().cpu().numpy(),
+            rest=observation.at_rest(body).double().numpy(),
             fps=observation.fps,
             given=observation,
             are_joints=not observation.on_skin,
             rigid=observation.rigid_pairs(body),
-            std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
+            std=None if observation.std is None else observation.std[0].double().numpy(),
         )
 
     @property
@@ -68,7 +68,7 @@ class NamedPoints:
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
         return self.given.replace(
             positions=torch.from_numpy(positions)[None].to(self.given.positions),
-            visible=torch.from_numpy(self.visible.copy())[None].to(self.given.visible.device),
+            visible=torch.from_numpy(self.visible.copy())[None],
             std=std,
         )
 

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from recon.diagnosis.explanations import Cause, DoubtedView, Explained, mirrored
+from recon.diagnosis.explanations import Cause, DoubtedView, ExplainedView, mirrored
 from recon.diagnosis.findings import (
     NOTHING,
     Code,
@@ -22,7 +22,7 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.images import Images
-from recon.diagnosis.rigs import Agreement, best_agreement, corrected_rig, median_miss
+from recon.diagnosis.rigs import TwoViewCorrection, best_agreement, corrected_rig, median_miss
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -139,7 +139,7 @@ def _one_explained(
     return out, said
 
 
-def _simplest_explanation(options: list[Explained]) -> Explained:
+def _simplest_explanation(options: list[ExplainedView]) -> ExplainedView:
     least = min(option.remains for option in options)
     return next(option for option in options if option.remains <= _SIMPLER * least)
 
@@ -259,6 +259,6 @@ def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
     return images, Findings(warnings=(Finding(code, text, value=given),))
 
 
-def _clock_shift_in_words(images: Images, found: Agreement) -> str:
+def _clock_shift_in_words(images: Images, found: TwoViewCorrection) -> str:
     late = found.late / images.fps
     return f"{images.names[1]} is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"

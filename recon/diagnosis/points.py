@@ -107,8 +107,7 @@ def _names_repaired(
 ) -> tuple[NamedPoints, Findings]:
     """Exchange two points, or parts of both limbs, whose names are exchanged throughout.
 
-    Bones whose lengths no person's have suggest what to exchange, and quick fits of some seconds
-    must confirm it. `steady` is `named` without what is surely wrong.
+    The lengths of bones suggest what, and quick fits must confirm it, of `steady`: clean points.
     """
     groups, always = crossed_limbs(steady), np.ones(len(named.visible), dtype=bool)
     if (pair := exchanged_throughout(steady)) is not None:
@@ -116,7 +115,7 @@ def _names_repaired(
     if not groups:
         return named, NOTHING
     versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
-    # one by one: a fit together ends early where the names as given are nearly as good
+    # each version alone: fits of all together end early where the given names are nearly as good
     excerpts = [middle_seconds(plausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))

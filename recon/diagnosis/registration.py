@@ -74,7 +74,7 @@ _UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
 
 
 @dataclass(frozen=True)
-class Registration:
+class ViewCorrection:
     """The correction with which one view agrees with the others, and its uncertainty."""
 
     view: int
@@ -126,7 +126,7 @@ def registered(
     view: int,
     noise: Float[np.ndarray, " views"],
     parts: tuple[Part, ...] = PARTS,
-) -> Registration | None:
+) -> ViewCorrection | None:
     """The correction with which a fixed camera agrees with the other views.
 
     None where they do not agree with each other, and where too little is seen.
@@ -137,7 +137,7 @@ def registered(
         noise: standard deviation of a pixel coordinate in every view.
         parts: what is corrected.
     """
-    return Alignment.of(images, view, noise, parts).solved()
+    return ViewAlignment.of(images, view, noise, parts).solved()
 
 
 _View = tuple[float, Float[np.ndarray, "4 4"]]
@@ -145,7 +145,7 @@ _View = tuple[float, Float[np.ndarray, "4 4"]]
 
 
 @dataclass(frozen=True)
-class Alignment(Problem[_View]):
+class ViewAlignment(Problem[_View]):
     """Residuals of a view against points that the others see, as a function of clock and pose."""
 
     images: Images
@@ -165,7 +165,7 @@ class Alignment(Problem[_View]):
         view: int,
         noise: Float[np.ndarray, " views"],
         parts: tuple[Part, ...],
-    ) -> "Alignment":
+    ) -> "ViewAlignment":
         """The problem of aligning one view with all others."""
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
@@ -202,7 +202,7 @@ class Alignment(Problem[_View]):
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
         return self.trusted and gain > _CLEAN
 
-    def solved(self) -> Registration | None:
+    def solved(self) -> ViewCorrection | None:
         """The correction with the smallest residuals; None where the data do not determine it."""
         if not self.trusted:
             return None
@@ -227,7 +227,7 @@ class Alignment(Problem[_View]):
         moves = float(np.sqrt(np.square(away).sum(-1).mean() / 2)) / self.sigma
         others = self.paths.disagreement[self.rows][self.seen]
         per_point = cauchy_mean(found.squared[found.there]) + cauchy_mean(others)
-        return Registration(
+        return ViewCorrection(
             self.view, float(late), pose, values, covariance, found.spread,
             per_point * float(self.seen.sum()), inflation, moves,
         )  # fmt: skip

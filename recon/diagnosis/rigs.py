@@ -22,9 +22,9 @@ from recon.diagnosis.registration import (
     MAX_LATE_S,
     NOISE,
     PARTS,
-    Alignment,
     Part,
-    Registration,
+    ViewAlignment,
+    ViewCorrection,
 )
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
@@ -37,7 +37,7 @@ _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
 
 @dataclass(frozen=True)
-class Agreement:
+class TwoViewCorrection:
     """The correction of the clock or rotation with which two views agree best."""
 
     images: Images
@@ -50,7 +50,7 @@ class Agreement:
     """Median distance by which rays then miss each other's points, metres."""
 
 
-def best_agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
+def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection:
     """Find the clock and rotation of the second view with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
     turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
@@ -68,7 +68,7 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
-    return Agreement(corrected, float(values[0]), angle, median_miss(corrected))
+    return TwoViewCorrection(corrected, float(values[0]), angle, median_miss(corrected))
 
 
 def median_miss(images: Images) -> float:
@@ -177,22 +177,22 @@ _SMALLEST_SHIFT = 0.01
 
 
 @dataclass(frozen=True)
-class Corrections:
+class CorrectedRig:
     """The views after all certain corrections, and a doubtful one where there is any."""
 
     images: Images
     """All views after the corrections."""
-    applied: tuple[Registration, ...] = ()
-    undecided: tuple[Registration, ...] = ()
+    applied: tuple[ViewCorrection, ...] = ()
+    undecided: tuple[ViewCorrection, ...] = ()
     """Corrections of different views after which the rays fit equally well."""
 
 
-def corrections(images: Images) -> Corrections:
+def corrections(images: Images) -> CorrectedRig:
     """Correct clocks and poses of cameras where the correction is certain.
 
     One view after the other, as long as two views remain that need no correction.
     """
-    applied: tuple[Registration, ...] = ()
+    applied: tuple[ViewCorrection, ...] = ()
     for _ in range(len(images.names) - 2):
         found = candidates(images)
         if not found or not is_certain(found[0], images.fps):
@@ -200,9 +200,9 @@ def corrections(images: Images) -> Corrections:
         best = found[0]
         alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
         if len(alike) > 1:
-            return Corrections(images, applied, tuple(alike))
+            return CorrectedRig(images, applied, tuple(alike))
         images, applied = best.applied(images), (*applied, best)
-    return Corrections(images, applied)
+    return CorrectedRig(images, applied)
 
 
 def corrected_rig(images: Images) -> tuple[Images, Findings]:
@@ -224,7 +224,7 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     return found.images, Findings(repairs, (said,))
 
 
-def candidates(images: Images) -> list[Registration]:
+def candidates(images: Images) -> list[ViewCorrection]:
     """Candidate corrections of single fixed views, sorted by the remaining error.
 
     None where every view agrees with the others.
@@ -232,7 +232,9 @@ def candidates(images: Images) -> list[Registration]:
     noise = np.maximum(images.noise, _LEAST_NOISE)
     fixed = [v for v, still in enumerate(images.fixed) if still]
     given = (
-        [Alignment.of(images, v, noise, PARTS) for v in fixed] if np.isfinite(noise).all() else []
+        [ViewAlignment.of(images, v, noise, PARTS) for v in fixed]
+        if np.isfinite(noise).all()
+        else []
     )
     if not any(one.doubted for one in given):
         return []
@@ -240,14 +242,14 @@ def candidates(images: Images) -> list[Registration]:
     return sorted((one for one in every if one is not None), key=lambda one: one.cost)
 
 
-def is_certain(found: Registration, fps: float) -> bool:
+def is_certain(found: ViewCorrection, fps: float) -> bool:
     """Whether a correction is significant and leaves only noise as residuals."""
     if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
     return any(_is_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
-def _simplest_correction(images: Images, given: Alignment) -> Registration | None:
+def _simplest_correction(images: Images, given: ViewAlignment) -> ViewCorrection | None:
     """The correction with the fewest parts (clock, rotation, shift) that suffices for a view."""
     both = given.solved()
     if both is None:
@@ -256,14 +258,14 @@ def _simplest_correction(images: Images, given: Alignment) -> Registration | Non
     return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
-def _is_needed(found: Registration, part: Part, fps: float, least: float) -> bool:
+def _is_needed(found: ViewCorrection, part: Part, fps: float, least: float) -> bool:
     large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
     if part == "clock":
         large = abs(found.late) / fps >= _SMALLEST_CLOCK
     return large and found.squared_deviations(part) >= least
 
 
-def _finding_of_correction(images: Images, found: Registration) -> Finding:
+def _finding_of_correction(images: Images, found: ViewCorrection) -> Finding:
     code: Code = "views out of step" if found.late else "view at odds"
     advice = ["Number the frames of all cameras from the same moment"] if found.late else []
     if found.values[1:].any() or not found.late:
@@ -277,7 +279,7 @@ def _finding_of_correction(images: Images, found: Registration) -> Finding:
     )
 
 
-def _error_in_words(found: Registration, fps: float) -> str:
+def _error_in_words(found: ViewCorrection, fps: float) -> str:
     """The sentence that describes a view's error, with standard deviations."""
     std = np.sqrt(np.diag(found.covariance))
     out: list[str] = []

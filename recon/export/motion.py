@@ -14,7 +14,7 @@ from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import markers_of, write_angles, write_mot
 from recon.export.usd import write_usd
 from recon.formats.joint_table import write_joint_table
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
@@ -106,18 +106,22 @@ def export_file(
     def write_meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
-    every: list[tuple[Path | None, Kind, Callable[[Path], object]]] = [
-        (glb, Kind.FILE, lambda path: write_glb(path, moved, own)),
-        (usd, Kind.FILE, lambda path: write_usd(path, moved, own)),
-        (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
-        (trc, Kind.FILE, write_markers),
-        (mot, Kind.FILE, lambda path: write_mot(path, moved, own, model)),
-        (angles, Kind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
-        (joints, Kind.FILE, lambda path: write_joint_table(path, file, own.pose(moved).joints)),
-        (robot, Kind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
-        (smpl, Kind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
-        (ply, Kind.FOLDER, write_meshes),
-        (html, Kind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
+    every: list[tuple[Path | None, OutputKind, Callable[[Path], object]]] = [
+        (glb, OutputKind.FILE, lambda path: write_glb(path, moved, own)),
+        (usd, OutputKind.FILE, lambda path: write_usd(path, moved, own)),
+        (bvh, OutputKind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
+        (trc, OutputKind.FILE, write_markers),
+        (mot, OutputKind.FILE, lambda path: write_mot(path, moved, own, model)),
+        (angles, OutputKind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
+        (
+            joints,
+            OutputKind.FILE,
+            lambda path: write_joint_table(path, file, own.pose(moved).joints),
+        ),
+        (robot, OutputKind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
+        (smpl, OutputKind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
+        (ply, OutputKind.FOLDER, write_meshes),
+        (html, OutputKind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {

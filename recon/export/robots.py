@@ -15,7 +15,7 @@ from recon.core.skeleton import JOINTS
 from recon.export.skeleton import one_clip
 from recon.formats.replacing import save_arrays
 from recon.formats.smpl import load_smpl
-from recon.ingest.transfer import Transferred, align, carried, transfer
+from recon.ingest.transfer import TransferredMotion, align, carried, transfer
 
 FPS = 30.0
 """Frames per second that the loader goes on with; it takes frames of other rates apart."""
@@ -121,7 +121,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     return moved.replace(translation=moved.translation - down)
 
 
-def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Transferred:
+def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> TransferredMotion:
     """Write a motion in AMASS layout on a user's SMPL-family body; z up, metres.
 
     `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); those beyond the 22 of

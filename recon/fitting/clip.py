@@ -134,7 +134,7 @@ class ClipProblem:
         job = self.with_camera_scale()
         result = job.with_ground()
         assert result.estimate.scene.ground is not None
-        T = result.estimate.scene.ground.T_world_recording.detach().cpu()
+        T = result.estimate.scene.ground.T_world_recording.detach()
         return job._fitted(result, T, ground_known=False)
 
     def _in_recording(self, *, ground_known: bool) -> ClipFit:
@@ -207,13 +207,13 @@ class ClipProblem:
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
-    def stages(self, options: FitOptions, moved: frozenset[str]) -> Stages:
+    def stages(self, options: FitOptions, moved: frozenset[str], body: BodyModel) -> Stages:
         """The prior's stages, with a known shape, unknowns of the scene and further terms."""
         noise = min(noise.metres for noise in self.noises)
-        prior = prior_stages(options, noise, self.body)
+        prior = prior_stages(options, noise, body)
         known = options.shape_prior
-        of_shape = () if known is None else known.terms(self.body, noise)
-        terms = options.terms
+        of_shape = () if known is None else known.terms(body, noise)
+        terms = tuple(term.to(device=self.options.device) for term in options.terms)
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
@@ -242,8 +242,9 @@ class ClipProblem:
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
     ) -> Reconstruction:
-        """The whole clip, from a start, moving some of the scene.
+        """Fit the whole clip from an initial motion, optimising the unknowns `moved` of the scene.
 
+        It is minimised on the device of the options; the result is on the device of the data.
         Long clips find the scene in their first seconds and keep it.
         """
         run = solve
@@ -256,15 +257,12 @@ class ClipProblem:
             first = self.first_seconds()
             shorter = start.window(0, first.guess.motion.frames)
             scene, moved = first.fit(options, scene, shorter, moved).estimate.scene, frozenset()
-        return run(
-            self.observations,
-            self.stages(options, moved),
-            self.body,
-            scene=scene,
-            start=start,
-            weights=weights_of(self.noises),
-            watch=self.watch,
-        )
+        body = self.body.to(device=self.options.device)
+        found = run(
+            self.observations, self.stages(options, moved, body), body, scene=scene, start=start,
+            weights=weights_of(self.noises), watch=self.watch,
+        )  # fmt: skip
+        return found.on_device_of(self.body)
 
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, scaled about the camera to stand on the ground.
@@ -310,7 +308,7 @@ class ClipProblem:
         # imported here: only moving cameras need it
         from observations.camera_paths import with_unit
 
-        seen = view.camera.to_camera(there).detach().double().cpu().numpy()
+        seen = view.camera.to_camera(there).detach().double().numpy()
         found = with_unit(view, seen)
         moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
         if motion.frames == view.moments:
@@ -318,7 +316,7 @@ class ClipProblem:
         return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
 
     def with_ground(self) -> Reconstruction:
-        """The whole clip and its ground, found from the way people stand."""
+        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported here: in most clips the ground is known
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 

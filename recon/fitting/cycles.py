@@ -69,7 +69,7 @@ def moments_per_second(observations: Sequence[Sensor]) -> float:
 
 def seen_times(sensor: Sensor) -> Float[Tensor, " moments"]:
     """Times of frames with data in any clip, seconds, rounded to milliseconds."""
-    there = sensor.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
+    there = sensor.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
     return (sensor.start_time + there.double() / sensor.fps).mul(1000).round().div(1000)
 
 
@@ -113,7 +113,7 @@ class CycleClock:
 
 def seen_from_to(sensor: Sensor) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
     """Times of the first and last moment of each clip that show anything; infinite where none."""
-    there = sensor.shown.any(-1).cpu()
+    there = sensor.shown.any(-1)
     times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
 
@@ -230,8 +230,7 @@ def complete(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
             "terms out, or fit by another prior"
         )
-    device = body.template.device
-    seen = tuple(o.to(device=device) for o in in_space(observations))
+    seen = in_space(observations)
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
@@ -347,7 +346,7 @@ def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
     count = sensor.shown.sum(-1)
     typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
     first, last = seen_from_to(sensor)
-    rate = ((count > 0).sum(-1).cpu() - 1) / (last - first)
+    rate = ((count > 0).sum(-1) - 1) / (last - first)
     seen = rate.isfinite() & (rate > 0)
     often = float(rate[seen].median()) if bool(seen.any()) else sensor.fps
     worth = sensor.fps / max(often, REFERENCE_FPS)

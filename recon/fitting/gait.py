@@ -138,7 +138,7 @@ def joints_of_cycles(
         weight = _blending_weights(phase[inside])
         share[inside] += weight
         joints = body.pose(one.motion.at(motion.times[inside], motion.fps)).joints
-        total[inside] += weight[:, None, None] * joints.cpu()
+        total[inside] += weight[:, None, None] * joints
     told = share > _LEAST_SHARE
     joints = torch.where(told[:, None, None], total / share.clamp(min=1e-6)[:, None, None], 0.0)
     deviation = CYCLE_DEVIATION / share.clamp(min=_LEAST_SHARE, max=1.0).sqrt()

@@ -35,7 +35,7 @@ _MICROSECONDS = 6
 
 
 @dataclass(frozen=True)
-class Overlap(TensorStruct):
+class OverlapEnergy(TensorStruct):
     """½ Σ w |p - p̂|² of joints p from those p̂ of the neighbours, at 30 Hz; metres²."""
 
     joints: Float[Tensor, "*batch time 22 3"]
@@ -152,7 +152,9 @@ class LongRecording:
             size = math.ceil(len(alike) / math.ceil(len(alike) / AT_ONCE))
             yield from (alike[k : k + size] for k in range(0, len(alike), size))
 
-    def tie(self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel) -> Overlap:
+    def tie(
+        self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel
+    ) -> OverlapEnergy:
         """The energy that keeps a window near its finished neighbours where they overlap."""
         (start, stop), like = self.span(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
@@ -164,7 +166,7 @@ class LongRecording:
             joints[shared] = body.pose(motion.at(times[shared], fps)).joints
             later = smooth_ramp(times[shared], max(start, begins), min(stop, ends)).to(weight)
             weight[shared] = later if begins > start else 1 - later
-        return Overlap(joints, weight, fps)
+        return OverlapEnergy(joints, weight, fps)
 
 
 def _common_step(fps: float) -> int:

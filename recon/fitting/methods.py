@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # the shape of most people is unknown
+else:  # imported for type checkers only: the shape of most people is unknown
     from typing import Any as ShapePrior
 
 
@@ -119,6 +119,8 @@ class FitOptions:
     """What is known of the shape, where it is not held."""
     terms: tuple[Term, ...] = ()
     """Further energies, added in every stage that moves poses."""
+    device: str = "cpu"
+    """Where stages are minimised; everything before and after them is on the processor."""
 
     def __post_init__(self) -> None:
         """Refuse priors that depend on the height above the ground when there is no ground.

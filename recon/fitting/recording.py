@@ -123,7 +123,7 @@ def complete_recording(
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
-    joints = joints_of_cycles(kept, motion, body).to(device=body.template.device)
+    joints = joints_of_cycles(kept, motion, body)
     begun = motion.map(lambda tensor: tensor[None])
     again = replace(any_motion, noise=(*noise, None))
     second = fit_clip([*seen, joints], again, body, watch, start=begun)
@@ -157,7 +157,7 @@ def _one_cycle(
         return None
     cycles = loaded(prior.cycles, prior.cycle_weights, body)
     fit = complete(seen, replace(options, prior=cycles), body, watch)
-    motion = fit.result.clip(0).detach().to(device="cpu")
+    motion = fit.result.clip(0).detach()
     covered = [one for one in find_cycles(motion, SWING) if one.duration >= _COVERED * seconds]
     if not covered:
         return None
@@ -187,7 +187,7 @@ def _completed_gait(
     motion: Motion,
 ) -> list[list[CompletedCycle]]:
     """The cycles of every stretch of gait of a first fit, completed from the data."""
-    if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
+    if prior.cycles is None or not (found := find_cycles(motion)):
         return []
     cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
     seen = in_space(first.observations)

@@ -11,7 +11,7 @@ from recon.core.errors import ObservationError
 from recon.core.residuals import Noise
 from recon.method.reconstruction import Reconstruction
 from recon.method.sensor import Sensor
-from recon.method.stages import Compared
+from recon.method.stages import ComparedHypotheses
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def window(clip: Clip, start: float, stop: float) -> Clip:
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
     """Times of the frames of an observation that have data, seconds."""
-    moments = observation.shown[0].any(-1).nonzero()[:, 0].cpu().numpy()
+    moments = observation.shown[0].any(-1).nonzero()[:, 0].numpy()
     return observation.start_time + moments / observation.fps
 
 
@@ -108,7 +108,7 @@ class ClipFit:
     """Parts of a recording that was completed, in the order of time; none of other fits."""
 
     @property
-    def compared(self) -> tuple[Compared, ...]:
+    def compared(self) -> tuple[ComparedHypotheses, ...]:
         """The hypotheses that stages compared, stage by stage."""
         stages = [report.compared for report in self.result.reports]
         return tuple(one for one in stages if one is not None)

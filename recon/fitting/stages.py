@@ -26,14 +26,14 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
     """
     if options.completes:
         raise ReconError(
-            "this prior is of one whole cycle, for which beginnings are searched: call "
+            "this prior is of one whole gait cycle and needs a search for its start: call "
             "recon.fitting.cycles.complete, or `recon complete`"
         )
     method = checked_method(options.prior, options.method)
     prior = loaded(options.prior, options.weights, body)
     physics: tuple[Term, ...] = ()
     if options.physics != 0:
-        # few fits need it
+        # imported here: few fits have energies of physics
         from recon.physics.energies import physics_terms
 
         physics = physics_terms(noise, options.physics)
@@ -46,9 +46,13 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
 
 def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first one that has a prior; earlier ones only place the motion."""
-    first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
-    return tuple(stages[first:])
+    """The stages from the first one that has a prior; earlier ones only place the motion.
+
+    Where motions are proposed for hidden limbs, they are from there.
+    """
+    proposing = (k for k, one in enumerate(stages) if one.proposals is not None)
+    of_prior = (k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion))
+    return tuple(stages[next(proposing, next(of_prior, 0)) :])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
@@ -146,7 +150,7 @@ def with_physics(
     about twice as long with a part of the skin to compute, and because feet that stand wrongly in
     a first guess would be held there.
     """
-    # these terms have no Hessian; L-BFGS preconditioned by the others' stops too early
+    # these terms have no Hessian; L-BFGS with the Hessian of the other terms stops too early
     last = replace(stages[-1], name="physics", second_order=None, proposals=None)
     minimiser = replace(last.minimiser, max_iterations=iterations, scale=0.0)
     own = {term.name for term in terms}

@@ -109,11 +109,11 @@ def read_depth_images(
     saturated, clouds = list[bool](), list[np.ndarray]()
 
     def seen_depth(k: int) -> tuple[np.ndarray, np.ndarray]:
-        image = _depth(paths[k], camera)
+        image = _read_depth_image(paths[k], camera)
         saturated.append(bool((image == _SATURATED).any()))
         depth = np.where(image == _SATURATED, 0, image) * depth_scale
         seen = (depth > 0) & ~at_edge(depth)
-        return depth, seen if shapes is None else seen & _mask(shapes[k], depth.shape)
+        return depth, seen if shapes is None else seen & _read_mask(shapes[k], depth.shape)
 
     order = (0, len(paths) // 2, len(paths) - 1, *range(len(paths)))
     known = (float(np.median(depth[seen])) for depth, seen in map(seen_depth, order) if seen.any())
@@ -197,7 +197,7 @@ def _masks_of_images(paths: list[Path], masks: Path) -> list[Path]:
     return found
 
 
-def _depth(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "height width"]:
+def _read_depth_image(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "height width"]:
     image = read_png(path, camera.image_size)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise FormatError(
@@ -206,7 +206,7 @@ def _depth(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "height width
     return image
 
 
-def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+def _read_mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
     image = read_png(path)
     if image.ndim == 3:
         image = image[..., :3].max(-1)

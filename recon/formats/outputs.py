@@ -15,7 +15,7 @@ from recon.formats.replacing import clear_leftovers, temporary_path
 from recon.formats.reports import read_report
 
 
-class Kind(Enum):
+class OutputKind(Enum):
     """Kind of an output: a file or a folder, and where its report lies."""
 
     FILE = "a file with its report beside it, OUT.json"
@@ -29,7 +29,7 @@ class Output:
     """One file or folder that a command writes."""
 
     path: Path
-    kind: Kind = Kind.FILE
+    kind: OutputKind = OutputKind.FILE
     is_former: Callable[[Path], bool] | None = None
     """A test whether a folder with contents is a former run's, for a folder that is continued."""
     inside_input: bool = False
@@ -43,7 +43,7 @@ class Output:
     @property
     def is_folder(self) -> bool:
         """Whether the output is a folder."""
-        return self.kind in (Kind.FOLDER, Kind.CONTINUED)
+        return self.kind in (OutputKind.FOLDER, OutputKind.CONTINUED)
 
     @property
     def base(self) -> Path:
@@ -54,9 +54,9 @@ class Output:
     def report(self) -> Path | None:
         """The report, which lists the files that recon wrote; None for a continued folder."""
         places = {
-            Kind.FILE: self.real.parent / f"{self.real.name}.json",
-            Kind.REPORT: self.real,
-            Kind.FOLDER: self.real / "report.json",
+            OutputKind.FILE: self.real.parent / f"{self.real.name}.json",
+            OutputKind.REPORT: self.real,
+            OutputKind.FOLDER: self.real / "report.json",
         }
         return places.get(self.kind)
 
@@ -182,8 +182,8 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
     report = read_report(output.report)
     if report is None and output.report.exists() and not overwrite:
         raise FileExistsError(
-            f"{output.report} is there already and is no report of recon, or was changed "
-            f"since; move it away, write somewhere else, or replace it by --overwrite"
+            f"{output.report} exists, and recon did not write it or it was changed since; move it "
+            "away, write somewhere else, or replace it by --overwrite"
         )
     own: dict[str, str] = {}
     for name, path in _existing_files(output).items():
@@ -192,7 +192,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
             own[name] = checksum
         elif not overwrite:
             raise FileExistsError(
-                f"{path} is there already, and recon did not write it as it is (its checksum "
+                f"{path} exists, and recon did not write it or it was changed since (its checksum "
                 f"does not stand in {output.report.name}); write somewhere else, or replace it "
                 "by --overwrite"
             )

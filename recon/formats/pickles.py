@@ -49,7 +49,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
         content = kind(source, encoding="latin1").load()
         if array and isinstance(content, np.ndarray):
             content = content.tolist()
-    except _RefusedError as error:
+    except _ForbiddenNameError as error:
         raise FormatError(
             f"{path}: refusing to load {error}, which no body model and no list of poses "
             "contains; nothing in the file was run"
@@ -121,7 +121,7 @@ class _CompressedRows(_Inert):
         dense = np.zeros((lines, length))
         starts = np.asarray(self.state["indptr"], np.int64)
         if len(starts) != lines + 1 or starts[-1] != len(self.state["data"]):
-            raise FormatError(f"a sparse matrix of {lines} lines whose entries begin elsewhere")
+            raise FormatError(f"a sparse matrix of {lines} rows whose row pointers do not fit")
         line = np.repeat(np.arange(lines), np.diff(starts))
         columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
         np.add.at(dense, (line, columns), numbers)
@@ -179,7 +179,7 @@ def _storage(data: bytes) -> Any:
     import torch
 
     if data.startswith(b"PK"):
-        raise _RefusedError("a tensor in an archive, which torch never pickles")
+        raise _ForbiddenNameError("a tensor in an archive, which torch never pickles")
     return torch.load(BytesIO(data), map_location="cpu", weights_only=True)
 
 
@@ -192,7 +192,7 @@ def _tensor(
     del rest
     numbers = torch.empty(0, dtype=storage.dtype).set_(storage)
     if prod(shape) > len(numbers):
-        raise _RefusedError(f"a tensor of {shape} with {len(numbers)} numbers")
+        raise _ForbiddenNameError(f"a tensor of {shape} with {len(numbers)} numbers")
     return numbers.as_strided(shape, strides, offset).numpy()
 
 
@@ -203,7 +203,7 @@ class _JoblibArray(_Inert):
         """Read the array from the file, which is positioned behind the record."""
         shape, dtype = tuple(map(int, self.state["shape"])), self.state["dtype"]
         if not isinstance(dtype, np.dtype) or dtype.hasobject:
-            raise _RefusedError("an array of pickled objects")
+            raise _ForbiddenNameError("an array of pickled objects")
         MODEL_NUMBERS.check(prod(shape), "an array of joblib", "its shape")
         if self.state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])
@@ -243,7 +243,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
 """What pickles of body models and of arrays name, by module and name."""
 
 
-class _RefusedError(Exception):
+class _ForbiddenNameError(Exception):
     """A pickle names a class or function that is not allowed."""
 
 
@@ -252,7 +252,7 @@ class _Unpickler(pickle.Unpickler):
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
         if (module_name, global_name) not in _ALLOWED:
-            raise _RefusedError(f"{module_name}.{global_name}")
+            raise _ForbiddenNameError(f"{module_name}.{global_name}")
         return _ALLOWED[module_name, global_name]
 
 

@@ -27,7 +27,7 @@ of them takes memory."""
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedScans:
     """Scan files in the order of their times, each with a frame number."""
 
     files: list[Path]
@@ -40,7 +40,7 @@ class Timed:
     """What was assumed."""
 
 
-def timed(path: Path, files: list[Path]) -> Timed:
+def timed(path: Path, files: list[Path]) -> TimedScans:
     """Order scan files by the times in a table, which may name them in any order.
 
     Raises:
@@ -53,8 +53,8 @@ def timed(path: Path, files: list[Path]) -> Timed:
     if named and not np.array_equal(order, np.arange(len(files))):
         decisions.append(f"{path.name} has the files in another order than their names")
         files, times = [files[k] for k in order], times[order]
-    frames, fps, start = frames_of(times, path)
-    return Timed(
+    frames, fps, start = frame_numbers_of_times(times, path)
+    return TimedScans(
         files, frames, fps, start, [*decisions, *note_on_empty_frames(times, frames, fps)]
     )
 
@@ -81,7 +81,9 @@ def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files
     return np.array([float(row[0]) for row in rows]), False
 
 
-def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarray, float, float]:
+def frame_numbers_of_times(
+    times: Float[np.ndarray, " files"], path: Path
+) -> tuple[np.ndarray, float, float]:
     """Frame numbers for times in seconds, the frame rate and the first time.
 
     Where scans follow each other evenly but for dropped ones, that is their own clock; where not,
@@ -196,7 +198,7 @@ def settled_clock(
 
     Numbers that are close to each other stay as they are. Others are counted from the first one
     and by their greatest common divisor, which changes no time; where that does not help, their
-    times are put on an even clock as those of scans are (`frames_of`).
+    times are put on an even clock as those of scans are (`frame_numbers_of_times`).
 
     Raises:
         ValueError: when they lie on no clock, because of a long gap or because two are closer
@@ -210,7 +212,7 @@ def settled_clock(
     step = max(int(np.gcd.reduce(ticks)), 1)
     ticks, rate, start = ticks // step, fps / step, start_time + float(numbers[0]) / fps
     if not fits_memory(int(ticks[-1]) + 1, len(ticks)):
-        ticks, rate, _ = frames_of(ticks / rate, path)
+        ticks, rate, _ = frame_numbers_of_times(ticks / rate, path)
     FRAME_RATE.check(rate, path, "fps and frame")
     note = (
         f"frame numbers {numbers[0]} to {numbers[-1]} at {fps:g} Hz are those of a clock: "

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from recon.formats.outputs import Kind, Output, own_files, refuse_place
+from recon.formats.outputs import Output, OutputKind, own_files, refuse_place
 from recon.formats.replacing import file_checksum, temporary_path
 from recon.formats.reports import report_text
 
@@ -66,12 +66,12 @@ def writing_file(
 
 def write_report(path: Path, report: Mapping[str, Any], *, overwrite: bool = False) -> None:
     """Write a JSON file that is a result and its own report."""
-    with writing(Output(path, Kind.REPORT), report=report, overwrite=overwrite):
+    with writing(Output(path, OutputKind.REPORT), report=report, overwrite=overwrite):
         pass
 
 
 @dataclass(frozen=True)
-class _Stage:
+class _StagedOutput:
     """An output that is being prepared in a temporary folder."""
 
     output: Output
@@ -127,12 +127,12 @@ class _Stage:
 
 
 @contextmanager
-def _staged(output: Output) -> Iterator[_Stage]:
+def _staged(output: Output) -> Iterator[_StagedOutput]:
     real = output.real
     # an existing folder may be a mount point, which cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real
     beside.parent.mkdir(parents=True, exist_ok=True)
-    stage = _Stage(output, temporary_path(beside))
+    stage = _StagedOutput(output, temporary_path(beside))
     shutil.rmtree(stage.folder, ignore_errors=True)
     try:
         stage.folder.mkdir()
@@ -144,7 +144,7 @@ def _staged(output: Output) -> Iterator[_Stage]:
 
 
 @contextmanager
-def _named_as_asked(stages: Sequence[_Stage]) -> Iterator[None]:
+def _named_as_asked(stages: Sequence[_StagedOutput]) -> Iterator[None]:
     """Context whose errors name the output instead of its temporary path."""
     try:
         yield

@@ -177,7 +177,7 @@ def _stances_of_foot(feet: Feet, side: int) -> list[GaitStance]:
             found.append(GaitStance(SIDES[side], frame, after if then == "off" else None))
     if feet.bearing is None:
         return found
-    # stances without ground contact are no stances
+    # intervals in which the foot never bears weight are no stances
     bearing = feet.bearing[:, side]
     return [one for one in found if bool(bearing[list(one.frames(len(bearing)))].any())]
 

@@ -22,7 +22,7 @@ from recon.diagnosis.findings import Finding
 from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
 from recon.formats.motions import save_motion
-from recon.ingest.skeleton import Solved, solve
+from recon.ingest.skeleton import FittedSkeleton, solve
 from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed
 from recon.mocap.recording import SkeletonRecording
@@ -106,7 +106,7 @@ def convert_skeletons(
 
 def _conversion_of(
     recording: SkeletonRecording,
-    solved: Solved,
+    solved: FittedSkeleton,
     names: tuple[str, ...],
     body: BodyModel,
     soles: Soles,

@@ -24,7 +24,7 @@ _DAMPING = 1e-2
 
 
 @dataclass(frozen=True)
-class Calibrated(TensorStruct):
+class CalibratedFrames(TensorStruct):
     """The poses of some frames, with the shape and marker offsets that they share."""
 
     poses: Poses
@@ -34,7 +34,7 @@ class Calibrated(TensorStruct):
 
 
 @dataclass(frozen=True)
-class SubjectEnergies(Problem[Calibrated]):
+class SubjectEnergies(Problem[CalibratedFrames]):
     """Energies of poses, shape and marker offsets together.
 
     They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
@@ -71,19 +71,21 @@ class SubjectEnergies(Problem[Calibrated]):
         """The same energies for some of the frames."""
         return replace(self, poses=self.poses.frames(index))
 
-    def value(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
+    def value(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The total energy of poses, shape and marker offsets."""
         value, _ = self.of(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
         return self._total_energy(x, value).expand(len(rows), 1)
 
-    def _total_energy(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
+    def _total_energy(
+        self, x: CalibratedFrames, value: Float[Tensor, " frames"]
+    ) -> Float[Tensor, ""]:
         away = (x.offsets - self.nominal).square().sum(-1)
         common = self.stature * x.shape.square().sum() + 0.5 * self.stiffness @ away
         return value.double().sum() + len(value) * common.double()
 
     def moved(
-        self, x: Calibrated, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
-    ) -> Calibrated:
+        self, x: CalibratedFrames, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> CalibratedFrames:
         """The poses, shape and marker offsets after a step of each."""
         del rows
         count, poses, offsets = len(x.shape), len(self._frames), x.offsets
@@ -93,9 +95,9 @@ class SubjectEnergies(Problem[Calibrated]):
         if self.with_offsets:
             offsets = offsets + by_offsets.unflatten(-1, (-1, 3))
         rest = self.body.rest_joints(shape)
-        return Calibrated(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
+        return CalibratedFrames(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
 
-    def model(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Quadratic:
+    def model(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Quadratic:
         """Quadratic model of the energy, in which shape and offsets border the poses' blocks."""
         energies, poses = self.of(x.shape, x.offsets), x.poses
         value, gradient = energies.energies_and_gradients(poses, self._frames)
@@ -147,7 +149,7 @@ def calibrated(
     translation: Float[Tensor, "frames 3"],
     rotations: Float[Tensor, "frames 22 3 3"],
     sigma: float,
-) -> Calibrated:
+) -> CalibratedFrames:
     """Find poses, shape and marker offsets, starting at rough poses of the average body.
 
     Args:
@@ -164,11 +166,11 @@ def calibrated(
     rough = LevenbergMarquardt(tolerance=_ROUGH, damping=_DAMPING)
     poses = minimise_frames(average, average.poses_of(translation, rotations), rough).state
     few = torch.arange(0, len(translation), _EVERY)
-    state = Calibrated(poses[few], shape, energies.nominal)
+    state = CalibratedFrames(poses[few], shape, energies.nominal)
     state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
     state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
     of_subject = robust.of(state.shape, state.offsets)
     began = of_subject.poses_of(poses.translation, poses.rotations)
     poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
-    state = Calibrated(poses, state.shape, state.offsets)
+    state = CalibratedFrames(poses, state.shape, state.offsets)
     return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

@@ -18,7 +18,7 @@ from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.ingest.marker_calibration import Calibrated, SubjectEnergies, calibrated
+from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies, calibrated
 from recon.ingest.marker_frames import repaired_frames, solved_apart, solved_together
 from recon.ingest.marker_gaps import (
     interpolated,
@@ -166,7 +166,7 @@ def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -
     )
 
 
-def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> Calibrated:
+def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> CalibratedFrames:
     """Shape, marker offsets and poses of some frames, taken as independent of each other."""
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)

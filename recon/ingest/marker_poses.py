@@ -55,7 +55,7 @@ class Poses(TensorStruct):
 
 
 @dataclass(frozen=True)
-class Correctives(TensorStruct):
+class PoseBlendShapes(TensorStruct):
     """Pose-dependent displacements of the skin (pose blend shapes of SMPL bodies)."""
 
     directions: Float[Tensor, "189 columns"]
@@ -63,7 +63,7 @@ class Correctives(TensorStruct):
     weights: Float[Tensor, "points 22"]
 
     @classmethod
-    def of(cls, body: BodyModel, vertices: Int[Tensor, " points"]) -> "Correctives | None":
+    def of(cls, body: BodyModel, vertices: Int[Tensor, " points"]) -> "PoseBlendShapes | None":
         """The blend shapes of some vertices; None for a body without pose blend shapes."""
         if body.pose_directions is None:
             return None
@@ -103,7 +103,7 @@ class SkinPoints(TensorStruct):
 
     carried: CarriedPoints
     levers: Levers
-    correctives: Correctives | None
+    correctives: PoseBlendShapes | None
 
     @classmethod
     def of(
@@ -121,7 +121,7 @@ class SkinPoints(TensorStruct):
             place = carried.place.clone()
             place[torch.arange(len(eye)), body.weights[vertices].argmax(-1)] += offsets
             carried = replace(carried, place=place)
-        return cls(carried, Levers.of(carried), Correctives.of(body, vertices))
+        return cls(carried, Levers.of(carried), PoseBlendShapes.of(body, vertices))
 
     def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
         """Positions of the points in a pose; world, metres."""

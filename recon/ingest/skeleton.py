@@ -28,7 +28,7 @@ SOLVE_ITERATIONS = 90
 
 
 @dataclass(frozen=True)
-class Solved:
+class FittedSkeleton:
     """The motion of our body fitted to one recording."""
 
     motion: Motion
@@ -40,7 +40,7 @@ class Solved:
 
 def solve(
     recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
-) -> list[Solved]:
+) -> list[FittedSkeleton]:
     """Fit recordings with one frame rate as a batch of independent clips.
 
     Every frame begins with the recorded orientations, aligned to our bones, and is moved until
@@ -77,7 +77,7 @@ def solve(
         apart = (seen.predicted(estimate) - seen.positions).norm(dim=-1)
     found = estimate.motion.detach()
     return [
-        Solved(
+        FittedSkeleton(
             motion=found[row].window(0, len(f.positions)),
             residuals=apart[row, : len(f.positions)].mean(0),
             source_feet=f.positions[:, slice(*subject.skeleton.feet)],

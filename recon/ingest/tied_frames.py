@@ -89,7 +89,7 @@ class LevenbergMarquardt:
 
 
 @dataclass(frozen=True)
-class Minimised(Generic[S]):
+class MinimisedFrames(Generic[S]):
     """The result of a minimisation."""
 
     state: S
@@ -114,7 +114,7 @@ def minimise_frames(
     state: S,
     settings: LevenbergMarquardt,
     rows: Int[Tensor, " rows"] | None = None,
-) -> Minimised[S]:
+) -> MinimisedFrames[S]:
     """Minimise the energies of frames and of ties between them; their sum never rises.
 
     Args:
@@ -185,7 +185,7 @@ def minimise_frames(
         )
         rows = rows.nonzero()[:, 0]
         curvatures.recompute(energies, state, worn[torch.isin(worn, rows)], damping, 1)
-    return Minimised(state, value, between, converged, iterations, curvatures.count)
+    return MinimisedFrames(state, value, between, converged, iterations, curvatures.count)
 
 
 @dataclass

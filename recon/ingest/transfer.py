@@ -49,7 +49,7 @@ _LIMBS = tuple(
 
 
 @dataclass(frozen=True)
-class Aligned:
+class AlignedBody:
     """Shape and pose in which one body model matches another one at rest."""
 
     shape: Float[Tensor, " shape"]
@@ -72,7 +72,7 @@ class Aligned:
 
 def align(
     body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel, count: int | None = None
-) -> Aligned:
+) -> AlignedBody:
     """Find shape and pose in which the target's surface is nearest to a body at rest.
 
     Gauss-Newton over translation, turns and shape: first on the joints of the limbs, then on the
@@ -93,7 +93,7 @@ def align(
     state, _ = minimise(_Alignment(target, joints), state, _JOINT_OPTIONS)
     state, _ = minimise(_Alignment(target, met), state, _SURFACE_OPTIONS)
     turns = state[_TURNS].unflatten(0, (len(JOINTS), 3))
-    return Aligned(state[_TURNS.stop :], turns, state[:3])
+    return AlignedBody(state[_TURNS.stop :], turns, state[:3])
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ _JUDGED = 20
 
 
 @dataclass(frozen=True)
-class Transferred:
+class TransferredMotion:
     """A motion on another body, and the distance between the two surfaces."""
 
     motion: Motion
@@ -231,7 +231,7 @@ class Transferred:
     over the motion, metres."""
 
 
-def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
+def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> TransferredMotion:
     """Convert a motion of one body to another body, with shape coefficients of that body.
 
     Shape and rest pose are fitted to the first body's surface; then every frame's pose brings
@@ -252,10 +252,12 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
     rest = align(body, motion.shape, target)
     moved = _first_guess(motion, body, target, rest)
-    return Transferred(moved.to(dtype=dtype), _surface_distances(motion, body, moved, target))
+    return TransferredMotion(
+        moved.to(dtype=dtype), _surface_distances(motion, body, moved, target)
+    )
 
 
-def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned) -> Motion:
+def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody) -> Motion:
     vertices = torch.arange(0, len(target.template), max(1, len(target.template) // POINTS))
     there = target.pose(rest.motion()).points(vertices)[0].numpy()
     surface = body.rest_vertices(motion.shape).numpy()
@@ -289,7 +291,7 @@ def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
 
 
 def carried(
-    motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned
+    motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
     """Bone rotations and root of one body applied to the other, from the pose where both agree."""
     posed = body.pose(motion)

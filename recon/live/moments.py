@@ -122,7 +122,7 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:
         raise ObservationError(f"expected {sensor.fps:g} Hz as before, got {one.fps:g}")
-    before, after = sensor.marks, one.marks
+    before, after = sensor.point_ids, one.point_ids
     if before != after:
         raise ObservationError(
             f"the points changed: expected the {len(before)} former points in their order, got "

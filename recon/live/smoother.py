@@ -72,7 +72,7 @@ _SLOWED = 0.9
 
 
 @dataclass(frozen=True)
-class Smoothed:
+class SmoothedWindow:
     """The state after a push: the window, and the knowledge of the person's shape."""
 
     window: Window
@@ -92,7 +92,7 @@ class Smoothed:
         """Number of frames that are still optimised."""
         return self.seen[0].moments
 
-    def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "Smoothed":
+    def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "SmoothedWindow":
         """A window that has one frame more, and the oldest one less if there are more than `most`.
 
         Args:
@@ -115,14 +115,14 @@ class Smoothed:
             self, window=window, seen=data, knowledge=knowledge, learning=learning, equations=None
         )
 
-    def refined(self, steps: int) -> "Smoothed":
+    def refined(self, steps: int) -> "SmoothedWindow":
         """The window after at most `steps` damped Gauss-Newton steps."""
         refinement = _Refinement()
         options = replace(_OPTIONS, max_iterations=steps)
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
-    def stepped(self) -> "Smoothed":
+    def stepped(self) -> "SmoothedWindow":
         """The window after one Gauss-Newton step whose energy is not looked at.
 
         An evaluation of it would take a quarter of a push more, and a search for a shorter step
@@ -152,13 +152,13 @@ class Smoothed:
         return self.objective.weights.shape * self.objective.rate * self.active
 
 
-class _Refinement(Problem[Smoothed]):
+class _Refinement(Problem[SmoothedWindow]):
     """The energy of one window, in steps of its active frames and of the shape that is learned."""
 
     equations: Equations | None = None
     """Those of the last model."""
 
-    def model(self, x: Smoothed, rows: Int[Tensor, " rows"]) -> Quadratic:
+    def model(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Quadratic:
         """The energy to second order about the window."""
         found = self.equations = x.objective.equations(x.window, x.seen, x.learning)
         slope, corner = found.gradient_shape.sum(0), found.corner.sum(0)
@@ -173,8 +173,8 @@ class _Refinement(Problem[Smoothed]):
         )
 
     def moved(
-        self, x: Smoothed, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
-    ) -> Smoothed:
+        self, x: SmoothedWindow, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> SmoothedWindow:
         """The window and the body after a step."""
         del rows
         frames, shape = steps[0].tensor_split([x.active * VARIABLES])
@@ -184,7 +184,7 @@ class _Refinement(Problem[Smoothed]):
             objective = reshaped(objective, objective.shape + shape, x.seen)
         return replace(x, window=window, objective=objective)
 
-    def value(self, x: Smoothed, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
+    def value(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The energy."""
         value = x.objective.value(x.window, x.seen) + x.value_of_shape()
         return torch.full((len(rows), 1), value, dtype=torch.float64)

@@ -15,7 +15,7 @@ from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded
 from recon.live.moments import Moment, MomentLike, StreamSensors
-from recon.live.tracking import LiveEstimate, Person, Tracking
+from recon.live.tracking import KnownShape, LiveEstimate, Tracking
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS
 
@@ -86,7 +86,7 @@ class Stream:
         known = tuple(None if one is None else positive(one, "noise") for one in rows)
         self._noise = known if isinstance(noise, Sequence) else known[0]
         held = None if shape is None else shape_given(shape, self._body)
-        self._person = Person(held)
+        self._person = KnownShape(held)
         self._sensors = (
             None if template is None else self._checked_sensors(StreamSensors.of(template))
         )

@@ -10,7 +10,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined_in_time, with_moment, with_points_hidden
+from observations.moments import (
+    Tracker,
+    collapsed,
+    joined_in_time,
+    with_moment,
+    with_points_hidden,
+)
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -22,7 +28,7 @@ from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.live.moments import Moment, StreamSensors
 from recon.live.objective import Objective, Window
-from recon.live.smoother import ShapeKnowledge, Smoothed
+from recon.live.smoother import ShapeKnowledge, SmoothedWindow
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -81,7 +87,7 @@ class _FirstPoses(PosePrior):
 
 
 @dataclass(frozen=True)
-class Person:
+class KnownShape:
     """What is known of the person's shape before tracking begins."""
 
     shape: Float[Tensor, " shape"] | None = None
@@ -93,11 +99,11 @@ class Person:
 def first_window(
     moments: Sequence[Moment],
     noise: tuple[float | None, ...],
-    person: Person,
+    person: KnownShape,
     body: BodyModel,
     poses: PosePrior,
     prior: Prior[Any] | None,
-) -> Smoothed:
+) -> SmoothedWindow:
     """Fit the pose prior to consecutive moments; the first window of a stream.
 
     Raises:
@@ -133,7 +139,7 @@ def first_window(
         offsets=offsets,
         steps=steps,
     )
-    return Smoothed(
+    return SmoothedWindow(
         Window.of(motion.translation, motion.rotations, poses.density),
         objective,
         trackers,
@@ -166,14 +172,14 @@ class Tracking:
     sensors: StreamSensors
     lag: int
     noise: tuple[float | None, ...]
-    person: Person
+    person: KnownShape
     body: BodyModel
     poses: PosePrior
     prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""
-    smoothed: Smoothed | None = None
+    smoothed: SmoothedWindow | None = None
     times: list[float] = field(default_factory=list)
     """Seconds of every frame of the window."""
     final: int = 0
@@ -186,7 +192,7 @@ class Tracking:
         return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     @property
-    def _now(self) -> Smoothed:
+    def _now(self) -> SmoothedWindow:
         """The current window; only valid after the first motion was fitted."""
         assert self.smoothed is not None
         return self.smoothed
@@ -245,12 +251,12 @@ class Tracking:
             self.times.pop()
         return self._final_estimates(0)
 
-    def known(self) -> Person:
+    def known(self) -> KnownShape:
         """What is known of the person by now."""
         now = self.smoothed
         if now is None:
             return self.person
-        return Person(now.objective.shape, now.knowledge if now.learning else None)
+        return KnownShape(now.objective.shape, now.knowledge if now.learning else None)
 
     def _begin(self, findings: list[Finding]) -> bool:
         """Fit a first motion to the collected moments; returns whether there is one."""
@@ -298,7 +304,7 @@ class Tracking:
         self.smoothed = replace(after, seen=rows)
 
     def _without_outliers(
-        self, predicted: Smoothed, moment: Moment
+        self, predicted: SmoothedWindow, moment: Moment
     ) -> tuple[tuple[Tracker, ...], float]:
         """The frame without outliers, and the share of outliers."""
         if moment.empty:
@@ -309,7 +315,7 @@ class Tracking:
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):
             away = one.distances(points.of(orientations, joints))
-            bad = one.shown & (away > allowed)
+            bad = one.shown & ((away > allowed) | collapsed(one))
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.priors import PriorLike, stages_of
-from recon.method.protocols import Estimate
+from recon.method.protocols import Decoded, Estimate
 from recon.method.running import Hypotheses, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import StageReport, Stages, Watch
@@ -123,6 +124,20 @@ class Reconstruction:
             any(r.solution.termination[clip] is Termination.NONFINITE for r in self.reports)
             for clip in range(len(self.motion.translation))
         )
+
+    def on_device_of(self, body: BodyModel) -> "Reconstruction":
+        """The same with its estimate where its body is; stages stay where they were minimised."""
+        device, found = body.template.device, self.estimate.decoded
+        if device == found.motion.translation.device:
+            return self
+
+        def here(one: Any) -> Any:
+            return None if one is None else one.detach().to(device=device)
+
+        motion, scene = here(found.motion), here(self.estimate.scene)
+        energies = {name: here(one) for name, one in found.energies.items()}
+        decoded = Decoded(motion, energies, here(found.contacts), here(found.joints))
+        return replace(self, estimate=Estimate(decoded, body.pose(motion), scene))
 
     def clip(self, index: int) -> Motion:
         """One clip's motion without its batch axis and padding."""

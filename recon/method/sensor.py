@@ -87,8 +87,8 @@ class Sensor(TensorStruct):
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points dims"]:
         """The values of a posed body, in the world, in the frames of its motion."""
         raise NotImplementedError(
-            f"{type(self).__name__}: write predict(body), what it measures of a posed body, axes "
-            "(clips, time, points, dims)"
+            f"{type(self).__name__}: define predict(body): what the sensor would measure of a "
+            "posed body, axes (clips, time, points, dims)"
         )
 
     def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points dims"]:
@@ -98,7 +98,7 @@ class Sensor(TensorStruct):
     def expected(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """The values of an estimate in the recording, at the data's frames that it covers."""
+        """Predicted values, frame of the recording, at those frames of the data that it covers."""
         values = self.predicted(estimate)
         if self.vectors == "points":
             values = estimate.scene.to_recording(values)
@@ -143,7 +143,7 @@ class Sensor(TensorStruct):
             )
         if self.vectors != "numbers" and self.values.shape[-1] != 3:
             raise ObservationError(
-                f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; say "
+                f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; write "
                 'vectors = "numbers" where they are no vectors in space'
             )
         if not bool(self.values.isfinite().all()):
@@ -238,8 +238,8 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
-        """Share of the frames in which the sensor locates each joint.
+    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
+        """Whether the sensor locates each joint in each frame of the data.
 
         None where that is unknown.
         """

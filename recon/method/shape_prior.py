@@ -37,7 +37,8 @@ class ShapePrior:
             energy = _height_energy(body, self.mean, self.height, self.height_std)
             found.append(Term("height", energy, weight))
         if self.std is not None:
-            found.append(Term("known shape", _coefficient_energy(self.mean, self.std), weight))
+            energy = _coefficient_energy(self.mean.to(body.template), self.std)
+            found.append(Term("known shape", energy, weight))
         return tuple(found)
 
 
@@ -54,10 +55,11 @@ def _height_energy(
         tall = exact.height(at)
         (slope,) = torch.autograd.grad(tall, at)
     rest = float(tall.detach()) - float(slope @ at.detach()) - metres
+    slope = slope.to(body.template)
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
-        return 0.5 * ((shape @ slope.to(shape) + rest) / std).square() * _frames_at_30_hz(estimate)
+        return 0.5 * ((shape @ slope + rest) / std).square() * _frames_at_30_hz(estimate)
 
     return energy
 
@@ -67,7 +69,7 @@ def _coefficient_energy(mean: Float[Tensor, " shape"], std: float) -> Energy:
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
-        return 0.5 * ((shape - mean.to(shape)) / std).square().sum(-1) * _frames_at_30_hz(estimate)
+        return 0.5 * ((shape - mean) / std).square().sum(-1) * _frames_at_30_hz(estimate)
 
     return energy
 

@@ -4,8 +4,8 @@ Sums over frames are taken at 30 Hz whatever the motion's rate, so that publishe
 their meaning. Frames that do not exist count nothing.
 """
 
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -26,9 +26,13 @@ class Term:
 
     def rows(self, index: Tensor) -> "Term":
         """The term for some clips of the batch."""
-        if isinstance(self.energy, TensorStruct):
-            return Term(self.name, cast(Energy, self.energy[index]), self.weight)
-        return self
+        held = isinstance(self.energy, TensorStruct)
+        return replace(self, energy=cast(Any, self.energy)[index]) if held else self
+
+    def to(self, *, device: str) -> "Term":
+        """The term with the data of its energy on another device."""
+        held = isinstance(self.energy, TensorStruct)
+        return replace(self, energy=cast(Any, self.energy).to(device=device)) if held else self
 
 
 @dataclass(frozen=True)

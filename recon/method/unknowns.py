@@ -97,7 +97,10 @@ class Layout:
         tensors = unknowns.tensors()
         named = {path.removeprefix("variables."): path for path in tensors}
         if missing := set(free) - set(named):
-            raise ValueError(f"it frees {sorted(missing)}; there are {sorted(named)}")
+            raise ValueError(
+                f"a stage frees {sorted(missing)}, which are no variables; expected some of "
+                f"{sorted(named)}"
+            )
         paths = [path for name, path in named.items() if name in free]
         return cls(tuple(paths), tuple(tensors[path].shape[1:] for path in paths))
 

@@ -238,7 +238,7 @@ def _unit(
     if given is not None:
         return given, f"unit {given}: given"
     if declared is not None:
-        return declared, told.check_declared(declared, size, name)
+        return declared, told.reason_for_declared_unit(declared, size, name)
     return guess(size, name)
 
 

@@ -9,7 +9,7 @@ from recon.api.result import Result
 from recon.api.results import in_ten_lines, one_line
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import save_motion
-from recon.formats.outputs import Kind, Output
+from recon.formats.outputs import Output, OutputKind
 from recon.formats.reports import versions
 from recon.formats.writing import writing
 
@@ -108,7 +108,7 @@ class People:
         Raises:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
-        output = Output(Path(folder), Kind.FOLDER)
+        output = Output(Path(folder), OutputKind.FOLDER)
         said = self.report() if report is None else report
         with writing(output, report=said, overwrite=overwrite) as (staged,):
             for name, one in zip(self._names(), self.results, strict=True):

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from recon.body.contacts import rest_heights, touching_heights
 from recon.body.parts import GRAVITY
+from recon.core.arrays import constant
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -47,7 +48,7 @@ _FIRST, _SECOND = zip(*combinations_with_replacement(range(len(FEET)), 2), stric
 
 
 @dataclass(frozen=True)
-class Support(TensorStruct):
+class SupportEnergy(TensorStruct):
     """Energy of unobserved feet, one of which must support the body."""
 
     unseen: Bool[Tensor, "*batch"]
@@ -150,8 +151,9 @@ def _carried_weight(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
 def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     """½ (h² / σ_h² + v² / σ_v²) of height h and speed v of ankles and toes; nats."""
     posed, fps, span = estimate.body, estimate.motion.fps, _difference_step(estimate)
-    feet = posed.joints[..., FEET, :]
-    resting = touching_heights(rest_heights(posed.model, posed.shape))[..., FEET]
+    places = constant(FEET, posed.joints.device)
+    feet = posed.joints[..., places, :]
+    resting = touching_heights(rest_heights(posed.model, posed.shape))[..., places]
     height = inner_frames(feet, fps)[..., 2] - resting[..., None, :]
     speed = feet.diff(dim=-3).square().sum(-1) * fps**2
     frames = height.shape[-2]
@@ -163,15 +165,17 @@ def _energies_of_pairs(
     estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
 ) -> Float[Tensor, "*batch inner 10"]:
     """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of foot joints; nats."""
-    feet = inner_frames(estimate.body.joints[..., FEET, :2], estimate.motion.fps)
-    first, second = feet[..., _FIRST, :], feet[..., _SECOND, :]
+    one, other = (constant(side, unrest.device) for side in (_FIRST, _SECOND))
+    joints = estimate.body.joints[..., constant(FEET, unrest.device), :2]
+    feet = inner_frames(joints, estimate.motion.fps)
+    first, second = feet[..., one, :], feet[..., other, :]
     moving = average_dynamics(estimate.body, estimate.motion.fps)
     line, away = second - first, zmp(moving)[..., None, :] - first
     share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
     # plus a little, since the square root has no derivative at zero
     distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()
     beyond = (distance - REACH).clamp(min=0) / BALANCE
-    return unrest[..., _FIRST].maximum(unrest[..., _SECOND]) + 0.5 * beyond.square()
+    return unrest[..., one].maximum(unrest[..., other]) + 0.5 * beyond.square()
 
 
 def _summed_by_restless_joint(
@@ -179,7 +183,7 @@ def _summed_by_restless_joint(
 ) -> Float[Tensor, "inner 4"]:
     """Sum the pairs' weights by joint; a pair counts for its joint with the larger unrest."""
     first, second = (
-        unrest.new_tensor(side).long().expand(pairs.shape) for side in (_FIRST, _SECOND)
+        constant(side, unrest.device).expand(pairs.shape) for side in (_FIRST, _SECOND)
     )
     restless = torch.where(unrest.gather(-1, first) >= unrest.gather(-1, second), first, second)
     return torch.zeros_like(unrest).scatter_add(-1, restless, pairs)

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from recon.body.model import BodyModel
 from recon.core.arrays import geometries_given
-from recon.core.coordinates import missing_path
+from recon.core.coordinates import notes_on_missing_path
 from recon.core.motion import MotionFile
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import holds_motion, load_motion
@@ -31,7 +31,7 @@ def read(path: Any, **options: Any) -> Sensor | list[Sensor] | MotionFile:
     if not options and isinstance(path, Path | str) and holds_motion(path):
         file = load_motion(path)
         motion = file.motion
-        if said := missing_path(motion.translation.numpy(), motion.rotations.numpy()):
+        if said := notes_on_missing_path(motion.translation.numpy(), motion.rotations.numpy()):
             _LOG.warning("%s: %s", path, said)
         return file
     return load_observation(path, **options)

@@ -28,7 +28,7 @@ _LATER = ("camera_track", "mapping")
 
 
 @dataclass(frozen=True)
-class Input:
+class InputFiles:
     """A file or folder that was given, and the files that are read of it."""
 
     path: Path
@@ -52,31 +52,31 @@ class Input:
         return files_checksum(self.files, self.root or folder)
 
 
-def observation_input(path: Path) -> Input:
+def observation_input(path: Path) -> InputFiles:
     """The files that `recon.reading.clip.load_clip` reads of an observation.
 
     Of a folder these are its clouds with their table of times, else its depth images, else the
     files of keypoints; a video beside them is not read, however large it is.
     """
     if not path.is_dir():
-        return Input(path, (path,))
+        return InputFiles(path, (path,))
     if holds_sam3d_body(path):
-        return Input(path, _inside(path, (".npz",)))
+        return InputFiles(path, _inside(path, (".npz",)))
     if session := body_file(path):
         stamps = time_stamps(path)
-        return Input(path, (session, *([] if stamps is None else [stamps])))
+        return InputFiles(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:
             clouds, images = tuple(cloud_files(path)), _inside(path, _IMAGES)
             if clouds or images:
-                return Input(path, (*clouds, path / "times.csv") if clouds else images)
-            return Input(path, _keypoint_files(path))
+                return InputFiles(path, (*clouds, path / "times.csv") if clouds else images)
+            return InputFiles(path, _keypoint_files(path))
         views = () if project.detections is None else _keypoint_files(project.detections)
     except (ValueError, OSError):
-        return Input(path, ())  # unreadable: the fit raises the error
+        return InputFiles(path, ())  # unreadable: the fit raises the error
     points = [] if project.points is None else [project.points]
     every = tuple(one.resolve() for one in (*project.read, *points, *views))
-    return Input(path, every, Path(commonpath([path.resolve(), *every])))
+    return InputFiles(path, every, Path(commonpath([path.resolve(), *every])))
 
 
 def _keypoint_files(path: Path) -> tuple[Path, ...]:
@@ -85,29 +85,29 @@ def _keypoint_files(path: Path) -> tuple[Path, ...]:
     return tuple(file for one in views for file in (_inside(one, _KEYPOINTS) or (one,)))
 
 
-def camera_input(path: Path) -> Input:
+def camera_input(path: Path) -> InputFiles:
     """The files that `recon.formats.calibration.load_cameras` reads of a calibration."""
     pair = {"intri.yml", "extri.yml"}
     if path.is_dir() and (path / "intri.yml").is_file():
-        return Input(path, tuple(path / name for name in sorted(pair)))
+        return InputFiles(path, tuple(path / name for name in sorted(pair)))
     if path.is_dir():
-        return Input(path, _inside(path, _CALIBRATIONS))
+        return InputFiles(path, _inside(path, _CALIBRATIONS))
     if path.name.lower() in pair:
-        return Input(path, (path, path.with_name(*(pair - {path.name.lower()}))))
-    return Input(path, (path,))
+        return InputFiles(path, (path, path.with_name(*(pair - {path.name.lower()}))))
+    return InputFiles(path, (path,))
 
 
-def track_input(path: Path) -> Input:
+def track_input(path: Path) -> InputFiles:
     """The files of a camera track: COLMAP's text files, or the one file itself."""
     folder = path if path.is_dir() else path.parent
     if path.is_dir() or path.name == "images.txt":
-        return Input(path, tuple(folder / name for name in ("cameras.txt", "images.txt")))
-    return Input(path, (path,))
+        return InputFiles(path, tuple(folder / name for name in ("cameras.txt", "images.txt")))
+    return InputFiles(path, (path,))
 
 
-def masks_input(path: Path) -> Input:
+def masks_input(path: Path) -> InputFiles:
     """The files of silhouettes: the images of a folder, or the one file itself."""
-    return Input(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
+    return InputFiles(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
 
 
 def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
@@ -120,7 +120,7 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
     Raises:
         OSError, ValueError: when a file is there and cannot be read.
     """
-    found: list[Input] = []
+    found: list[InputFiles] = []
     for name, value in given.items():
         for one in value if isinstance(value, tuple | list) else (value,):
             path = Path(one) if isinstance(one, str) and Path(one).is_file() else one
@@ -130,12 +130,12 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
     return {str(one.path): one.checksum() for one in found}
 
 
-def _input_of(argument: str, path: Path) -> Input:
+def _input_of(argument: str, path: Path) -> InputFiles:
     """The files that a fit reads of the path that an argument gives."""
-    return _READ[argument](path) if argument in _READ else Input(path, (path,))
+    return _READ[argument](path) if argument in _READ else InputFiles(path, (path,))
 
 
-_READ: dict[str, Callable[[Path], Input]] = {
+_READ: dict[str, Callable[[Path], InputFiles]] = {
     "observations": observation_input,
     "motion": observation_input,
     "camera": camera_input,
@@ -193,7 +193,7 @@ def _weights_checksums(settings: FitSettings) -> list[str]:
     """Checksums of the prior's weights, and of those that every first guess needs."""
     names = dict.fromkeys([("open", FIRST), (settings.weights, settings.prior)])
     paths = [weights_path(name, kind) for name, kind in names]
-    return [Input(path, (path,)).checksum() for path in paths]
+    return [InputFiles(path, (path,)).checksum() for path in paths]
 
 
 def _code_checksum(class_place: str) -> str:

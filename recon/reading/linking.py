@@ -66,7 +66,7 @@ CERTAIN = 3.0
 
 
 @dataclass(frozen=True)
-class Links:
+class PersonLinks:
     """Which person every detection belongs to."""
 
     labels: Int[np.ndarray, " rows"]
@@ -142,7 +142,7 @@ def farthest(unseen_frames: int) -> float:
     return min(_GATE + _GATE_GROWTH * unseen_frames, _GATE_LIMIT)
 
 
-def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> Links:
+def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLinks:
     """Link detections over time: which person every detection belongs to.
 
     Args:
@@ -184,7 +184,7 @@ class _Linking:
             ]
         self.followed = self._best_distinct(after)
 
-    def links(self) -> Links:
+    def links(self) -> PersonLinks:
         """The best assignment; tracks that may be exchanged end there and new ones begin."""
         best, *others = self.followed
         for other in others:
@@ -207,7 +207,7 @@ class _Linking:
                     ended[fresh] = ended[name]
                 ended[name] = frame
                 fresh += 1
-        return Links(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
+        return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
     def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
         """The best of the detections of one person; as many as there are people at a place."""

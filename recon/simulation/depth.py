@@ -24,7 +24,7 @@ POINTS = 4096
 
 
 @dataclass(frozen=True)
-class Shown:
+class WatchedSurface:
     """The moving surface that a sensor watches, metres."""
 
     vertices: Float[torch.Tensor, "time vertices 3"]
@@ -32,13 +32,13 @@ class Shown:
     joints: Float[torch.Tensor, "time 22 3"]
 
     @classmethod
-    def of(cls, motion: Motion, body: BodyModel) -> "Shown":
+    def of(cls, motion: Motion, body: BodyModel) -> "WatchedSurface":
         """The surface of our body during a motion of one clip."""
         posed = body.pose(motion)
         return cls(posed.vertices, body.faces.cpu().numpy(), posed.joints)
 
 
-class Surface(IntEnum):
+class PixelSurface(IntEnum):
     """The kind of surface that a pixel shows: nothing, body, furniture or ground."""
 
     NOTHING = 0
@@ -90,9 +90,9 @@ def depth_points(
     *,
     sensor: DepthSensor | None = None,
     points: int = POINTS,
-    surfaces: tuple[Surface, ...] = (Surface.BODY,),
+    surfaces: tuple[PixelSurface, ...] = (PixelSurface.BODY,),
     furniture: FurnitureMesh | None = None,
-    shown: Shown | None = None,
+    shown: WatchedSurface | None = None,
 ) -> PointsFile:
     """Points that a depth sensor sees during one clip (no batch axis), in the world.
 
@@ -119,7 +119,7 @@ def depth_points(
     """
     sensor = DepthSensor() if sensor is None else sensor
     random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
-    shown = Shown.of(motion, body) if shown is None else shown
+    shown = WatchedSurface.of(motion, body) if shown is None else shown
     active = corruption.active(motion.times).tolist()
     there = torch.rand(motion.frames, generator=generator) >= corruption.missing_frames
     poses = camera.T_camera_world.expand(motion.frames, 4, 4)
@@ -176,7 +176,7 @@ def depth_image(
     box: tuple[Corner, Corner] | None,
     furniture: FurnitureMesh | None = None,
 ) -> tuple[Float[np.ndarray, "height width"], Int[np.ndarray, "height width"]]:
-    """True depth of every pixel, metres (0: nothing), and the `Surface` that it shows."""
+    """True depth of every pixel, metres (0: nothing), and the `PixelSurface` that it shows."""
     width, height = camera.image_size
     layers = [np.full((height, width), np.inf), _depth_of_mesh(vertices, faces, camera)]
     # world points at a depth of one metre on every pixel's ray

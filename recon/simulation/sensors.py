@@ -17,7 +17,7 @@ from recon.formats.observations import (
     PointsFile,
     PositionsFile,
 )
-from recon.simulation.depth import DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.depth import DepthSensor, PixelSurface, depth_points, without_pose
 from recon.simulation.images import cameras_around, keypoints2d, mean_heading
 from recon.simulation.points import (
     Corruption,
@@ -92,7 +92,8 @@ def check_apply(
         raise ReconError(f"furniture and left_over are options for depth, not for {kind}")
     if "furniture" in surface.left_over and not surface.furniture:
         raise ReconError(
-            "left_over: there is no furniture to leave over; give furniture, or leave this out"
+            "left_over: no furniture was given whose points could be left over; give furniture, "
+            "or leave left_over out"
         )
     clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset, **bare)
     if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
@@ -100,8 +101,8 @@ def check_apply(
     hides = corruption.hide_below is not None or corruption.hide_box is not None
     if corruption.during is not None and not hides:
         raise ReconError(
-            "during: says when things are hidden, but nothing is; hide what is below a height or "
-            "in a box, or leave during out"
+            "during: gives the time in which points are hidden, but none are; hide those below a "
+            "height or in a box, or leave during out"
         )
     if surface.points < 1:
         raise ReconError(f"points: expected one or more, got {surface.points}")
@@ -173,7 +174,7 @@ def _simulated_views(
             file = depth_points(
                 truth, _clothed_body(body, surface), camera, quiet, own,
                 sensor=sensor, points=surface.points,
-                surfaces=(Surface.BODY, *(_LEFT[name] for name in surface.left_over)),
+                surfaces=(PixelSurface.BODY, *(_LEFT[name] for name in surface.left_over)),
                 furniture=_furniture_around(truth, body, surface),
             )  # fmt: skip
         else:
@@ -184,7 +185,7 @@ def _simulated_views(
     return files
 
 
-_LEFT = {"ground": Surface.GROUND, "furniture": Surface.FURNITURE}
+_LEFT = {"ground": PixelSurface.GROUND, "furniture": PixelSurface.FURNITURE}
 
 
 def _furniture_around(

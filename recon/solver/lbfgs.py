@@ -17,12 +17,12 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
-from recon.solver.line_search import Wolfe
+from recon.solver.line_search import WolfeConditions
 from recon.solver.solution import Objective as Objective
 from recon.solver.solution import Progress as Progress
 from recon.solver.solution import Solution as Solution
 from recon.solver.solution import Termination as Termination
-from recon.solver.state import GOES_ON, REASONS, Active, Ledger
+from recon.solver.state import GOES_ON, REASONS, ActiveElements, BatchState
 
 
 @dataclass(frozen=True)
@@ -100,15 +100,15 @@ def _minimise(
     callback: Callable[[Progress], bool | None] | None,
 ) -> Solution:
     if len(start) == 0:
-        return Ledger.open(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
+        return BatchState.open(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
     every = torch.arange(len(start), device=start.device)
     values, gradient = _evaluate(objective, start, every)
     terms = values.double()
     value, largest = _to_host(terms.sum(-1), _largest_entry(gradient))
     resolution = max(torch.finfo(kind).eps for kind in (start.dtype, values.dtype))
-    wolfe = Wolfe(settings.c1, settings.c2, settings.max_line_search, resolution)
-    ledger = Ledger.open(start, terms)
-    active = Active.begin(
+    wolfe = WolfeConditions(settings.c1, settings.c2, settings.max_line_search, resolution)
+    ledger = BatchState.open(start, terms)
+    active = ActiveElements.begin(
         start, terms, gradient, value, largest, settings.history, settings.scaled
     )
     reason = _why_not_begin(settings, value, largest)

@@ -26,7 +26,7 @@ RETREAT = 0.25
 
 
 @dataclass(frozen=True)
-class Wolfe:
+class WolfeConditions:
     """The conditions of a good step, and the limits of the search for one."""
 
     c1: float
@@ -41,7 +41,7 @@ class Wolfe:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TrialOutcome:
     """The outcome of one trial for every element."""
 
     improved: Bool[np.ndarray, " active"]
@@ -111,8 +111,8 @@ class LineSearches:
         value: Float64[np.ndarray, " active"],
         slope: Float64[np.ndarray, " active"],
         origin_slope: Float64[np.ndarray, " active"],
-        wolfe: Wolfe,
-    ) -> Verdict:
+        wolfe: WolfeConditions,
+    ) -> TrialOutcome:
         """Update the brackets with phi and phi' at `step`, and choose the next `step`.
 
         A trial that is not finite counts as too long.
@@ -141,7 +141,7 @@ class LineSearches:
             np.isfinite(width), self._trial_in_bracket(width), self._trial_farther_out(before)
         )
         self.width_before, self.width = self.width, width
-        return Verdict(improved, finished, unmoved, unmoved & ~np.isfinite(self.high[1]))
+        return TrialOutcome(improved, finished, unmoved, unmoved & ~np.isfinite(self.high[1]))
 
     def _trial_in_bracket(
         self, width: Float64[np.ndarray, " active"]

@@ -16,7 +16,7 @@ GOES_ON = -1
 
 
 @dataclass
-class Active:
+class ActiveElements:
     """The elements still being worked on, one row each.
 
     `x` is where an element's line search began, `best` the lowest point it has found.
@@ -50,7 +50,7 @@ class Active:
         largest: Float64[np.ndarray, " active"],
         history: int,
         scaled: bool,
-    ) -> "Active":
+    ) -> "ActiveElements":
         """All elements, evaluated at their starts, with no direction chosen yet."""
         count = len(start)
         return cls(
@@ -131,7 +131,7 @@ class Active:
 
 
 @dataclass
-class Ledger:
+class BatchState:
     """The state of the whole batch, of active and of finished elements."""
 
     x: Float[Tensor, "batch n"]
@@ -146,7 +146,7 @@ class Ledger:
         cls,
         start: Float[Tensor, "batch n"],
         terms: Float64[Tensor, "batch terms"],
-    ) -> "Ledger":
+    ) -> "BatchState":
         """Every element at its start, having been evaluated once."""
         batch = len(start)
         return cls(
@@ -158,7 +158,7 @@ class Ledger:
             termination=[Termination.ITERATION_LIMIT] * batch,
         )
 
-    def step(self, active: Active, moved: Bool[np.ndarray, " active"]) -> None:
+    def step(self, active: ActiveElements, moved: Bool[np.ndarray, " active"]) -> None:
         """Record the new iterates of the elements that moved."""
         if not moved.any():
             return
@@ -171,7 +171,7 @@ class Ledger:
         iteration = torch.from_numpy(self.iterations[number]).to(rows.device)
         self.trace[active.element[rows], iteration] = active.best_terms[rows]
 
-    def close(self, active: Active, reason: Int64[np.ndarray, " active"]) -> None:
+    def close(self, active: ActiveElements, reason: Int64[np.ndarray, " active"]) -> None:
         """Enter the end of the elements that have a reason to end."""
         done = reason != GOES_ON
         if not done.any():
@@ -181,7 +181,7 @@ class Ledger:
         rows = active.indices(done)
         self.x[active.element[rows]] = active.best_x[rows]
 
-    def progress(self, active: Active, evaluations: int) -> Progress:
+    def progress(self, active: ActiveElements, evaluations: int) -> Progress:
         """A copy of the numbers, for a callback to keep."""
         return Progress(
             evaluations, active.number.copy(), self.iterations.copy(), self.value.copy()

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from recon.formats.replacing import replacing
-from recon.view.images import FRAME, Region, clip_region, close_ups, paint_view
+from recon.view.images import FRAME, ImageRegion, clip_region, close_ups, paint_view
 from recon.view.lettering import (
     PAPER,
     Picture,
@@ -32,7 +32,7 @@ MAP_SHARE = 0.13
 def write_png(
     path: str | Path, *shows: Show, frames: Sequence[int] | None = None, width: int | None = None
 ) -> None:
-    """Write a sheet of pictures: a row per show and per camera, a column per frame.
+    """Write a sheet of pictures: a row for the scene and for each camera, a column per frame.
 
     All scenes are seen from one place and share the longest legend. Images of cameras are
     squares around the people; a little map shows where in the image they lie.
@@ -160,7 +160,7 @@ def _write_camera_name(picture: Picture, view: View) -> None:
         write_corner_label(picture, f"median error {error:.1f} px")
 
 
-def _outline_of_image(picture: Picture, view: View, part: Region) -> None:
+def _outline_of_image(picture: Picture, view: View, part: ImageRegion) -> None:
     """Draw in the lower left corner which part of the camera's image is shown."""
     height, width = picture.shape[:2]
     size = np.array(view.camera.image_size, float)

@@ -45,7 +45,7 @@ LINE_PX = 2
 
 
 @dataclass(frozen=True)
-class Region:
+class ImageRegion:
     """A rectangle in the plane of an image, pixels; it may reach beyond the image."""
 
     left: float
@@ -65,13 +65,13 @@ class Region:
         return across, max(1, round(across * self.height / self.width))
 
 
-def whole_image(view: View) -> Region:
+def whole_image(view: View) -> ImageRegion:
     """The region of a camera's whole image."""
     width, height = view.camera.image_size
-    return Region(0.0, 0.0, float(width), float(height))
+    return ImageRegion(0.0, 0.0, float(width), float(height))
 
 
-def clip_region(show: Show, view: View) -> Region:
+def clip_region(show: Show, view: View) -> ImageRegion:
     """The part of a camera's image in which people are during the clip; same aspect ratio."""
     low, high, seen = _bounds_over_time(show, view)
     if not seen.any():
@@ -80,17 +80,17 @@ def clip_region(show: Show, view: View) -> Region:
     first, last = low[seen].min(0), high[seen].max(0)
     share = np.clip(((last - first) * (1 + 2 * MARGIN) / size).max(), SMALLEST, 1.0)
     left, top = np.clip((first + last - share * size) / 2, 0, (1 - share) * size)
-    return Region(float(left), float(top), *(share * size).tolist())
+    return ImageRegion(float(left), float(top), *(share * size).tolist())
 
 
-def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[Region]:
+def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
     """Squares of one size around the people in some frames."""
     low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)
     side = (high - low)[seen].max() * (1 + 2 * MARGIN) if seen.any() else size.max()
     side = float(np.clip(side, SMALLEST * size[0], size.max()))
     middles = np.where(seen[:, None], (low + high) / 2, size / 2)
-    return [Region(x - side / 2, y - side / 2, side, side) for x, y in middles.tolist()]
+    return [ImageRegion(x - side / 2, y - side / 2, side, side) for x, y in middles.tolist()]
 
 
 def drawable(
@@ -127,7 +127,7 @@ def _bounds_over_time(
     return low.numpy(), high.numpy(), seen.numpy()
 
 
-def paint_view(show: Show, view: View, frame: int, part: Region, across: int) -> Picture:
+def paint_view(show: Show, view: View, frame: int, part: ImageRegion, across: int) -> Picture:
     """Draw a region of a camera's image in one frame, `across` pixels wide; no photograph.
 
     Paper lies around the image; what is drawn on it the camera could not see.
@@ -153,7 +153,7 @@ def paint_view(show: Show, view: View, frame: int, part: Region, across: int) ->
 
 
 def _paint_body(
-    figure: Figure, camera: Camera, frame: int, part: Region, image: np.ndarray
+    figure: Figure, camera: Camera, frame: int, part: ImageRegion, image: np.ndarray
 ) -> None:
     """Paint the body's surface as the camera sees it, lit from the camera."""
     points = figure.posed.vertices[frame].double()
@@ -172,7 +172,7 @@ def _paint_body(
 
 
 def _paint_points(
-    view: View, pixels: Float[Tensor, "points 2"], frame: int, part: Region, picture: Picture
+    view: View, pixels: Float[Tensor, "points 2"], frame: int, part: ImageRegion, picture: Picture
 ) -> None:
     """Paint detected points, the body's points, and lines between them."""
     width = picture.shape[1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import missing_path
+from recon.core.coordinates import notes_on_missing_path
 from recon.core.hands import right_handed
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
@@ -130,7 +130,7 @@ def _describe_project(project: Project) -> dict[str, Any]:
 def _describe_motion(path: Path) -> dict[str, Any]:
     file = load_motion(path)
     motion = file.motion
-    still = missing_path(motion.translation.numpy(), motion.rotations.numpy())
+    still = notes_on_missing_path(motion.translation.numpy(), motion.rotations.numpy())
     return {
         "format": "motion (AMASS .npz)",
         "frames": motion.frames,
@@ -269,7 +269,7 @@ def _describe_estimate(path: Path, up: Up | None) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path, up=up)
-    still = missing_path(found.translation[found.known], found.rotations[found.known])
+    still = notes_on_missing_path(found.translation[found.known], found.rotations[found.known])
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),

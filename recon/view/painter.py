@@ -172,7 +172,7 @@ def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height 
         for figure, mesh in zip(show.figures, bodies, strict=True)
     ]
     surfaces.sort(key=lambda surface: -surface.front)
-    surfaces += [*_lit_points(show, frame, view), *_pyramids(show, frame, view)]
+    surfaces += [*_lit_points(show, frame, view), *_camera_pyramids(show, frame, view)]
     left, top, right, bottom = _bounding_box(np.concatenate([s.vertices for s in surfaces]), view)
     if right > left and bottom > top:
         # supersample only the rectangle that bodies cover
@@ -250,19 +250,21 @@ def _lit_points(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
         for figure in show.figures:
             if figure.joint_std is not None:
                 joints, radii = figure.posed.joints[frame], figure.joint_std[frame].cpu().numpy()
-                found.append(_balls(joints, radii, CERTAINTY, view, HALO, HALO))
+                found.append(_lit_spheres(joints, radii, CERTAINTY, view, HALO, HALO))
     if show.cloud is not None:
         cloud = thinned(show.cloud[frame], CLOUD_LIMIT)
-        found.append(_balls(cloud, GRAIN_M, CLOUD, view, 1.0, 0.12))
+        found.append(_lit_spheres(cloud, GRAIN_M, CLOUD, view, 1.0, 0.12))
     if (points := show.points) is not None:
         seen = points.visible[frame]
-        found.append(_balls(points.positions[frame][seen], points.radius, VISIBLE, view))
+        found.append(_lit_spheres(points.positions[frame][seen], points.radius, VISIBLE, view))
         if points.estimated is not None:
-            found.append(_balls(points.estimated[frame][~seen], points.radius, MISSING, view))
+            found.append(
+                _lit_spheres(points.estimated[frame][~seen], points.radius, MISSING, view)
+            )
     return found
 
 
-def _balls(
+def _lit_spheres(
     centres: Float[Tensor, "balls 3"],
     radii: float | Float[np.ndarray, " balls"],
     colour: Colour,
@@ -279,10 +281,10 @@ def _balls(
     radii = np.maximum(radii, SMALLEST_PX * depth / (SUPERSAMPLING * view.focal))
     vertices = places[:, None] + radii[:, None, None] * ball.vertices
     light = linear_light(colour) * (0.45 + 0.7 * direction_to_lamp)[:, None]
-    return _copies(vertices, ball.faces, light[None], opacity_in_front, opacity_behind)
+    return _copies_of_mesh(vertices, ball.faces, light[None], opacity_in_front, opacity_behind)
 
 
-def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
+def _camera_pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
     """Cameras as pyramids of thin rods, faint where a surface hides them."""
     found: list[LitSurface] = []
     for camera in show.cameras:
@@ -292,11 +294,11 @@ def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
         rods = [trimesh.creation.cylinder(radius, sections=6, segment=line) for line in lines]
         vertices = np.stack([rod.vertices for rod in rods])
         light = np.broadcast_to(linear_light(CAMERA), vertices.shape)
-        found.append(_copies(vertices, rods[0].faces, light, opacity_behind=0.2))
+        found.append(_copies_of_mesh(vertices, rods[0].faces, light, opacity_behind=0.2))
     return found
 
 
-def _copies(
+def _copies_of_mesh(
     vertices: Float[np.ndarray, "copies vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     light: Float[np.ndarray, "#copies vertices 3"],

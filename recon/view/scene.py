@@ -66,8 +66,8 @@ class Figure:
             )
         if motion.frames == 0 or not bool(motion.valid.all()):
             raise ValueError(
-                f"figure {self.name!r} needs valid frames only, "
-                f"{int(motion.valid.sum())} of {motion.frames} do; cut the padding with window"
+                f"figure {self.name!r} needs valid frames alone, got "
+                f"{int(motion.valid.sum())} of {motion.frames}; cut the padding with window"
             )
         if not 0 < self.opacity <= 1:
             raise ValueError(f"opacity must lie in (0, 1], got {self.opacity}")

@@ -16,7 +16,7 @@ from recon.core.camera import depth_camera, looking
 from recon.core.errors import ReconError
 from recon.formats.calibration import load_cameras
 from recon.formats.observations import PointsFile, load_observation, save_observation
-from recon.simulation.depth import Surface, depth_points
+from recon.simulation.depth import PixelSurface, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import furnished
 from tests.walking import a_walk
@@ -37,7 +37,7 @@ def filmed() -> tuple[list[PointsFile], list[np.ndarray]]:
         camera = depth_camera().replace(T_camera_world=T.float())
         seen = depth_points(
             motion, body, camera, Corruption(), k, points=12_000, furniture=things,
-            surfaces=(Surface.BODY, Surface.GROUND, Surface.FURNITURE),
+            surfaces=(PixelSurface.BODY, PixelSurface.GROUND, PixelSurface.FURNITURE),
         )  # fmt: skip
         T = np.asarray(seen.camera.T_camera_world[0], np.float64)
         lens = replace(seen.camera, T_camera_world=None)

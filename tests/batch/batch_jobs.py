@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.batch.batch import Job, fit_all, fit_one, is_done
+from recon.batch.batch import FitJob, fit_all, fit_one, is_done
 from recon.batch.workers import attempt
 from recon.batch.worklog import Record, read_manifest
 from recon.fitting.settings import FitSettings
@@ -77,7 +77,7 @@ WAYS = {
 """What a clip of such a name does, and how the log has it."""
 
 
-def sum_one(job: Job) -> Record:
+def sum_one(job: FitJob) -> Record:
     """Write the sum of the first observation, slowly; or go wrong as the clip is called."""
     if job.clip.name in WAYS:
         WAYS[job.clip.name][0]()
@@ -91,7 +91,7 @@ def sum_one(job: Job) -> Record:
     return record | {"status": "ok", "key": key, "checksum": file_checksum(job.target)}
 
 
-def fit_or_go_wrong(job: Job) -> Record:
+def fit_or_go_wrong(job: FitJob) -> Record:
     """A real fit; or go wrong as the clip is called."""
     if job.clip.name in WAYS:
         WAYS[job.clip.name][0]()

@@ -61,7 +61,7 @@ def test_what_is_no_subject_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"line 1: expected a name as subject, got \['x'\]"):
         read_manifest(path)
     clips = read_manifest(written(tmp_path, {"a": "anna"}))
-    with pytest.raises(ValueError, match="shapes of their own"):
+    with pytest.raises(ValueError, match="finds one for each gait cycle"):
         subjects.shapes_of_subjects(clips, FitSettings(prior="anchor"), 1, tmp_path / "l", "")
 
 
@@ -69,5 +69,5 @@ def test_the_first_look_at_shapes_has_a_method_of_its_own(tmp_path):
     """The pose prior, which is fitted in one way only, would refuse the batch's method."""
     clip = read_manifest(written(tmp_path, {"a": "anna"}))[0]
     settings = FitSettings(method="rollout")
-    found = subjects.estimate_shape(subjects.Job(clip, tmp_path, settings, "checksum", {}))
+    found = subjects.estimate_shape(subjects.FitJob(clip, tmp_path, settings, "checksum", {}))
     assert len(found["shape"]) > 0

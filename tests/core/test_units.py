@@ -7,8 +7,8 @@ import pytest
 
 from recon.core.coordinates import (
     along_body,
-    check_declared,
     decide_up,
+    reason_for_declared_unit,
     settled_up,
     surely_up,
     unit_from_bones,
@@ -48,8 +48,8 @@ def test_markers_between_two_units_are_refused() -> None:
 
 def test_a_declared_unit_that_makes_a_dwarf_is_refused() -> None:
     with pytest.raises(ValueError, match="--unit"):
-        check_declared("mm", 1.7, "clip")
-    assert "stated" in check_declared("mm", 1700.0, "clip")
+        reason_for_declared_unit("mm", 1.7, "clip")
+    assert "stated" in reason_for_declared_unit("mm", 1700.0, "clip")
 
 
 def test_an_unknown_unit_is_refused_with_the_known_ones() -> None:

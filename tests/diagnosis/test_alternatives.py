@@ -15,7 +15,7 @@ from recon.diagnosis.doubts import alternatives
 from recon.fitting.records import ClipFit
 from recon.method.free import FreeMotion
 from recon.method.reconstruction import solve
-from recon.method.stages import Compared, Stage
+from recon.method.stages import ComparedHypotheses, Stage
 from recon.solver.lbfgs import LBFGS
 from tests import laws
 
@@ -96,7 +96,7 @@ def test_hypotheses_that_came_to_the_same_motion_are_none(body):
 def test_a_hypothesis_that_is_not_finite_is_no_alternative(body):
     truth = laws.a_motion(body, clips=1, frames=FRAMES)
     rows = concatenate([truth, turned(truth, 90.0), turned(truth, 180.0)])
-    compared = Compared(
+    compared = ComparedHypotheses(
         torch.zeros(3, dtype=torch.long),
         torch.tensor([1.0, torch.nan, 1.5]),
         torch.tensor([True, False, False]),

@@ -8,7 +8,7 @@ import torch
 
 import recon
 from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
-from recon.diagnosis.examination import Examined, checked
+from recon.diagnosis.examination import ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
 from recon.simulation.points import Corruption, joints3d
 from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed
@@ -39,7 +39,7 @@ def test_every_check_says_what_it_does_and_of_which_sensors():
 
 
 def test_a_caller_chooses_checks_and_adds_own():
-    def mine(clip: Examined) -> tuple[Examined, Findings]:
+    def mine(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         said = Finding("gap", f"{clip.names[0]} lasts {clip.motion.frames} frames")
         return clip, Findings(warnings=(said,))
 

@@ -13,8 +13,8 @@ from recon.core.skeleton import JOINTS, LEGS
 from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 from recon.diagnosis.certainty import certainty
 from recon.diagnosis.checks import guessed, other_motions
-from recon.diagnosis.doubts import Alternative
-from recon.diagnosis.examination import Examined
+from recon.diagnosis.doubts import AlternativeMotion
+from recon.diagnosis.examination import ExaminedClip
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
@@ -65,9 +65,9 @@ def std_of(legs: float, rest: float = 0.02) -> np.ndarray:
     return std
 
 
-def clip_of(**known: Any) -> Examined:
+def clip_of(**known: Any) -> ExaminedClip:
     """An examined clip of which only this is known."""
-    clip = object.__new__(Examined)
+    clip = object.__new__(ExaminedClip)
     vars(clip).update(known)
     return clip
 
@@ -93,11 +93,11 @@ def test_limbs_that_nothing_holds_are_said_to_be_guessed():
     assert guesses(std_of(0.2), brief) == ()
 
 
-def other(energy: float) -> Alternative:
-    return Alternative("heading", 180.0, 0.4, energy, 1.0)
+def other(energy: float) -> AlternativeMotion:
+    return AlternativeMotion("heading", 180.0, 0.4, energy, 1.0)
 
 
-def undecided(alternatives: Sequence[Alternative]) -> Sequence[Finding]:
+def undecided(alternatives: Sequence[AlternativeMotion]) -> Sequence[Finding]:
     """What is said of these other motions."""
     return other_motions(clip_of(alternatives=alternatives))[1].warnings
 
@@ -108,7 +108,7 @@ def test_another_motion_is_said_where_it_is_nearly_as_likely():
     assert "facing 180 degrees elsewhere" in found.message
     assert "and 1 more" in found.message
     assert undecided([other(1.3)]) == ()
-    rough = Alternative("posture", 3.0, 0.08, 1.05, 1.0)
+    rough = AlternativeMotion("posture", 3.0, 0.08, 1.05, 1.0)
     assert undecided([rough]) == ()
     assert len(undecided([replace(rough, distance=0.3)])) == 1
     assert undecided([]) == ()

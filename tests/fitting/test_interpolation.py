@@ -147,7 +147,7 @@ def test_bad_input_is_named(weights, body, tmp_path):
     out = tmp_path / "out.npz"
     with pytest.raises(ValueError, match=r"standing\.npz: found no cycle"):
         report_of("interpolate", out, a=good, b=bad, weights=weights)
-    with pytest.raises(ValueError, match="at: lies between 0"):
+    with pytest.raises(ValueError, match="at: expected a number from 0"):
         report_of("interpolate", out, a=good, b=good, at=1.5, weights=weights)
     with pytest.raises(ValueError, match="fps: expected"):
         report_of("interpolate", out, a=good, b=good, weights=weights, fps=0.0)

@@ -11,7 +11,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.fitting import long
 from recon.fitting.long import fit_long
-from recon.fitting.long_recording import LongRecording, Overlap
+from recon.fitting.long_recording import LongRecording, OverlapEnergy
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
@@ -222,7 +222,7 @@ def test_a_window_that_fails_is_named_and_the_others_go_on(toy_body):
 def test_the_tie_is_an_energy(toy_body):
     motion = laws.a_motion(toy_body, frames=8)
     weight = torch.linspace(0, 1, 8, dtype=torch.float64).expand(2, 8).clone()
-    tie = Overlap(toy_body.pose(motion).joints, weight, 30.0)
+    tie = OverlapEnergy(toy_body.pose(motion).joints, weight, 30.0)
     laws.check_energy(tie, toy_body, motion, motion)
     away = laws.estimate_of(toy_body, motion.replace(translation=motion.translation + 0.01))
     assert torch.allclose(tie(away), 0.5 * 22 * 3 * 0.01**2 * weight.sum(-1))

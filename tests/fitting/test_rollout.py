@@ -7,7 +7,7 @@ import pytest
 import recon
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.humor.shooting import Schedule, Shooting
+from priors.humor.shooting import IterationSchedule, Shooting
 from priors.pose.prior import PosePrior
 from recon.core.errors import ReconError
 from recon.fitting.methods import FitOptions
@@ -55,7 +55,7 @@ class Hurried:
 
     def stages(self, data) -> tuple[Stage, ...]:
         method = Shooting.for_noise(Humor.load(), 0.02)
-        brief = dataclasses.replace(method, schedule=Schedule(all=self.iterations))
+        brief = dataclasses.replace(method, schedule=IterationSchedule(all=self.iterations))
         return tuple(
             dataclasses.replace(
                 stage,

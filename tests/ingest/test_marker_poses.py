@@ -17,7 +17,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import geman_mcclure
 from recon.core.scene import Scene
-from recon.ingest.marker_calibration import Calibrated, SubjectEnergies
+from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies
 from recon.ingest.marker_fit import (
     GROUND_WEIGHT,
     OUTLIER,
@@ -170,7 +170,7 @@ def test_equations_of_the_subject(body: BodyModel) -> None:
         body, vertices, soles, nominal_offsets(body, vertices.tolist()),
         random(len(vertices)).square(), 0.1, replace(poses, weight=1.0), with_offsets=True,
     )  # fmt: skip
-    state = Calibrated(
+    state = CalibratedFrames(
         energies.of(motion.shape, offsets).poses_of(motion.translation, motion.rotations),
         motion.shape, offsets,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from recon import cli
 from recon.cli import listing as verbs
 from recon.cli.places import declared
-from recon.formats.outputs import Kind
+from recon.formats.outputs import OutputKind
 from training.__main__ import train
 
 
@@ -21,7 +21,7 @@ class Case:
     verb: str
     output: str
     arguments: tuple[str, ...]
-    kind: Kind = Kind.FILE
+    kind: OutputKind = OutputKind.FILE
 
     @property
     def suffix(self) -> str:
@@ -38,24 +38,26 @@ class Case:
 
 
 CASES = (
-    Case("demo", "out", ("--out", "OUT"), Kind.FOLDER),
+    Case("demo", "out", ("--out", "OUT"), OutputKind.FOLDER),
     Case("fit", "out", ("IN.npz", "--out", "OUT")),
     Case("complete", "out", ("IN.npz", "--out", "OUT")),
-    Case("batch", "out", ("IN.jsonl", "--out", "OUT"), Kind.CONTINUED),
+    Case("batch", "out", ("IN.jsonl", "--out", "OUT"), OutputKind.CONTINUED),
     Case("convert", "out", ("IN.trc", "OUT")),
-    Case("convert-all", "out", ("IN.folder", "OUT"), Kind.CONTINUED),
-    Case("fit-all", "out", ("IN.json", "--out", "OUT"), Kind.FOLDER),
+    Case("convert-all", "out", ("IN.folder", "OUT"), OutputKind.CONTINUED),
+    Case("fit-all", "out", ("IN.json", "--out", "OUT"), OutputKind.FOLDER),
     Case("sample", "out", ("--out", "OUT.npz", "--weights", "IN.npz")),
-    Case("sample", "out", ("--out", "OUT", "--count", "2", "--weights", "IN.npz"), Kind.FOLDER),
+    Case(
+        "sample", "out", ("--out", "OUT", "--count", "2", "--weights", "IN.npz"), OutputKind.FOLDER
+    ),
     Case("predict", "out", ("IN.npz", "--out", "OUT.npz")),
-    Case("predict", "out", ("IN.npz", "--out", "OUT", "--samples", "2"), Kind.FOLDER),
-    Case("register", "out", ("IN.npz", "other.npz", "--out", "OUT"), Kind.FOLDER),
+    Case("predict", "out", ("IN.npz", "--out", "OUT", "--samples", "2"), OutputKind.FOLDER),
+    Case("register", "out", ("IN.npz", "other.npz", "--out", "OUT"), OutputKind.FOLDER),
     Case("interpolate", "out", ("other.npz", "IN.npz", "--out", "OUT")),
     Case("refine", "out", ("IN.npz", "--out", "OUT", "--prior", "pose")),
     Case("retarget", "out", ("IN.npz", "--out", "OUT", "--shape", "0")),
     Case("simulate", "out", ("IN.npz", "OUT.npz", "--kind", "joints3d")),
-    Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),
-    Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), Kind.REPORT),
+    Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), OutputKind.FOLDER),
+    Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), OutputKind.REPORT),
     Case("report", "out", ("IN.trc", "--out", "OUT.html")),
     *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4", "rrd")),
     *(
@@ -64,9 +66,9 @@ CASES = (
     ),
     Case("export", "robot", ("IN.npz", "--robot", "OUT", "--smplx", "other.npz")),
     Case("export", "smpl", ("IN.npz", "--smpl", "OUT", "--onto", "other.npz")),
-    Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
-    Case("bench", "json", ("gap", "--splits", "IN.npz", "--json", "OUT"), Kind.REPORT),
-    Case("bench", "write", ("gap", "--splits", "IN.npz", "--write", "OUT"), Kind.FOLDER),
+    Case("export", "ply", ("IN.npz", "--ply", "OUT"), OutputKind.FOLDER),
+    Case("bench", "json", ("gap", "--splits", "IN.npz", "--json", "OUT"), OutputKind.REPORT),
+    Case("bench", "write", ("gap", "--splits", "IN.npz", "--write", "OUT"), OutputKind.FOLDER),
 )
 """Every output that any verb declares."""
 
@@ -94,14 +96,14 @@ def place(tmp_path: Path) -> Path:
 
 def an_input(case: Case, place: Path) -> tuple[Path, str]:
     given = next(place / "in" / one for one in case.arguments if one.startswith("IN"))
-    if case.kind in (Kind.FOLDER, Kind.CONTINUED) and given.is_file():
+    if case.kind in (OutputKind.FOLDER, OutputKind.CONTINUED) and given.is_file():
         return place / "in", "holds the input"
     return given, "is the input"
 
 
 def a_folder(case: Case, place: Path) -> tuple[Path, str]:
     out = place / f"out{case.suffix}"
-    if case.kind in (Kind.FOLDER, Kind.CONTINUED):
+    if case.kind in (OutputKind.FOLDER, OutputKind.CONTINUED):
         out.write_text("a file")
         return out, "is a file; give the name of a folder"
     out.mkdir()
@@ -120,7 +122,7 @@ def not_writable(case: Case, _: Path) -> tuple[Path, str]:
 
 def somebodys_file(case: Case, place: Path) -> tuple[Path, str]:
     out = place / f"out{case.suffix}"
-    if case.kind in (Kind.FOLDER, Kind.CONTINUED):
+    if case.kind in (OutputKind.FOLDER, OutputKind.CONTINUED):
         out.mkdir()
         (out / "notes.txt").write_text("somebody's")
     else:
@@ -130,12 +132,12 @@ def somebodys_file(case: Case, place: Path) -> tuple[Path, str]:
 
 def somebodys_report(case: Case, place: Path) -> tuple[Path, str]:
     out = place / f"out{case.suffix}"
-    if case.kind in (Kind.FOLDER, Kind.CONTINUED):
+    if case.kind in (OutputKind.FOLDER, OutputKind.CONTINUED):
         out.mkdir()
         name = "log.jsonl" if case.verb == "batch" else "report.json"
         (out / name).write_text('{"patient": 7}\n')
     else:
-        name = out.name if case.kind is Kind.REPORT else f"{out.name}.json"
+        name = out.name if case.kind is OutputKind.REPORT else f"{out.name}.json"
         (place / name).write_text('{"patient": 7}')
     return out, "--overwrite"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.formats.outputs import Kind, Output, check_outputs
+from recon.formats.outputs import Output, OutputKind, check_outputs
 from recon.formats.reports import read_report
 from recon.formats.writing import uninterrupted, write_report, writing, writing_file
 
@@ -32,7 +32,7 @@ def write(out: Path, text: str, *, overwrite: bool = False) -> None:
 
 
 def fill(folder: Path, names: dict[str, str], *, overwrite: bool = False) -> None:
-    output = Output(folder, Kind.FOLDER)
+    output = Output(folder, OutputKind.FOLDER)
     with writing(output, report=REPORT, overwrite=overwrite) as (staged,):
         for name, text in names.items():
             (staged / name).parent.mkdir(exist_ok=True)
@@ -65,7 +65,7 @@ def test_what_was_changed_since_is_not_written_over(changed, tmp_path):
     else:
         report = json.loads((tmp_path / changed).read_text())
         (tmp_path / changed).write_text(json.dumps({**report, "note": "the patient limped"}))
-    with pytest.raises(FileExistsError, match=f"{changed} is there already"):
+    with pytest.raises(FileExistsError, match=f"{changed} exists, and recon"):
         write(out, "two")
     write(out, "two", overwrite=True)
     assert out.read_text() == "two"

@@ -14,7 +14,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
 from recon.formats.observations import PointsFile
 from recon.reading.clouds import cloud_of
-from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.depth import PERFECT, DepthSensor, PixelSurface, depth_points, without_pose
 from recon.simulation.points import Corruption, scan_points
 from tests import laws
 from tests.conftest import GOLDEN
@@ -228,7 +228,8 @@ def test_a_sensor_that_does_not_know_its_place_finds_the_ground(body):
     sensor = camera.placed(pelvis + torch.tensor([3.0, 0.0, 0.9]).double(), pelvis)
     file = depth_points(
         motion[0], body, sensor, Corruption(), 0,
-        sensor=DepthSensor(farthest=6.0), points=20000, surfaces=(Surface.BODY, Surface.GROUND),
+        sensor=DepthSensor(farthest=6.0), points=20000,
+        surfaces=(PixelSurface.BODY, PixelSurface.GROUND),
     )  # fmt: skip
     loaded = cloud_of(without_pose(file), body)
     assert loaded.ground.ground is not None

@@ -10,7 +10,7 @@ from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile, save_observation
 from recon.reading.clouds import cloud_of, one_person
-from recon.simulation.depth import Surface, depth_points
+from recon.simulation.depth import PixelSurface, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import box
 from recon.simulation.settings import FilmSettings, SurfaceSettings
@@ -95,13 +95,13 @@ def test_who_walks_straight_before_a_sensor_stays_whole(camera, tmp_path):
         assert cloud.present.sum(-1)[0].tolist() == np.bincount(file["frame"]).tolist()
 
 
-@pytest.mark.parametrize("left", [(), (Surface.GROUND,)])
+@pytest.mark.parametrize("left", [(), (PixelSurface.GROUND,)])
 def test_a_wall_behind_a_walker_is_left_out_and_the_walker_is_not(left, tmp_path):
     walk = a_walk(bundled(), seconds=1.6, fps=5.0)
     camera = depth_camera().placed(torch.tensor([2.6, 1.0, 1.0]), torch.tensor([0.0, 1.0, 1.0]))
     seen = depth_points(
         walk, bundled(), camera, Corruption(), 0, points=20_000,
-        surfaces=(Surface.BODY, Surface.FURNITURE, *left),
+        surfaces=(PixelSurface.BODY, PixelSurface.FURNITURE, *left),
         furniture=box((0.1, 9.0, 3.0)).placed((-1.5, 1.0, 0.0)),
     )  # fmt: skip
     save_observation(tmp_path / "seen.npz", seen)

@@ -15,14 +15,14 @@ from recon.physics.support import (
     REACH,
     SPEED,
     TOLERANCE,
-    Support,
+    SupportEnergy,
     heavy_tailed,
 )
 from recon.physics.zmp import GRAVITY, zmp
 from tests import laws
 from tests.standing_body import path, standing, times
 
-UNSEEN = Support(torch.tensor([True]))
+UNSEEN = SupportEnergy(torch.tensor([True]))
 
 
 def value(body, motion) -> float:
@@ -31,7 +31,7 @@ def value(body, motion) -> float:
 
 def test_support_keeps_the_contract_of_energies(body):
     walkers = laws.a_motion(body, frames=8, fps=20.0)
-    laws.check_energy(Support(torch.tensor([True, True])), body, walkers, None)
+    laws.check_energy(SupportEnergy(torch.tensor([True, True])), body, walkers, None)
 
 
 def test_who_stands_is_carried_and_who_glides_above_the_ground_is_not(body):
@@ -79,14 +79,14 @@ def leaning_over(motion: Motion, foot: torch.Tensor) -> Motion:
 def test_clips_whose_legs_were_seen_have_no_energy(body):
     walkers = laws.a_motion(body, frames=8, fps=20.0)
     estimate = laws.estimate_of(body, walkers)
-    some = Support(torch.tensor([True, False]))(estimate)
+    some = SupportEnergy(torch.tensor([True, False]))(estimate)
     assert some[0] > 0
     assert some[1] == 0
 
 
 def test_padding_counts_nothing(body):
     walkers = laws.a_motion(body, frames=10, fps=20.0)
-    support = Support(torch.tensor([True, True]))
+    support = SupportEnergy(torch.tensor([True, True]))
     wild = walkers.translation.clone()
     wild[:, 7:] += torch.randn(2, 3, 3, dtype=torch.float64)
     padded = walkers.replace(translation=wild, valid=torch.arange(10).expand(2, 10) < 7)
@@ -97,7 +97,7 @@ def test_padding_counts_nothing(body):
 @pytest.mark.parametrize("frames", [1, 2, 4])
 def test_clips_without_accelerations_have_no_energy(body, frames):
     clip = laws.a_motion(body, frames=8, fps=30.0).window(0, frames)
-    assert (Support(torch.tensor([True, True]))(laws.estimate_of(body, clip)) == 0).all()
+    assert (SupportEnergy(torch.tensor([True, True]))(laws.estimate_of(body, clip)) == 0).all()
 
 
 def test_its_curvature_is_that_of_the_foot_that_rests(body):
@@ -128,5 +128,5 @@ def test_curvature_of_seen_legs_is_none(body):
     still = standing(body, path(like=times(0.4, 30.0)), 30.0).map(lambda t: t[None])
     coefficients = torch.zeros(still.frames, 3, 66, dtype=torch.float64)
     estimate = laws.estimate_of(body, still)
-    Support(torch.tensor([False])).add_curvature(1.0, estimate, 0, coefficients)
+    SupportEnergy(torch.tensor([False])).add_curvature(1.0, estimate, 0, coefficients)
     assert (coefficients == 0).all()

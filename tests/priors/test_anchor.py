@@ -39,7 +39,7 @@ def test_the_basis_gives_its_own_cycles_back():
 
 def test_a_basis_needs_more_cycles_than_directions():
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 3)])
-    with pytest.raises(ValueError, match="need more cycles"):
+    with pytest.raises(ValueError, match="expected more cycles"):
         fitted_basis(rows, 6)
 
 

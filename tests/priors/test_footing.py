@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from priors.humor.generation import Footing, roll_from
+from priors.humor.generation import FootingSettings, roll_from
 from priors.humor.state import State, states_of
 from recon.body.contacts import rest_heights, touching_heights
 from recon.body.model import BodyModel
@@ -38,7 +38,7 @@ def test_the_draw_whose_feet_rest_is_kept(stands) -> None:
         joints=torch.cat([lifted(state, up).joints for up in heights]),
         translation=torch.cat([lifted(state, up).translation for up in heights]),
     )
-    footing = Footing(draws=4, strictness=50.0)
+    footing = FootingSettings(draws=4, strictness=50.0)
     random = torch.Generator().manual_seed(0)
     selected = footing.selected(before, after, touching.expand(8, -1), random)
     assert selected.tolist() == [1, 6]
@@ -46,7 +46,7 @@ def test_the_draw_whose_feet_rest_is_kept(stands) -> None:
 
 def test_bodies_come_nearer_to_the_ground_but_fly_where_they_fly(stands) -> None:
     state, touching = stands
-    footing = Footing(raised=0.2, lowered=0.1)
+    footing = FootingSettings(raised=0.2, lowered=0.1)
 
     def height(after: State, before: State) -> float:
         return float(footing.grounded(before, after, touching).translation[0, 2])
@@ -68,7 +68,7 @@ def test_the_ground_holds_what_networks_let_sink(body: BodyModel) -> None:
     sunk = lifted(first, float(-0.3 - (first.joints[:, FEET, 2] - touching).amin()))
     random = torch.Generator().manual_seed(0)
     lowest = []
-    for footing in (None, Footing()):
+    for footing in (None, FootingSettings()):
         made = roll_from(prior, sunk, motion.shape, 30, random, footing=footing)
         assert made.joints is not None
         lowest.append(float((made.joints[0, -1, FEET, 2] - touching[0]).amin()))

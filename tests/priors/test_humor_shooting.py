@@ -8,7 +8,7 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
-from priors.humor.shooting import PUBLISHED, HumorWeights, Schedule, Shooting
+from priors.humor.shooting import PUBLISHED, HumorWeights, IterationSchedule, Shooting
 from priors.humor.unrolled import HumorVariables
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
@@ -154,7 +154,9 @@ def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
 ) -> None:
     prior = humor(body)
     joints = body.pose(motions(6)).joints
-    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried.load())
+    method = Shooting(
+        prior, schedule=IterationSchedule(first=2, latents=2, all=3), start=Hurried.load()
+    )
     visible = seen_of(joints).visible.clone()
     visible[:, 2:4, :8] = False
     hidden = seen_of(joints.where(visible[..., None], 0.0)).replace(visible=visible)
@@ -177,7 +179,7 @@ def test_a_motion_on_an_unknown_ground_is_encoded_and_rolled_out_in_the_world(
     """Latents were encoded in the frame of the recording, where up is elsewhere."""
     prior = humor(body)
     motion = motions(6)
-    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried.load())
+    method = Shooting(prior, schedule=IterationSchedule(all=1), start=Hurried.load())
     *_, stage = method.stages((Term("data", zero, 1.0),))
     stage = replace(stage, terms=stage.terms[:1], minimiser=LBFGS(0))
     known, _ = run_stages([stage], body, motion, Scene.create(2, like=motion.translation))

@@ -10,7 +10,7 @@ from priors.humos.frames import (
     NUMBERS,
     BodyFrames,
     LappedBasis,
-    levers,
+    lever_lengths,
     lowest_heights,
     window_count,
 )
@@ -110,9 +110,9 @@ def test_joints_are_those_of_the_motion_about_the_pelvis():
 
 
 def test_levers_are_lengths_of_bones():
-    assert levers().shape == (22,)
-    assert 0.3 < float(levers()[1]) < 0.8  # a thigh, and half as much again
-    assert float(levers()[10]) == pytest.approx(1.5 * 0.08)
+    assert lever_lengths().shape == (22,)
+    assert 0.3 < float(lever_lengths()[1]) < 0.8  # a thigh, and half as much again
+    assert float(lever_lengths()[10]) == pytest.approx(1.5 * 0.08)
 
 
 @pytest.mark.parametrize("frames", [16, 37, 40])

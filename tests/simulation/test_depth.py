@@ -11,7 +11,7 @@ from recon.formats.observations import load_observation, save_observation
 from recon.simulation.depth import (
     PERFECT,
     DepthSensor,
-    Surface,
+    PixelSurface,
     depth_image,
     depth_points,
     measured_depth,
@@ -72,7 +72,7 @@ def test_a_box_hides_what_is_behind_it_while_it_is_there(body, motion, camera):
     assert file.truth_visible[2].all()
     both = depth_points(
         motion, body, camera, box, 0, sensor=PERFECT, points=100_000,
-        surfaces=(Surface.BODY, Surface.BOX),
+        surfaces=(PixelSurface.BODY, PixelSurface.BOX),
     )  # fmt: skip
     inside = ((both.points > np.array(low) - 1e-6) & (both.points < np.array(high) + 1e-6)).all(1)
     assert inside.sum() > 1000
@@ -81,8 +81,8 @@ def test_a_box_hides_what_is_behind_it_while_it_is_there(body, motion, camera):
 def test_what_is_below_the_height_gives_no_point_while_it_is_hidden(body, motion, camera):
     """The height was ignored: the cloud showed legs that the file called hidden."""
     low = Corruption(hide_below=0.9, during=(0.0, 1.5 / 30))
-    every = (Surface.BODY, Surface.GROUND)
-    for surfaces in ((Surface.BODY,), every):
+    every = (PixelSurface.BODY, PixelSurface.GROUND)
+    for surfaces in ((PixelSurface.BODY,), every):
         file = depth_points(
             motion, body, camera, low, 0, points=100_000, surfaces=surfaces
         )  # with noise and flying pixels
@@ -116,7 +116,7 @@ def test_edges_have_holes_and_flying_pixels(body, motion, camera):
     vertices, faces = body.pose(motion).vertices[0], body.faces.numpy()
     depth, surface = depth_image(vertices, faces, camera, None)
     seen = measured_depth(depth, camera, DepthSensor(), np.random.default_rng(0))
-    person = surface == Surface.BODY
+    person = surface == PixelSurface.BODY
     lost = (seen[person] == 0).mean()
     assert 0.01 < lost < 0.25
     off = np.abs(seen - depth)[person & (seen > 0)]

@@ -6,7 +6,7 @@ import torch
 
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
-from recon.simulation.depth import PERFECT, Surface, depth_image, depth_points
+from recon.simulation.depth import PERFECT, PixelSurface, depth_image, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import box, chair, furnished, joined_meshes, table
 from recon.simulation.sensors import check_apply
@@ -49,9 +49,9 @@ def test_a_board_hides_what_is_behind_it(body):
     faces = body.faces.numpy()
     free = depth_image(vertices, faces, camera, None)[1]
     depth, surface = depth_image(vertices, faces, camera, None, board)
-    hidden = (free == Surface.BODY) & (surface != Surface.BODY)
+    hidden = (free == PixelSurface.BODY) & (surface != PixelSurface.BODY)
     assert hidden.sum() > 200
-    assert (surface[hidden] == Surface.FURNITURE).all()
+    assert (surface[hidden] == PixelSurface.FURNITURE).all()
     front = float(eye[0]) - float(vertices[:, 0].max()) - 0.325
     assert depth[hidden].min() == pytest.approx(front, abs=0.02)
 
@@ -61,9 +61,9 @@ def test_a_board_hides_what_is_behind_it(body):
             sensor=PERFECT, points=10**6, surfaces=surfaces, furniture=board,
         ).points  # fmt: skip
 
-    assert len(seen(Surface.BODY)) == (surface == Surface.BODY).sum()
-    both = seen(Surface.BODY, Surface.FURNITURE)
-    assert len(both) == np.isin(surface, (Surface.BODY, Surface.FURNITURE)).sum()
+    assert len(seen(PixelSurface.BODY)) == (surface == PixelSurface.BODY).sum()
+    both = seen(PixelSurface.BODY, PixelSurface.FURNITURE)
+    assert len(both) == np.isin(surface, (PixelSurface.BODY, PixelSurface.FURNITURE)).sum()
 
 
 def test_meshes_together_keep_their_faces():
@@ -76,7 +76,7 @@ def test_meshes_together_keep_their_faces():
     ("kind", "surface", "words"),
     [
         ("scans", SurfaceSettings(furniture=("chair",)), "are options for depth"),
-        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture to leave"),
+        ("depth", SurfaceSettings(left_over=("furniture",)), "no furniture was given"),
     ],
 )
 def test_options_without_effect_are_refused(kind, surface, words):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recon.solver.line_search import LineSearches, Wolfe, cubic_minimiser
+from recon.solver.line_search import LineSearches, WolfeConditions, cubic_minimiser
 
 pytestmark = pytest.mark.numerics
 
@@ -25,7 +25,7 @@ def test_line_searches_end_at_strong_wolfe_points(centre: list[float], ripple: f
     def slope(t: np.ndarray) -> np.ndarray:
         return (-2 * (1 - t / c) + 9 * ripple * np.sin(9 * t / c)) / c
 
-    wolfe = Wolfe(c1=1e-4, c2=0.5, max_trials=60, resolution=0.0)
+    wolfe = WolfeConditions(c1=1e-4, c2=0.5, max_trials=60, resolution=0.0)
     searches = LineSearches.create(phi(np.zeros_like(c)))
     origin, origin_slope = phi(np.zeros_like(c)), slope(np.zeros_like(c))
     waiting = np.ones(len(c), dtype=bool)

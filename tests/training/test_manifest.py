@@ -12,7 +12,7 @@ from recon.formats.motions import save_motion
 from tests.priors.test_pose import swinging
 from training.manifest import (
     MANIFEST,
-    Row,
+    ManifestRow,
     minutes,
     read_manifest,
     stretches_to_teach,
@@ -20,10 +20,10 @@ from training.manifest import (
 )
 from training.settings import CorpusSettings, identity
 
-ROW = Row("02_01", "cmu", 0, 30, 1.0, True, True, True, True, "")
+ROW = ManifestRow("02_01", "cmu", 0, 30, 1.0, True, True, True, True, "")
 
 
-def rows_of(clip: str) -> list[Row]:
+def rows_of(clip: str) -> list[ManifestRow]:
     """Four seconds: all lessons, steps without contacts, poses alone, nothing."""
     return [
         replace(ROW, clip=clip),

@@ -87,7 +87,9 @@ def fitted_basis(rows: Float[Tensor, "cycles 100 124"], basis: int) -> CycleBasi
         ValueError: when there are fewer cycles than directions asked for.
     """
     if len(rows) <= basis:
-        raise ValueError(f"{basis} directions need more cycles than {len(rows)}")
+        raise ValueError(
+            f"expected more cycles than the {basis} principal directions, got {len(rows)}"
+        )
     low, high = rows[..., POSE_NUMBERS:].amin((0, 1)), rows[..., POSE_NUMBERS:].amax((0, 1))
     low = torch.cat((low[:3], low.new_zeros(1)))
     high = high.maximum(low + _LEAST_SPAN)

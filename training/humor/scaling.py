@@ -120,7 +120,7 @@ class ScaledNetworks(nn.Module):
     def posterior(
         self, state: Float[Tensor, "*batch 339"], following: Float[Tensor, "*batch 339"]
     ) -> tuple[Tensor, Tensor]:
-        """Mean and log-variance of the posterior, whose second input is scaled as a change."""
+        """Mean and log-variance of the posterior; the next state is scaled as a difference."""
         change = (following - state - self.change_mean) / self.change
         return self.core.posterior(self._normalised_state(state), change)
 

@@ -118,12 +118,14 @@ def with_arms_moved(
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Whether elbows and wrists are as far from the trunk as flesh requires, or as recorded."""
-    before, after = (_from_trunk(m.posed()[1]) for m in (old, new))
+    before, after = (_distances_from_trunk(m.posed()[1]) for m in (old, new))
     allowed = before.amin(1, keepdim=True).clamp(max=_TRUNK) - 1e-3
     return (after > allowed).flatten(1).all(1)
 
 
-def _from_trunk(joints: Float[Tensor, "windows times 22 3"]) -> Float[Tensor, "windows times 4"]:
+def _distances_from_trunk(
+    joints: Float[Tensor, "windows times 22 3"],
+) -> Float[Tensor, "windows times 4"]:
     """Distances of elbows and wrists from the line between pelvis and neck, metres."""
     start, line = joints[:, :, :1], joints[:, :, 12:13] - joints[:, :, :1]
     limbs = joints[:, :, 18:22] - start

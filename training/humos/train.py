@@ -258,7 +258,9 @@ def fitted_basis(rows: Float[Tensor, "clips time numbers"], basis: int) -> Lappe
     """
     windows = cut_windows(rows)[:, 1:-1].flatten(0, 1)
     if len(windows) <= basis:
-        raise ValueError(f"{basis} directions need more windows than {len(windows)}")
+        raise ValueError(
+            f"expected more windows than the {basis} principal directions, got {len(windows)}"
+        )
     mean = windows.mean(0)
     away = (windows - mean).double()
     values, vectors = torch.linalg.eigh(away.mT @ away / (len(windows) - 1))

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from recon.core.camera import Camera, looking
 from recon.core.raster import rasterise
-from recon.simulation.depth import DepthSensor, Surface, measured_depth
+from recon.simulation.depth import DepthSensor, PixelSurface, measured_depth
 from recon.simulation.points import sampled_on_surface
 from recon.simulation.scenery import FurnitureMesh, box, chair, joined_meshes, table
 
@@ -118,8 +118,10 @@ def glimpse(
     here = surface[row, column]
     points = _world_points(room.camera, row, column, found)
     noise = np.hypot(room.sensor.deviation(true), room.blotches)
-    body = (here == Surface.BODY) & (np.abs(found - true) < np.maximum(_FLIES, _NOISE * noise))
-    kept = here == Surface.BODY
+    body = (here == PixelSurface.BODY) & (
+        np.abs(found - true) < np.maximum(_FLIES, _NOISE * noise)
+    )
+    kept = here == PixelSurface.BODY
     on = np.flatnonzero(body)
     if len(on) == 0:
         return Glimpse(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
@@ -132,7 +134,7 @@ def glimpse(
         margin = random.uniform(0.02, 0.4, 3)
         near = ((points > low - margin) & (points < high + margin)).all(1)
         if random.random() < 0.6:
-            near &= (here != Surface.GROUND) | (points[:, 2] > random.uniform(0.01, 0.04))
+            near &= (here != PixelSurface.GROUND) | (points[:, 2] > random.uniform(0.01, 0.04))
         kept = kept | near
     kept = np.flatnonzero(kept)
     others = kept[~body[kept]]
@@ -175,13 +177,13 @@ def _image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Ro
     values = np.concatenate([places, np.full_like(mesh.vertices, _ELSEWHERE)])
     raster = rasterise(pixels, z, triangles, SIZE, values)
     seen = raster.values
-    surface = np.where(seen[..., 0] > 0.5 * _ELSEWHERE, Surface.BOX, Surface.BODY)
+    surface = np.where(seen[..., 0] > 0.5 * _ELSEWHERE, PixelSurface.BOX, PixelSurface.BODY)
     row, column = np.indices(raster.depth.shape).reshape(2, -1)
     rays = _world_points(camera, row, column, np.ones(len(row))) - room.eye
     floor = -room.eye[2] / np.where(np.abs(rays[:, 2]) < 1e-9, 1e-9, rays[:, 2])
     floor = np.where(floor > 0.1, floor, np.inf).reshape(raster.depth.shape)
     depth = np.minimum(np.minimum(raster.depth, floor), room.wall)
-    surface = np.where(depth < raster.depth, Surface.GROUND, surface)
+    surface = np.where(depth < raster.depth, PixelSurface.GROUND, surface)
     return depth.astype(np.float64), seen, surface
 
 

@@ -1,0 +1,1 @@
+"""A network that looks at the points seen of a clip and proposes whole motions."""

@@ -1,0 +1,1 @@
+"""Training of the network that proposes whole motions (`priors.look`)."""
