@@ -216,7 +216,7 @@ class Collocation(Prior[PoseVariables]):
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         # imported here: fits in which every joint was seen draw no limbs from the networks
-        from priors.humor.likely import LikelyStates, tempo
+        from priors.humor.likely import LikelyStates, time_factor
         from priors.humor.limbs import UnseenLimbs, unseen_limbs
         from recon.physics.support import SupportEnergy
 
@@ -225,7 +225,7 @@ class Collocation(Prior[PoseVariables]):
             return root, poses, steps, feet
         carried = Term("support", SupportEnergy(unseen[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen), w.state)
-        read = replace(self, tempo=tempo(data))
+        read = replace(self, tempo=time_factor(data))
         steps, limbs, feet = (
             replace(
                 stage,

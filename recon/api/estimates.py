@@ -9,7 +9,7 @@ from torch import Tensor
 
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
 from recon.body.model import BodyModel
-from recon.core.arrays import positive
+from recon.core.arrays import positive_number
 from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
 from recon.core.limits import FRAME_RATE
@@ -70,7 +70,7 @@ def estimate_given(
             f"{motion}: does not say how many frames there are per second; give frame_rate "
             "(--frame-rate), that of the video"
         )
-    FRAME_RATE.check(positive(rate, "frame_rate"), "refine", "frame_rate")
+    FRAME_RATE.check(positive_number(rate, "frame_rate"), "refine", "frame_rate")
     coefficients, words = _shape_to_hold(read, body, own_body, known_shape)
     translation, rotations = read.translation, read.rotations
     if hand == "left":

@@ -15,7 +15,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
-from recon.core.motion import pad
+from recon.core.motion import padded_batch
 from recon.core.skeleton import LEGS
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
@@ -109,7 +109,7 @@ def test_filters_leave_what_was_seen_and_differ_in_the_rest(body: BodyModel) -> 
 
 def test_frames_that_do_not_exist_change_nothing(body: BodyModel) -> None:
     prior, short = humor(body), swinging(5, 4)
-    padded = pad([short, swinging(8, 2)])[:1]
+    padded = padded_batch([short, swinging(8, 2)])[:1]
     alone = FEW(prior, short[None], BOTH_LEGS)
     beside = FEW(prior, padded, BOTH_LEGS)
     torch.testing.assert_close(beside[:, :5], alone)
