@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import (
@@ -221,17 +221,15 @@ class Keypoints2D(PointsOfBody):
         del body, step
         return self
 
-    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the frames in which a visible keypoint locates each joint in the image.
+    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+        """Whether a visible keypoint locates each joint in the image, in every frame.
 
         Detectors place legs beyond the edge of an image, too, but do not believe in them: a
         keypoint of less than a fifth of the greatest confidence tells nothing.
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
         sure = self.confidence > FAINT * greatest
-        return super(
-            Keypoints2D, self.derived(confidence=self.confidence * sure)
-        ).share_of_frames_locating(body)
+        return super(Keypoints2D, self.derived(confidence=self.confidence * sure)).locates(body)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose placed by the keypoints of the torso; see `image_start`."""

@@ -78,6 +78,13 @@ def frames_between(sensor: Tracker, start: int, stop: int) -> Tracker:
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 
+def collapsed(moment: Tracker) -> bool:
+    """Whether most of the points that are seen lie in one place, as those of a lost person do."""
+    places = moment.pixels if isinstance(moment, Keypoints2D) else moment.positions
+    shown = places[moment.shown]
+    return 2 * len(shown.unique(dim=0)) < len(shown)
+
+
 def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
     """Two stretches of one sensor joined in time."""
     later = iter(after.by_frame(lambda tensor: tensor).values())

@@ -100,18 +100,11 @@ class PointsOfBody(Sensor):
         own = self.offset_unit * offsets[slice(*self.offset_rows)]
         return found.displaced(self.bones(body), own)
 
-    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the frames in which some visible point locates each joint.
-
-        Moments before the first and after the last that shows anything do not count: a clip that
-        is fitted beside longer ones is filled up with them.
-        """
+    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"]:
+        """Whether some visible point locates each joint, in every frame."""
         located_joints = torch.from_numpy(self.located_joints(body)).to(self.shown.device)
         tells = located_joints.to(torch.get_default_dtype())
-        anything = self.shown.any(-1).to(tells)
-        within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
-        told = ((self.shown.to(tells) @ tells) > 0) & within[..., None]
-        return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)
+        return (self.shown.to(tells) @ tells) > 0
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
         """Joints of the first clip that some visible point locates, in every frame."""

@@ -15,6 +15,7 @@ _IN_STEPS = {
     "humor": "training.humor.train:HumorTraining",
     "humos": "training.humos.train:HumosTraining",
     "labels": "training.labels.train:LabelTraining",
+    "look": "training.look.train:LookTraining",
 }
 """Settings of runs that go on where they were cut; beside them are `train`, which takes the steps,
 and `export_weights`."""
@@ -40,7 +41,7 @@ def _outputs_of_run(out: Path, given: Arguments) -> tuple[Output, ...]:
 
 @writes(Place("out", _outputs_of_run))
 def train(
-    prior: Positional[Literal["pose", "humor", "anchor", "humos", "labels"]],
+    prior: Positional[Literal["pose", "humor", "anchor", "humos", "labels", "look"]],
     corpus: Positional[Path],
     out: Path,
     data: Literal["open", "nc"] = "open",
@@ -57,7 +58,8 @@ def train(
     take less than a minute and have no steps. `humor` is the transition network: hours on two
     cores. `humos` is the decoder that sees the body: an hour on one core. `labels` says which part
     of a body a point of a cloud shows: an hour on one core, and the clouds that it draws first a
-    quarter of one. A run in steps that was cut goes on from its checkpoint.
+    quarter of one. `look` proposes whole motions for what is seen of a clip: a day on two cores,
+    ten minutes on a GPU. A run in steps that was cut goes on from its checkpoint.
 
     Args:
         prior: which one.
@@ -67,7 +69,7 @@ def train(
             non-commercial licence.
         steps: of the optimiser; for `humos` of its second part, from body to body. Default:
             20,000 for `humor`; 1,200 for `humos`, after 1,500 of its auto-encoder; 12,000 for
-            `labels`.
+            `labels`; 20,000 for `look`.
         latent: size of the code of `anchor` (default: 512) and of `humos` (default: 96 for every
             0.4 s).
         device: where to compute.
@@ -84,7 +86,7 @@ def train(
         raise ValueError(f"{prior} has no choice of latent size: leave --latent out")
     if steps is not None and prior in _AT_ONCE:
         raise ValueError(f"{prior} is learned without steps: leave --steps out")
-    if prior != "humor" and device != "cpu":
+    if prior not in ("humor", "look") and device != "cpu":
         raise ValueError(f"{prior} is trained on the CPU only: give --device cpu")
 
     from recon.formats.reports import versions
@@ -108,7 +110,7 @@ def train(
             kind.export_weights(settings, made)
             LOG.info("wrote %s", out)
     else:
-        if prior == "humor":
+        if prior in ("humor", "look"):
             asked["device"] = device
         settings = getattr(kind, name)(corpus, out.with_suffix(""), data=data, **asked)
         kind.train(settings)

@@ -37,6 +37,7 @@ from recon.method.quadratic import ClipModel
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
+from recon.method.timing import share_of_frames
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -215,29 +216,31 @@ class Collocation(Prior[PoseVariables]):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             ended = replace(last, tolerance_decrease=3e-4)
             return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
-        # imported here: fits in which every joint was seen draw no limbs from the networks
-        from priors.humor.likely import LikelyStates, time_factor
-        from priors.humor.limbs import UnseenLimbs, unseen_limbs
-        from recon.physics.support import SupportEnergy
+        # imported here: most fits see every limb
+        from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
 
-        unseen = unseen_limbs(data, self.humor.body)
+        unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
-        carried = Term("support", SupportEnergy(unseen[:, KNEES].any(-1)), w.support)
-        likely = Term("state", LikelyStates(self.humor, unseen), w.state)
+        compared = replace(slow, max_iterations=_COMPARED)
+        proposals = LookedLimbs(load_network(), unseen)
+        limbs = replace(steps, name="limbs", minimiser=compared, proposals=proposals, kept=1)
+        if not bool(unseen.never.any()):
+            return root, poses, limbs, feet
+        # imported here: seldom is a limb never seen
+        from priors.humor.likely import LikelyStates, time_factor
+        from recon.physics.support import SupportEnergy
+
+        carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
+        likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
         read = replace(self, tempo=time_factor(data))
-        steps, limbs, feet = (
-            replace(
-                stage,
-                prior=read,
-                terms=(*stage.terms, carried, likely),
-                minimiser=replace(stage.minimiser, tolerance_decrease=tolerance),
-            )
-            for stage, tolerance in ((steps, 2e-2), (feet, 1e-2), (feet, 1e-4))
+        limbs = replace(feet, name="limbs", minimiser=compared, proposals=proposals, kept=1)
+        feet = replace(feet, minimiser=replace(last, tolerance_decrease=1e-4))
+        limbs, feet = (
+            replace(stage, prior=read, terms=(*stage.terms, carried, likely))
+            for stage in (limbs, feet)
         )
-        limbs = replace(limbs, minimiser=replace(limbs.minimiser, max_iterations=_COMPARED))
-        limbs = replace(limbs, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1)
-        return root, poses, steps, limbs, feet
+        return root, poses, limbs, feet
 
 
 def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
@@ -245,8 +248,8 @@ def all_joints_located(data: tuple[Term, ...], body: BodyModel) -> bool:
     return any(
         isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and (share := term.energy.share_of_frames_locating(body)) is not None
-        and bool((share >= _MIN_SEEN_SHARE).all())
+        and (located := term.energy.locates(body)) is not None
+        and bool((share_of_frames(located) >= _MIN_SEEN_SHARE).all())
         for term in data
     )
 

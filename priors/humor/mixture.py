@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.core.errors import ReconError
@@ -91,39 +91,6 @@ class Mixture(TensorStruct):
         """log(w_k N(m_k; m_k, C_k)): log-density of every component at its own mean."""
         log_volume = self.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         return self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
-
-    def conditioned_on(
-        self,
-        known: Bool[Tensor, " features"],
-        values: Float[Tensor, " known"],
-        std: Float[Tensor, " known"],
-    ) -> "Mixture":
-        """The mixture of the other features given measured ones: p(x_other | x_known).
-
-        Each component is conditioned as a Gaussian is, and weighs as much as the measurement is
-        likely under it.
-
-        Args:
-            known: which of the numbers in `features` were measured.
-            values: measured.
-            std: standard deviations of their errors.
-        """
-        # in double precision: with small variances, single precision changes densities by nats
-        lower = torch.linalg.inv(self.whitening.double().mT)  # C = lower lowerᵀ
-        covariances = lower @ lower.mT
-        other = ~known
-        measured = covariances[:, known][:, :, known] + std.to(lower).square().diag()
-        factor = torch.linalg.cholesky(measured)
-        away = (values.to(lower) - self.means[:, known].double())[..., None]
-        white = torch.linalg.solve_triangular(factor, away, upper=False)
-        shared = torch.linalg.solve_triangular(
-            factor, covariances[:, known][:, :, other], upper=False
-        )
-        log_volume = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        likely = self.log_weights.double() - log_volume - 0.5 * white.square().sum((-2, -1))
-        means = self.means[:, other].double() + (shared.mT @ white)[..., 0]
-        left = covariances[:, other][:, :, other] - shared.mT @ shared
-        return Mixture.create(likely.softmax(0), means, left, self.features[other])
 
     def sample(
         self, count: int, random: torch.Generator, temperature: float = 1.0

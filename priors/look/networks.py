@@ -141,7 +141,7 @@ class LookNetwork(nn.Module):
         count = shown.sum((-2, -1))[..., None] / _USUAL_POINTS
         std = (seen.std.log() + 4.0)[:, None, None].expand_as(count)
         seldom = (count == 0).to(count)
-        steps = frames.steps() * frames.steps().new_tensor([30.0, 30.0, 30.0, 1.0])
+        steps = frames.steps(seen.exists) * inside.new_tensor([30.0, 30.0, 30.0, 1.0])
         return torch.cat((sums, count, std, seldom, steps), -1)
 
 
@@ -151,7 +151,8 @@ class _Layer(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(3))
-        self.near = nn.Conv1d(width, width, _NEAR, padding=_NEAR // 2, groups=width)
+        self.near = nn.Parameter(torch.randn(_NEAR, width) / _NEAR)
+        self.bias = nn.Parameter(torch.zeros(width))
         self.far = nn.Parameter(torch.linspace(-6.0, -2.0, _HEADS))
         self.ask, self.answer = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.inner, self.outer = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
@@ -161,7 +162,10 @@ class _Layer(nn.Module):
     ) -> Float[Tensor, "clips time width"]:
         first, second, third = self.norms
         shown = exists[..., None]
-        x = x + self.near((first(x) * shown).mT).mT
+        around = functional.pad(first(x) * shown, (0, 0, _NEAR // 2, _NEAR // 2))
+        # a sum of shifted products: faster than a grouped convolution, most of all its derivative
+        parts = (w * around[:, k : k + x.shape[1]] for k, w in enumerate(self.near))
+        x = x + sum(parts, self.bias)
         asked = self.ask(second(x)).unflatten(-1, (3, _HEADS, -1)).movedim(-3, 0)
         query, key, value = asked.transpose(-3, -2)
         place = torch.arange(x.shape[-2], device=x.device)

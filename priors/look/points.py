@@ -89,12 +89,13 @@ class WalkingFrames(TensorStruct):
         """Points of the world in the frames of their moments."""
         return (points - self.origin[:, :, None]) @ self.turn
 
-    def steps(self) -> Float[Tensor, "clips time 4"]:
+    def steps(self, exists: Bool[Tensor, "clips time"]) -> Float[Tensor, "clips time 4"]:
         """Steps to the next frame: metres along both axes, sine and cosine of the rotation.
 
-        Seen from the frame that they begin in; the last one is zero.
+        Seen from the frame that they begin in; zero where there is no next frame.
         """
         moved = (self.origin[:, 1:] - self.origin[:, :-1])[:, :, None] @ self.turn[:, :-1]
         turned = self.turn[:, :-1].mT @ self.turn[:, 1:]
         found = torch.cat((moved[:, :, 0, :2], turned[..., 1, :1], turned[..., 0, :1]), -1)
+        found = found.where(exists[:, 1:, None], 0.0)
         return torch.nn.functional.pad(found, (0, 0, 0, 1))

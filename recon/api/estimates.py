@@ -9,10 +9,9 @@ from torch import Tensor
 
 from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
 from recon.body.model import BodyModel
-from recon.core.arrays import positive_number
+from recon.core.arrays import usable_rate
 from recon.core.coordinates import unit_of_path
 from recon.core.errors import ReconError
-from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
@@ -70,7 +69,7 @@ def estimate_given(
             f"{motion}: does not say how many frames there are per second; give frame_rate "
             "(--frame-rate), that of the video"
         )
-    FRAME_RATE.check(positive_number(rate, "frame_rate"), "refine", "frame_rate")
+    usable_rate(rate, "frame_rate")
     coefficients, words = _shape_to_hold(read, body, own_body, known_shape)
     translation, rotations = read.translation, read.rotations
     if hand == "left":

@@ -24,9 +24,8 @@ from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLik
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite_number, positive_number, usable_device
+from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
 from recon.core.errors import ObservationError, ReconError
-from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
@@ -149,7 +148,7 @@ def fit(
     )
     clip = sighting.clip
     if fps is not None:
-        FRAME_RATE.check(positive_number(fps, "fps"), "fit", "fps")
+        usable_rate(fps, "fps")
     held, expected = shape_known(shape, model)
     options = FitOptions(
         prior=prior_of(prior, weights, method),

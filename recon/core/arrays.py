@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core.errors import ReconError
+from recon.core.limits import FRAME_RATE
 
 Numbers = Tensor | np.ndarray | Sequence[Any]
 """Arrays that users give: a tensor, an array of numpy, or nested lists."""
@@ -134,6 +135,12 @@ def positive_number(value: Any, name: str) -> float:
     if not number > 0:
         raise ReconError(f"{name}: expected a number above 0, got {number:g}")
     return number
+
+
+def usable_rate(value: Any, name: str) -> float:
+    """The number, checked to be a frame rate in Hz; otherwise a ValueError."""
+    FRAME_RATE.check(rate := positive_number(value, name), name)
+    return rate
 
 
 def finite_number(value: Any, name: str) -> float:

@@ -107,8 +107,7 @@ def _names_repaired(
 ) -> tuple[NamedPoints, Findings]:
     """Exchange two points, or parts of both limbs, whose names are exchanged throughout.
 
-    Bones whose lengths no person's have suggest what to exchange, and quick fits of some seconds
-    must confirm it. `steady` is `named` without what is surely wrong.
+    The lengths of bones suggest what, and quick fits must confirm it, of `steady`: clean points.
     """
     groups, always = crossed_limbs(steady), np.ones(len(named.visible), dtype=bool)
     if (pair := exchanged_throughout(steady)) is not None:

@@ -46,9 +46,13 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
 
 
 def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first one that has a prior; earlier ones only place the motion."""
-    first = next((k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion)), 0)
-    return tuple(stages[first:])
+    """The stages from the first one that has a prior; earlier ones only place the motion.
+
+    Where motions are proposed for hidden limbs, they are from there.
+    """
+    proposing = (k for k, one in enumerate(stages) if one.proposals is not None)
+    of_prior = (k for k, one in enumerate(stages) if not isinstance(one.prior, FreeMotion))
+    return tuple(stages[next(proposing, next(of_prior, 0)) :])
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:

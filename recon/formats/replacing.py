@@ -104,7 +104,7 @@ def file_checksum(path: str | Path) -> str:
     """
     path = Path(path)
     if path.exists() and not path.is_file():
-        raise ValueError(f"{path}: expected a file to hash, got a folder, pipe or device")
+        raise ValueError(f"{path}: expected a file, got a folder, pipe or device")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

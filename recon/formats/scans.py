@@ -335,7 +335,7 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     return found
 
 
-_BETWEEN = re.compile(r"\d\s*[;\s]\s*-?\d+,\d+\s*[;\s]\s*-?\d")
+_BETWEEN = re.compile(r"\d[;\s]+-?\d+,\d+[;\s]+-?\d")
 """A number with a decimal comma between two others."""
 
 

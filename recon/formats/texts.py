@@ -53,7 +53,7 @@ def decoded_text(data: bytes) -> str:
 
 def with_decimal_points(text: str, comma: re.Pattern[str]) -> str:
     """The text, with points for commas where it has no decimal points and commas are found."""
-    if re.search(r"\d\.\d", text) or not comma.search(text):
+    if "," not in text or re.search(r"\d\.\d", text) or not comma.search(text):
         return text
     return text.replace(",", ".")
 

@@ -56,22 +56,30 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
         points, time = moment["points"], moment.get("time")
         several = any(_is_sensor(one) for one in points)
         arrays = [_array(one) for one in points] if several else _array(points)
-        return arrays, None if time is None else float(time)
+        return arrays, None if time is None else float(str(time))  # true is no time
     except Exception as error:  # bad lines are reported; the stream goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '
-            f"{line.strip()[:60]!r}"
+            f"{line.strip()[:60]!r} ({error!s:.80})"
         ) from error
 
 
 def _is_sensor(value: Any) -> bool:
     """Whether a JSON value is a list of rows, of one of several sensors, rather than a row."""
-    return isinstance(value, list) and any(one is None or isinstance(one, list) for one in value)
+    return isinstance(value, list) and any(
+        isinstance(one, list) or (one is None and len(value) > 3) for one in value
+    )
 
 
 def _array(rows: Any) -> np.ndarray:
-    """Rows of three numbers; null becomes NaN."""
-    return np.array([[np.nan] * 3 if row is None else row for row in rows], dtype=float)
+    """Rows of three numbers; null, or a row with null in it, becomes NaN."""
+    return np.array(
+        [
+            [np.nan] * 3 if row is None or (isinstance(row, list) and None in row) else row
+            for row in rows
+        ],
+        dtype=float,
+    )
 
 
 def _json_lines(estimate: LiveEstimate) -> Iterator[str]:

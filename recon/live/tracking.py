@@ -10,7 +10,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, joined_in_time, with_moment, with_points_hidden
+from observations.moments import (
+    Tracker,
+    collapsed,
+    joined_in_time,
+    with_moment,
+    with_points_hidden,
+)
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -309,7 +315,7 @@ class Tracking:
         seen = far = 0
         for points, one in zip(predicted.objective.points, moment.seen, strict=True):
             away = one.distances(points.of(orientations, joints))
-            bad = one.shown & (away > allowed)
+            bad = one.shown & ((away > allowed) | collapsed(one))
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(with_points_hidden(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)

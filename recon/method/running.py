@@ -65,24 +65,26 @@ class Hypotheses(Generic[S]):
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
 
-    def extended(
+    def proposed(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"]]:
-        """These hypotheses and those proposed from each, and the row that each comes from."""
-        count = len(self.unknowns.scene.offsets)
+        """Hypotheses proposed from each, in its place, and the row that each comes from.
+
+        A row from which nothing is proposed stays.
+        """
         clips = self.clips
-        parts, origin = [self.unknowns], list(range(count))
-        for row in range(count):
+        parts, origin = list[Unknowns[S]](), list[int]()
+        for row in range(len(self.unknowns.scene.offsets)):
             alone = self.rows(torch.tensor([row]))
             motion = proposals(alone.estimate(body), int(clips[row]))
-            if motion is not None:
-                own = [row] * len(motion.translation)
-                origin += own
-                scene = self.unknowns.scene[torch.tensor(own)]
-                with torch.no_grad():
-                    parts.append(Unknowns.of_world(self.prior, motion, scene, body))
-        if len(parts) == 1:
-            return self, torch.arange(count)
+            own = [row] * (1 if motion is None else len(motion.translation))
+            origin += own
+            if motion is None:
+                parts.append(alone.unknowns)
+                continue
+            scene = self.unknowns.scene[torch.tensor(own)]
+            with torch.no_grad():
+                parts.append(Unknowns.of_world(self.prior, motion, scene, body))
         rows = torch.tensor(origin)
         number = None if self.number is None else self.number[rows]
         return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows
@@ -143,7 +145,7 @@ def run_hypotheses(
         if stage.prior is not held.prior:
             held = _encoded_anew(held, stage.prior, body)
         if stage.proposals is not None:
-            held, origin = held.extended(stage.proposals, body)
+            held, origin = held.proposed(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
         stage = held.of(stage)
         unknowns, solution = _solved(stage, body, held.unknowns, watch)

@@ -238,8 +238,8 @@ class Sensor(TensorStruct):
         del body
         return ()
 
-    def share_of_frames_locating(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
-        """Share of the frames in which the sensor locates each joint.
+    def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
+        """Whether the sensor locates each joint in each frame of the data.
 
         None where that is unknown.
         """

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 Proposals = Callable[[Estimate, int], Motion | None]
-"""Finds further hypotheses to begin a stage from: called with what energies see of one row and
-with the number of its clip; gives motions of that clip in the world, or None for none."""
+"""Finds motions to begin a stage from: called with what energies see of one row and with the
+number of its clip; gives motions of that clip in the world, or None to begin from the row."""
 
 
 SecondOrder = Callable[
@@ -52,7 +52,7 @@ class Stage(Generic[S]):
     Minimised while it looks for the nearest, it would jump where correspondences change, and line
     searches end there (iterated closest points)."""
     proposals: Proposals | None = None
-    """Finds further hypotheses, which are minimised beside what the stage is handed; None finds
+    """Finds hypotheses, which are minimised in place of what the stage is handed; None finds
     none."""
     kept: int | None = None
     """Number of hypotheses of every clip that remain after the stage; None keeps them all."""

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core.motion import Motion
@@ -79,3 +79,18 @@ def padded(
     every[..., seen, :, :] = values.where(weights[..., None] > 0, 0.0)
     counted[..., seen, :] = weights
     return Residuals(every, counted, unit)
+
+
+def first_to_last(located: Bool[Tensor, "*batch frames 22"]) -> Bool[Tensor, "*batch frames"]:
+    """Frames from the first to the last in which any joint is located.
+
+    A clip that is fitted beside longer ones is filled up with frames that show nothing.
+    """
+    anything = located.any(-1).long()
+    return (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
+
+
+def share_of_frames(located: Bool[Tensor, "*batch frames 22"]) -> Float[Tensor, "*batch 22"]:
+    """Share of the frames from the first to the last in which each joint is located."""
+    count = located.to(torch.get_default_dtype()).sum(-2)
+    return count / first_to_last(located).sum(-1, keepdim=True).clamp(min=1)

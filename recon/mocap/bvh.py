@@ -59,6 +59,7 @@ def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
 
 _DECIMAL_COMMA = re.compile(r"\d,\d")
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
+_MOTION = re.compile(r"^[ \t]*MOTION\b", re.IGNORECASE | re.MULTILINE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)
 
 
@@ -90,11 +91,11 @@ def parse_bvh(
 ) -> SkeletonRecording:
     """Parse the text of a BVH file, as `read_bvh` does."""
     text = with_decimal_points(text, _DECIMAL_COMMA)
-    head, *body = re.split(r"^\s*MOTION\b", text, maxsplit=1, flags=re.IGNORECASE | re.MULTILINE)
-    if not body:
+    # the lines of a joint take some hundred characters
+    if (middle := _MOTION.search(text, 0, int(1000 * JOINTS.high))) is None:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
-    joints = parse_hierarchy(head, name)
-    values, (fps, said) = _parse_motion(body[0], joints, name)
+    joints = parse_hierarchy(text[: middle.start()], name)
+    values, (fps, said) = _parse_motion(text[middle.end() :], joints, name)
     parents = tuple(joint.parent for joint in joints)
     positions, orientations = posed_skeleton(parents, _local_poses(joints, values), len(values))
     raw = SkeletonRecording(

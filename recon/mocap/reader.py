@@ -15,7 +15,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
-from recon.formats.opening import existing_file
+from recon.formats.opening import existing_file, limit_when_unpacked
 from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, parse_hierarchy, read_bvh
@@ -77,13 +77,13 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged.
     """
-    existing_file(path)
+    limit = limit_when_unpacked(existing_file(path), TEXT)
     try:
         with tarfile.open(path, "r|*") as archive:
             for member in archive:
                 if not member.isfile() or not member.name.lower().endswith(".bvh"):
                     continue
-                TEXT.check(member.size, f"{path}::{member.name}")
+                limit.check(member.size, f"{path}::{member.name}")
                 file = archive.extractfile(member)
                 assert file is not None  # None only for members that are no files
                 yield member.name, decoded_text(file.read())
@@ -108,9 +108,9 @@ def read_member(
     if member is None and len(seen) == 1:
         name, text = seen.popitem()
         return parse_bvh(text, name, unit=unit, up=up)
-    some = ", ".join(list(seen)[:3])
+    some = ", ".join([*list(seen)[:3], "..."] if seen else ["none"])
     raise FormatError(
-        f"{path}: holds {len(seen)} BVH files ({some}, ...); choose one as {path.name}::NAME"
+        f"{path}: expected BVH files, one of them chosen as {path.name}::NAME; it holds {some}"
     )
 
 

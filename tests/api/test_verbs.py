@@ -148,6 +148,7 @@ def test_a_motion_is_continued_from_any_moment(forms):
             "weights='nc' needs method='network'",
         ),
         (lambda: recon.convert("nothing.xyz", fps=-1.0), "fps: expected"),
+        (lambda: recon.convert("nothing.xyz", fps=1e9), "fps: expected a frame rate"),
         (lambda: recon.simulate(walk(4), "joints3d", frames=(2, 9)), "has 4 frames"),
         (lambda: recon.evaluate(walk(4), walk(4, 8)), "truth does not cover"),
         (lambda: recon.evaluate(walk(4), np.zeros((3, 22, 3))), "truth: expected the shape"),

@@ -12,6 +12,7 @@ import pickle
 import resource
 import struct
 import sys
+import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -83,6 +84,15 @@ def _torch(content: object) -> bytes:
     return out.getvalue()
 
 
+def _tar(name: str, data: bytes) -> bytes:
+    """An archive of one file."""
+    member, out = tarfile.TarInfo(name), io.BytesIO()
+    member.size = len(data)
+    with tarfile.open(fileobj=out, mode="w") as archive:
+        archive.addfile(member, io.BytesIO(data))
+    return out.getvalue()
+
+
 BOMBS: dict[str, Callable[[], bytes]] = {
     **{f"{k}.pkl": lambda k=k: pickle.dumps(PICKLES[k](), protocol=2) for k in PICKLES},
     **{f"{k}.pt": lambda k=k: _torch(TENSORS[k]()) for k in TENSORS},
@@ -90,6 +100,8 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "deep.bvh": lambda: BVH % (JOINT * 100_000, 1),
     "wide.bvh": lambda: BVH % ((JOINT + b"}\n") * 100_000, 1),
     "frames.bvh": lambda: BVH % (b"", 2_000_000_000),
+    "newlines.bvh": lambda: b"HIERARCHY" + b"\n" * 1_000_000,
+    "newlines.tar.xz": lambda: lzma.compress(_tar("a.bvh", b"\n" * 200_000_000), preset=0),
     "line.bvh": lambda: BVH.split(b"0 0 0")[0] + b"0 " * 4_000_000,
     "promise.trc": lambda: TRC % (10**12, 10**9) + b"Frame#\tTime\ta\n\t\tX1\n1\t0\t1\n",
     "wide.trc": lambda: TRC % (1, 10**6) + b"Frame#\tTime" + b"\ta\t\t" * 10**6 + b"\n\n1\t0\n",

@@ -36,7 +36,7 @@ def test_points_of_text(tmp_path, name):
     "text",
     [
         "1 2\n3 4\n", "1 2 3\n4 five 6\n", "1 2 3\n4 5\n", "41\n" + TEXTS["a.xyz"], "7", "",
-        "1 2 3 " * 4000 + "\n" * 4000 + "1",
+        "1 2 3 " * 4000 + "\n" * 4000 + "1", "1" + " " * 1_000_000, "1" + "\n" * 1_000_000 + "2,5",
     ],
 )  # fmt: skip
 def test_damaged_text_is_refused_by_name(tmp_path, text):

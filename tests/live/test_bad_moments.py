@@ -14,8 +14,8 @@ LINES = (
     "[" * 100_000, '{"points": ' + "[" * 100_000, '{"time": 1' + "0" * 400 + ', "points": []}',
     "null", "7", '"points"', "[]", "{}", '{"points": null}', '{"points": 3}', '{"points": "a"}',
     '{"points": [[1, 2, 3]]}', '{"points": {}}', '{"points": [[1e400, 0, 0]]}', "NaN", "\x00",
-    '{"points": [], "time": "soon"}', '{"points": [[["x"]]]}', '{"time": 1}', "9" * 5000,
-    "{" * 999, "\ufffd" * 50,
+    '{"points": [], "time": "soon"}', '{"points": [], "time": true}', '{"points": [[["x"]]]}',
+    '{"time": 1}', "9" * 5000, "{" * 999, "\ufffd" * 50,
 )  # fmt: skip
 """What is no moment, whatever it is."""
 

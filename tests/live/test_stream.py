@@ -166,6 +166,15 @@ def test_points_that_fly_off_are_left_out(seen, truth):
     assert not found[24].observed[20]
 
 
+@pytest.mark.parametrize("joint", [0, 15, 21])
+def test_a_moment_with_all_points_in_one_place_counts_as_unseen(seen, joint):
+    """The body shrank into the place of its pelvis, and was up to 1.5 m off for a second."""
+    moments, unseen = seen.copy(), seen.copy()
+    moments[20], unseen[20] = seen[20, joint], np.nan
+    found = joints_of(played(stream(lag=4), moments))
+    torch.testing.assert_close(found, joints_of(played(stream(lag=4), unseen)))
+
+
 def test_points_that_stay_away_are_the_person(seen):
     moments = seen.copy()
     moments[16:] += np.array([5.0, 0.0, 0.0], dtype=np.float32)
@@ -289,7 +298,7 @@ def test_lines_of_json(seen, truth):
         json.dumps({"time": k / FPS, "points": [row.tolist() for row in moment]}) + "\n"
         for k, moment in enumerate(seen[:24])
     ]
-    lines[20] = json.dumps({"time": 20 / FPS, "points": [None] * 22})
+    lines[20] = json.dumps({"time": 20 / FPS, "points": [None, [None, 1, 2], *[[None] * 3] * 20]})
     lines.insert(10, "{nothing")
     lines.insert(12, '{"time": 1.0}')
     lines.insert(14, "")

@@ -248,7 +248,7 @@ def test_a_stage_goes_on_from_the_best_of_what_is_proposed(toy_body):
     assert [len(report.solution.value) for report in reports] == [2, 2]
     compared = reports[-1].compared
     assert compared is not None
-    assert compared.clip.tolist() == [0, 1, 1, 1]
+    assert compared.clip.tolist() == [0, 1, 1]
 
 
 def test_proposals_are_motions_in_the_world(toy_body):
@@ -259,10 +259,10 @@ def test_proposals_are_motions_in_the_world(toy_body):
     scene = replace(Scene.create(1, like=truth.translation), ground=ground)
     began = Hypotheses.of_motions(FreeMotion(), [truth], scene, toy_body)
     world = began.estimate(toy_body).motion
-    extended, origin = began.extended(lambda estimate, _: estimate.motion, toy_body)
-    assert origin.tolist() == [0, 0]
-    motion = extended.unknowns.motion(extended.prior, toy_body)
-    torch.testing.assert_close(motion.translation[1], truth.translation[0])
+    made, origin = began.proposed(lambda estimate, _: estimate.motion, toy_body)
+    assert origin.tolist() == [0]
+    motion = made.unknowns.motion(made.prior, toy_body)
+    torch.testing.assert_close(motion.translation[0], truth.translation[0])
     assert (world.translation - truth.translation).abs().max() > 0.5
 
 

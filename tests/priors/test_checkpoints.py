@@ -63,7 +63,7 @@ def test_shipped_weights_carry_their_checksum(shipped: Path, tmp_path: Path) -> 
 
 
 def test_every_kind_of_weights_is_shipped() -> None:
-    kinds = {"pose", "humor", "humor_steps", "anchor", "humos", "labels"}
+    kinds = {"pose", "humor", "humor_steps", "anchor", "humos", "labels", "look"}
     assert {path.stem for path in SHIPPED} == kinds
     assert named_checkpoint("open", "humor").path in SHIPPED
 

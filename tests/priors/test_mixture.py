@@ -77,27 +77,6 @@ def test_a_singular_covariance_is_refused() -> None:
         Mixture.create(torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2, 2))
 
 
-def test_conditioning_divides_densities() -> None:
-    """p(x) = p(known) p(others | known): energies differ by the same whatever the others are."""
-    random = torch.Generator().manual_seed(3)
-    factor = torch.randn(2, 5, 5, generator=random).double()
-    covariances = factor @ factor.mT + 0.1 * torch.eye(5, dtype=torch.float64)
-    means = torch.randn(2, 5, generator=random).double()
-    features = torch.tensor([0, 2, 3, 4, 6])
-    mixture = Mixture.create(torch.tensor([0.3, 0.7]), means, covariances, features)
-    known = torch.tensor([True, False, False, True, False])
-    x = torch.randn(7, 7, generator=random).double()
-    x[:, features[known]] = torch.tensor([0.4, -1.2]).double()
-    others = mixture.conditioned_on(known, x[0, features[known]], torch.full((2,), 1e-9))
-    assert others.features.tolist() == [2, 3, 6]
-    apart = mixture.energy(x) - others.energy(x)
-    torch.testing.assert_close(apart, apart[:1].expand(7), rtol=0, atol=1e-6)
-    loose = mixture.conditioned_on(known, x[0, features[known]], torch.full((2,), 1e6))
-    free = mixture.sample(20_000, random)[:, ~known]
-    drawn = loose.sample(20_000, random)
-    torch.testing.assert_close(drawn.mean(0), free.mean(0), rtol=0, atol=0.15)
-
-
 def test_rarity_is_measured_from_the_highest_mean() -> None:
     """Nats are negative where variances are small, and an energy with tails needs a zero."""
     weights = torch.tensor([0.9, 0.1], dtype=torch.float64)

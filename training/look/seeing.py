@@ -123,6 +123,13 @@ class Seeing:
         return joints.gather(1, bone) | draw.happens(whole, count, 1)
 
 
+CLEAR = Seeing(
+    joints=1.0, fewer=0.0, noise=(0.01, 0.0101), placed=0.0, below=0.0, limbs=0.0, gap=0.0,
+    points=0.0, frames=0.0, outliers=0.0, shorter=0.0,
+)  # fmt: skip
+"""All joints of whole windows with 1 cm of noise, to which checks add one difficulty each."""
+
+
 @dataclass(frozen=True)
 class _Draws:
     """Random numbers of the kind and on the device of a tensor."""
