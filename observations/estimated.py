@@ -55,7 +55,7 @@ class ErrorCovariance:
                 nothing to do with what lasts in another.
             fps: moments per second.
         """
-        times = torch.arange(scale.shape[-1], dtype=torch.float64) / fps
+        times = torch.arange(scale.shape[-1], dtype=torch.float64, device=scale.device) / fps
         away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
         slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn covariance of smoothness 3/2
         slow = slow * (segment[..., :, None] == segment[..., None, :])

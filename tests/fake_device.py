@@ -78,7 +78,8 @@ class _Numbers(TorchFunctionMode):
         if func is Tensor.tolist:
             return args[0].cpu().tolist()
         if func in (torch.matmul, Tensor.matmul, Tensor.__matmul__) and args[0].ndim == 1:
-            return (args[0][None] @ args[1]).squeeze(-2)  # torch would change a shape in place
+            row = args[0][None] @ args[1]  # torch would change a shape in place
+            return row.squeeze(-2) if args[1].ndim > 1 else row[0]
         if func in (Tensor.__getitem__, Tensor.__setitem__) and isinstance(args[0], FakeTensor):
             places = args[1] if isinstance(args[1], tuple) else (args[1],)
             own = tuple(torch.tensor(k).to(FAKE) if isinstance(k, list) else k for k in places)
@@ -107,6 +108,8 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any], waits: Counter[str]) -> A
     kwargs = {
         k: torch.device("cpu") if k == "device" and v is not None else v for k, v in kwargs.items()
     }
+    if name == "copy_" and _bare(args[0]).data_ptr() == _bare(args[1]).data_ptr():
+        return args[0]  # a product into a place in memory is copied onto itself
     out = func(*_changed(args, _bare), **{k: _changed(v, _bare) for k, v in kwargs.items()})
     if name.endswith("_") and fake and isinstance(args[0], FakeTensor):
         return args[0]

@@ -172,16 +172,13 @@ class Collocation(Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages: root; smooth poses; steps under the networks; feet held by contacts as well.
+        """Stages: root; smooth poses, roughly; likely steps, with feet held by contacts.
 
-        Feet come last, because wrongly standing feet of a first guess would be held there. The
-        stage before moves slow changes of the whole clip first, in cosines of time: where limbs
-        are hidden it comes to better minima than Newton's direction does. Where every joint is
-        seen, it is left out, and the poses before are found roughly. Where limbs are never seen, a
-        stage before the last begins from several motions of theirs as well, and the one of the
-        lowest objective goes on; states must be likely then, where legs are unseen, gravity asks
-        for a foot that carries the body, and who moves faster than the networks know is read
-        slower.
+        Feet come last, because wrongly standing feet of a first guess would be held there. Where
+        limbs are not seen for a while, a stage before that begins from two proposed motions of
+        theirs, and the one of the lower objective goes on. Where limbs are never seen, states must
+        be likely, too, gravity asks for a foot that carries the body, and motions faster than the
+        networks know are read slower.
 
         Tolerances were chosen on the validation windows. Where all joints are seen, ten times
         smaller ones take longer and leave the errors as they are. Where legs are never seen,
@@ -203,7 +200,7 @@ class Collocation(Prior[PoseVariables]):
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
-        early, late = (2e-2, 1e-4) if in_images else (2e-3, 3e-5)
+        early, late = (2e-2, 3e-4) if in_images else (2e-3, 3e-5)
         slow = LBFGS(max_iterations=200, tolerance_decrease=early)
         steps = Stage("steps", self, terms, free, slow)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
@@ -212,18 +209,20 @@ class Collocation(Prior[PoseVariables]):
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=preconditioned,
         )  # fmt: skip
+        rough = replace(poses.minimiser, tolerance_decrease=1e-2)
+        ended = replace(last, tolerance_decrease=3e-4)
+        whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         if all_joints_located(data, self.humor.body):
-            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
-            ended = replace(last, tolerance_decrease=3e-4)
-            return root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
+            return whole
         # imported here: most fits see every limb
         from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
-            return root, poses, steps, feet
+            return whole
         compared = replace(slow, max_iterations=_COMPARED)
-        proposals = LookedLimbs(load_network(), unseen)
+        network = load_network(device=self.humor.body.template.device)
+        proposals = LookedLimbs(network, unseen)
         limbs = replace(steps, name="limbs", minimiser=compared, proposals=proposals, kept=1)
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet

@@ -37,8 +37,8 @@ _BENDING = tuple(JOINTS.index(f"{side}_{name}") for side in ("left", "right")
 
 
 @lru_cache(maxsize=2)
-def load_network(weights: str | Path = "open") -> LookNetwork:
-    """The trained network.
+def load_network(weights: str | Path = "open", device: torch.device | str = "cpu") -> LookNetwork:
+    """The trained network on a device.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -48,7 +48,7 @@ def load_network(weights: str | Path = "open") -> LookNetwork:
     shape, width, hypotheses = checkpoint.sizes("shape", "width", "hypotheses")
     network = LookNetwork(shape, width, hypotheses=hypotheses)
     checkpoint.with_prefix("").copy_into(network)
-    return network.eval().requires_grad_(False)
+    return network.eval().requires_grad_(False).to(device)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ times their position, so any set of points is an input. Transformer layers with 
 let frames look at each other. The last layers run once for every hypothesis.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -99,7 +100,7 @@ class LookNetwork(nn.Module):
         x = self.first(self._features(seen, frames))
         count = len(self.codes)
         exists = seen.exists.repeat_interleave(count, 0)
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=half):
+        with torch.autocast(x.device.type, torch.bfloat16) if half else nullcontext():
             for layer in self.common:
                 x = layer(x, seen.exists)
             x = (x[:, None] + self.codes[:, None]).flatten(0, 1)

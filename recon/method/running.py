@@ -24,7 +24,7 @@ from recon.solver.solution import Solution, joined_in_turn
 _ITERATION_SHARE = 3
 """Part of its iterations that every round of a stage has, where correspondences are found anew."""
 
-_ROUGH = 1e-4
+_ROUGH = 1e-3
 """Relative decrease below which every round but the last ends: correspondences that are about to
 change are not worth more."""
 

@@ -45,7 +45,7 @@ class Stage(Generic[S]):
     portion: Callable[[S], S] | None = None
     """The part of the variables that is decoded and compared, such as the first frames or every
     other moment; None decodes them all."""
-    rounds: int = 5
+    rounds: int = 3
     """Number of minimisations with correspondences found anew before each, a third of the
     iterations each; only where an energy has a method `matched(estimate)`, which gives the energy
     over the correspondences of an estimate, such as points and the nearest place of a surface.

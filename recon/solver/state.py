@@ -188,18 +188,17 @@ class BatchState:
         )
 
     def solution(self) -> Solution:
-        """The result, once every element has ended."""
-        device = self.x.device
-        iterations = torch.from_numpy(self.iterations).to(device)
+        """The result, once every element has ended; all of it but `x` on the processor."""
+        iterations, trace = torch.from_numpy(self.iterations), self.trace.cpu()
         longest = int(self.iterations.max(initial=0)) + 1
-        row = torch.arange(longest, device=device).minimum(iterations[:, None])
+        row = torch.arange(longest).minimum(iterations[:, None])
         return Solution(
             x=self.x,
-            value=torch.from_numpy(self.value).to(device),
+            value=torch.from_numpy(self.value),
             iterations=iterations,
-            evaluations=torch.from_numpy(self.evaluations).to(device),
+            evaluations=torch.from_numpy(self.evaluations),
             termination=tuple(self.termination),
-            trace=self.trace.gather(1, row[..., None].expand(-1, -1, self.trace.shape[2])),
+            trace=trace.gather(1, row[..., None].expand(-1, -1, trace.shape[2])),
         )
 
 

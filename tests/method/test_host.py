@@ -63,6 +63,8 @@ def test_a_fit_on_another_device(
     # hidden legs may end elsewhere where two motions are about as likely
     assert float(away.mean()) < 0.05 if kind == "hidden" else float(away.max()) < 5e-4
     assert [one.code for one in result.warnings] == [one.code for one in expected.warnings]
+    stages = [[one["name"] for one in of.report()["stages"]] for of in (result, expected)]
+    assert stages[0] == stages[1]
     tensors = {**result.motion.tensors(), "joint_std": result.joint_std}
     assert [name for name, one in tensors.items() if isinstance(one, FakeTensor)] == []
     if kind not in ("hidden", "depth"):  # constants are copied to the device once

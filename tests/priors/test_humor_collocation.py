@@ -123,12 +123,12 @@ def demo_clip() -> Motion:
 
 def test_feet_are_held_last(body: BodyModel) -> None:
     data = Term("data", lambda e: e.motion.shape.sum(-1), 1.0)
-    *_, steps, contacts = Collocation(humor(body)).stages((data,))
-    assert steps.prior is contacts.prior  # the second goes on from the first's variables
-    assert {t.name for t in contacts.terms} - {t.name for t in steps.terms} == {"contact velocity"}
+    *_, poses, contacts = Collocation(humor(body)).stages((data,))
+    own = {term.name for term in contacts.terms} - {term.name for term in poses.terms}
+    assert own == {"step", "latents", "contact velocity"}
 
 
-def test_rough_steps_are_left_out_where_every_joint_is_seen(body: BodyModel) -> None:
+def test_poses_are_found_roughly_first(body: BodyModel) -> None:
     positions = torch.zeros(2, 10, 22, 3)
     shown = torch.ones(2, 10, 22, dtype=torch.bool)
     whole = Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
@@ -137,7 +137,7 @@ def test_rough_steps_are_left_out_where_every_joint_is_seen(body: BodyModel) -> 
     hidden = Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
     method = Collocation(humor(body))
     assert [s.name for s in method.stages((whole,))] == ["root", "pose", "contacts"]
-    assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "steps", "contacts"]
+    assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "contacts"]
 
 
 def test_every_stage_takes_the_density_that_is_given(body: BodyModel) -> None:

@@ -76,7 +76,7 @@ def test_presets_have_the_published_weights_whatever_the_fit_gives(
 
 def test_a_phase_without_iterations_is_left_out(body: BodyModel) -> None:
     stages = Shooting.for_noise(humor(body), 0.04).stages((Term("data", zero, 1.0),))
-    assert [stage.name for stage in stages] == ["root", "pose", "steps", "contacts", "all"]
+    assert [stage.name for stage in stages] == ["root", "pose", "contacts", "all"]
 
 
 def test_it_begins_where_collocation_ends(body: BodyModel) -> None:
