@@ -194,7 +194,7 @@ def test_manifests_are_checked_line_by_line(tmp_path):
         ({"id": "b"}, "line 2"),
         ({"id": None, "observations": []}, "line 2: expected texts"),
         ({"id": "b", "observations": [7]}, "line 2: expected texts"),
-        ({"id": "../b", "observations": []}, "names a file"),
+        ({"id": "../b", "observations": []}, "can be a file name"),
         ({"id": "b", "observations": [], "camera": "c.toml"}, "camera cannot differ"),
     ):
         with pytest.raises(ValueError, match=words):

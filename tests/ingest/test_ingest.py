@@ -319,7 +319,7 @@ def test_nominal_offsets_point_off_the_skin(bundled: BodyModel) -> None:
 
 @pytest.mark.parametrize("rate", [0.0, -30.0])
 def test_rates_are_checked(recording: SkeletonRecording, bundled: BodyModel, rate: float) -> None:
-    with pytest.raises(ValueError, match="positive frame rate"):
+    with pytest.raises(ValueError, match="expected a number above 0"):
         convert(recording, bundled, fps=rate)
 
 
