@@ -147,7 +147,7 @@ def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, cap
     ("arguments", "words"),
     [
         (("sample", "--out", "a", "--shape", "tall"), "--prior humos"),
-        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "temperature is an option of HuMoR"),
+        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "an option of HuMoR"),
         (("sample", "--out", "a", "--prior", "humos", "--fps", 0), "fps: expected"),
         (("sample", "--out", "a", "--prior", "humos", "--device", "cuda"), "device: HUMOS"),
         (("sample", "--out", "a", "--prior", "humos", "--shape", "blue"), "blue"),
