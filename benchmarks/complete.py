@@ -38,7 +38,7 @@ from benchmarks.scans import (
 )
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Part, Splits, clip_files, is_flat
-from recon.benchmark.table import paired
+from recon.benchmark.table import paired_difference
 from recon.body.cycles import find_cycles
 from recon.fitting.recording import WholeRecording
 from recon.formats.observations import ObservationFile, PointsFile, PositionsFile, save_observation
@@ -124,7 +124,7 @@ def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Ta
                 found.append({**judged(motion, one.truth, body), "seconds": seconds})
             plain = plain or found
             ours, theirs = ([row["vertices"] for row in own] for own in (found, plain))
-            less = paired(ours, theirs, list(scans), ["all"] * len(scans))
+            less = paired_difference(ours, theirs, list(scans), ["all"] * len(scans))
             mean = {key: float(np.mean([row[key] for row in found])) for key in found[0]}
             keys = ("worst_tenth", "jump", "jump_truth", "seconds")
             rows.append([f"{case}, {label}", len(found), number(mean["vertices"]),

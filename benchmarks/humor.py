@@ -27,7 +27,7 @@ from benchmarks.protocol import (
 from recon.benchmark.dataset import clip_files
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import noise_of, sensor_of
-from recon.benchmark.table import BenchTable, interval, paired
+from recon.benchmark.table import BenchTable, mean_with_interval, paired_difference
 from recon.formats.observations import PositionsFile
 from training.humor.corpus import OTHER, described_action, kind_of
 
@@ -145,7 +145,7 @@ def compared(found: Mapping[str, BenchTable]) -> Table:
         people = [own.subjects[i] for i in kept]
         for metric, words in COMPARED[name].items():
             ours, theirs = ([own.values[m][metric][i] for i in kept] for m in (HUMOR, POSE))
-            less = paired(ours, theirs, clips, people)
+            less = paired_difference(ours, theirs, clips, people)
             verdict = "sure" if less.sure else "inside noise"
             rows.append([f"{name}: {words}, cm", spread(less, 100), verdict])
     return Table([("collocation less stages 1-2", None), ("difference", 2), ("95 %", None)], rows)
@@ -172,7 +172,8 @@ def kinds(found: Mapping[str, BenchTable], told: Mapping[str, str]) -> Table:
             [clips[i] for i in some], [subjects[i] for i in some],
         )  # fmt: skip
         errors = [
-            interval([found[n].values[m][MAIN[n]][i] for i in some], *groups) for n, m in pairs
+            mean_with_interval([found[n].values[m][MAIN[n]][i] for i in some], *groups)
+            for n, m in pairs
         ]
         words = sorted({told[clips[i]] for i in some}) if kind == OTHER else []
         label = f"{kind}: {'; '.join(words)}" if words else kind

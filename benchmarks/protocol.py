@@ -26,7 +26,7 @@ import torch
 import recon
 from recon import Motion
 from recon.benchmark.dataset import SPLITS, Splits
-from recon.benchmark.table import MeanWithInterval, interval
+from recon.benchmark.table import MeanWithInterval, mean_with_interval
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.replacing import files_checksum, write_text
@@ -150,7 +150,7 @@ def mean_of(values: Sequence[float | None], windows: TrueWindows) -> MeanWithInt
     own = [values[k] for k in kept]
     if all(value is None for value in own):
         return None
-    return interval(own, clips, people)
+    return mean_with_interval(own, clips, people)
 
 
 def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from observations.joints3d import Joints3D as Joints3D
     from observations.markers3d import Markers3D as Markers3D
 
-from recon.core.plugins import lazy  # imported after the block for type checkers
+from recon.core.plugins import lazy_names  # imported after the block for type checkers
 
 _HOMES = {"Joints3D": "observations.joints3d", "Markers3D": "observations.markers3d"}
 
-__getattr__, __dir__ = lazy(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from recon.core.arrays import (
     bool_tensor,
-    finite,
+    finite_number,
     first_where,
     float_tensor,
     index_tuple,
-    positive,
+    positive_number,
     require_shape,
 )
 from recon.core.errors import ObservationError, UnitsError
@@ -51,7 +51,7 @@ def checked_positions(
     Raises:
         ValueError: for other shapes, NaN or infinity where visible, and what are no metres.
     """
-    hidden = masked(positions)
+    hidden = numpy_mask(positions)
     positions = float_tensor(positions, f"{kind}.{name}")
     require_shape(positions, f"{kind}.{name}", ("moments", "points", 3))
     visible = bool_tensor(mask, f"{kind}.{mask_name}").to(positions.device)
@@ -98,7 +98,7 @@ def checked_std(
     return values.where(visible, 0.0), float(mean)
 
 
-def masked(values: Any) -> Tensor:
+def numpy_mask(values: Any) -> Tensor:
     """Mask of points with a coordinate that `numpy.ma` masks; a single False for other arrays."""
     if not isinstance(values, np.ma.MaskedArray):
         return torch.tensor(False)
@@ -111,7 +111,10 @@ def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
     Raises:
         ValueError: when they are no numbers or out of range.
     """
-    fps, start_time = positive(fps, f"{kind}.fps"), finite(start_time, f"{kind}.start_time")
+    fps, start_time = (
+        positive_number(fps, f"{kind}.fps"),
+        finite_number(start_time, f"{kind}.start_time"),
+    )
     FRAME_RATE.check(fps, kind, "fps")
     TIME.check(start_time, kind, "start_time")
     return fps, start_time

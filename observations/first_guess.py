@@ -74,7 +74,7 @@ def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
     return placed.replace(translation=placed.translation + away, rotations=there.rotations)
 
 
-def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     """The observations, with labels added to clouds.
 
     Where another sensor has named 3D points no labels are added: named points determine the
@@ -111,7 +111,7 @@ def guessed(
             "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
         )
     if start is None:
-        seen = labelled(observations)
+        seen = with_labelled_clouds(observations)
         guess = first_guess(seen, body)
     else:
         seen = tuple(observations)

@@ -9,7 +9,7 @@ from torch import Tensor
 from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import Numbers, constant
+from recon.core.arrays import Numbers, cached_constant
 from recon.core.errors import ObservationError
 from recon.core.residuals import squared
 from recon.core.skeleton import JOINTS
@@ -57,7 +57,7 @@ class Joints3D(TrackedPoints):
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The joints of a posed body, world, metres."""
-        return body.joints[..., constant(self.joints, body.joints.device), :]
+        return body.joints[..., cached_constant(self.joints, body.joints.device), :]
 
     @property
     def point_ids(self) -> tuple[int, ...]:

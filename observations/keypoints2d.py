@@ -15,7 +15,7 @@ from observations.checks import (
     checked_clock,
     checked_places,
     checked_view,
-    masked,
+    numpy_mask,
     same_points,
     seen_and_finite,
 )
@@ -24,7 +24,7 @@ from observations.noise import LIMITS, estimate_noise
 from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers, float_tensor, positive, require_shape
+from recon.core.arrays import Numbers, float_tensor, positive_number, require_shape
 from recon.core.camera import NEAREST, Camera, Projection
 from recon.core.limits import CONFIDENCE, PIXEL
 from recon.core.motion import Motion
@@ -107,7 +107,7 @@ class Keypoints2D(PointsOfBody):
         self._settle(
             pixels=pixels, confidence=confidence, points=points,
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
-            sigma=positive(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
+            sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
             offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
         )  # fmt: skip
 
@@ -248,7 +248,7 @@ def _checked_pixels(
         ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
             numbers that are no pixels or no confidences.
     """
-    hidden = masked(pixels)
+    hidden = numpy_mask(pixels)
     pixels = float_tensor(pixels, "Keypoints2D.pixels")
     require_shape(pixels, "Keypoints2D.pixels", ("moments", "points", 2))
     confidence = float_tensor(confidence, "Keypoints2D.confidence").to(pixels)

@@ -13,7 +13,7 @@ from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import Numbers, constant, float_tensor
+from recon.core.arrays import Numbers, cached_constant, float_tensor
 from recon.core.errors import ObservationError
 from recon.core.residuals import squared
 from recon.core.skeleton import JOINTS
@@ -74,11 +74,13 @@ class Markers3D(TrackedPoints):
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The points on a posed body, world, metres."""
-        points = body.points(constant(self.vertices, body.joints.device))
+        points = body.points(cached_constant(self.vertices, body.joints.device))
         if self.offsets is None:
             return points
-        turns = body.orientations[..., constant(self.bones(body.model), points.device), :, :]
-        offsets = constant(self.offsets, points.device, points.dtype)
+        turns = body.orientations[
+            ..., cached_constant(self.bones(body.model), points.device), :, :
+        ]
+        offsets = cached_constant(self.offsets, points.device, points.dtype)
         return points + (turns @ offsets[..., None])[..., 0]
 
     @property
@@ -88,13 +90,13 @@ class Markers3D(TrackedPoints):
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The points on a body of some shape."""
-        vertices = constant(self.vertices, shape.device)
+        vertices = cached_constant(self.vertices, shape.device)
         identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(vertices), len(JOINTS))
         found = CarriedPoints.create(body, shape, none, identity, vertices)
         if self.offsets is None:
             return found
-        offsets = constant(self.offsets, shape.device, shape.dtype)
+        offsets = cached_constant(self.offsets, shape.device, shape.dtype)
         return found.displaced(self.bones(body), offsets)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
@@ -104,7 +106,7 @@ class Markers3D(TrackedPoints):
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """The bone that moves each marker most."""
-        return _bones(self.vertices, body.weights)
+        return _bones_of_vertices(self.vertices, body.weights)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
         """Labels of the recording, or landmarks that points sit on, or numbers of vertices."""
@@ -116,7 +118,7 @@ class Markers3D(TrackedPoints):
 
 
 @lru_cache(maxsize=16)
-def _bones(vertices: tuple[int, ...], weights: Tensor) -> tuple[int, ...]:
+def _bones_of_vertices(vertices: tuple[int, ...], weights: Tensor) -> tuple[int, ...]:
     """The joint of the largest skinning weight of each vertex; a GPU has to wait for it once."""
     return tuple(weights[list(vertices)].argmax(-1).tolist())
 

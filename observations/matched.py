@@ -18,7 +18,7 @@ from observations.surfels import Surfels, tukey_kernel, tukey_scale
 from recon.body.derivatives import BELOW, joints_by_shape
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.motion import Motion
 from recon.core.residuals import Residuals
 from recon.core.struct import TensorStruct
@@ -249,7 +249,7 @@ class MatchedCloud(TensorStruct):
         if len(self.filled) == self.moments and seen == slice(0, self.moments):
             return values, self
         some = slice(*(bisect_left(self.filled, end) for end in (seen.start, seen.stop)))
-        rows = constant(tuple(k - seen.start for k in self.filled[some]), values.device)
+        rows = cached_constant(tuple(k - seen.start for k in self.filled[some]), values.device)
         axis = len(self.present.shape) - 2
 
         def cut(tensor: Tensor) -> Tensor:
@@ -282,7 +282,7 @@ class MatchedCloud(TensorStruct):
             (one.start_time + k / one.fps - motion.start_time) * motion.fps for k in one.filled
         ]
         last = motion.frames - 1
-        frame = constant(tuple(min(max(round(p), 0), last) for p in place), along.device)
+        frame = cached_constant(tuple(min(max(round(p), 0), last) for p in place), along.device)
         orientations, joints = (every[frame] for every in model.posed)
         shaped = along[..., :0, :]
         if model.with_shape:

@@ -15,7 +15,7 @@ Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
 
 
-def streamable(given: Any) -> Tracker:
+def as_streamed(given: Any) -> Tracker:
     """The sensor in the form that a stream needs: without a clip axis, in single precision.
 
     Raises:
@@ -73,7 +73,7 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
     return sensor.replace(positions=values, visible=seen[None])
 
 
-def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
+def frames_between(sensor: Tracker, start: int, stop: int) -> Tracker:
     """Some frames of a sensor, selected by index; `start_time` does not change."""
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
@@ -93,8 +93,10 @@ def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
     """The sensor with one more frame appended."""
-    later = moments(sensor, row + 1, sensor.moments)
-    return joined_in_time(joined_in_time(moments(sensor, 0, row), moments(moment, 0, 1)), later)
+    later = frames_between(sensor, row + 1, sensor.moments)
+    return joined_in_time(
+        joined_in_time(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later
+    )
 
 
 def with_points_hidden(

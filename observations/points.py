@@ -15,7 +15,7 @@ from observations.noise import estimate_noise
 from observations.start.rigid import limbs_towards, rigid_start
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import Numbers, constant
+from recon.core.arrays import Numbers, cached_constant
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, geman_mcclure, squared
 from recon.core.skeleton import PARENTS
@@ -86,7 +86,7 @@ class PointsOfBody(Sensor):
         if self.offset_rows is None:
             return points
         turns = estimate.body.orientations
-        turns = turns[..., constant(self.bones(estimate.body.model), turns.device), :, :]
+        turns = turns[..., cached_constant(self.bones(estimate.body.model), turns.device), :, :]
         offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
         return points + self.offset_unit * (turns @ offsets)[..., 0]
 

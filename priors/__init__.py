@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from priors.humor.shooting import Shooting as Shooting
     from priors.pose.prior import PosePrior as PosePrior
 
-from recon.core.plugins import lazy  # imported after the block for type checkers
+from recon.core.plugins import lazy_names  # imported after the block for type checkers
 
 _HOMES = {
     "Collocation": "priors.humor.collocation",
@@ -26,4 +26,4 @@ _HOMES = {
     "PosePrior": "priors.pose.prior",
 }
 
-__getattr__, __dir__ = lazy(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

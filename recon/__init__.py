@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
-from recon.core.plugins import lazy as _lazy
+from recon.core.plugins import lazy_names as _lazy
 
 __version__ = "0.2.0"
 __distribution__ = "motion-recon"

@@ -114,10 +114,10 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
             "HuMoR": Collocation.for_noise(humor, noise),
         }
         results = {method: solve([seen[None]], prior, body) for method, prior in methods.items()}
-        table[name] = {"observed": _observed(seen, truth, body)}
+        table[name] = {"observed": _errors_of_data(seen, truth, body)}
         for method, result in results.items():
-            table[name][method] = _metrics(result, seen, truth, body)
-            shows.append(_show(f"{case.title}: {method}", seen, result, truth))
+            table[name][method] = _metrics_of_result(result, seen, truth, body)
+            shows.append(_show_of_case(f"{case.title}: {method}", seen, result, truth))
         motion = results["HuMoR"].clip(0).detach()
         said = {"case": case.title, "seed": SEED}
         with writing_file(out / f"{name}.npz", said) as staged:
@@ -128,7 +128,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
     return table
 
 
-def _metrics(
+def _metrics_of_result(
     result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Metrics:
     predicted = seen[None].predicted(result.estimate)[0].detach()
@@ -137,7 +137,7 @@ def _metrics(
     return evaluate(result.clip(0).detach(), truth, body, observed=points)
 
 
-def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
+def _errors_of_data(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
     """Errors of the data themselves; None where the data are no joints."""
     exact = seen.predict(body.pose(truth))
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
@@ -148,7 +148,9 @@ def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Met
     return metrics
 
 
-def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion) -> Show:
+def _show_of_case(
+    title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion
+) -> Show:
     predicted = seen[None].predicted(result.estimate)[0].detach()
     model = result.body.model
     figures = (

@@ -26,7 +26,7 @@ def report_of(name: str, out: Path, **given: Any) -> dict[str, Any]:
         out: file or folder to write.
         given: other arguments of the verb, by name.
     """
-    listing.verb(name)(out=out, quiet=True, **given)
+    listing.function_of_verb(name)(out=out, quiet=True, **given)
     report = out.with_name(f"{out.name}.json") if out.is_file() else out / "report.json"
     return json.loads(report.read_text(encoding="utf-8"))
 

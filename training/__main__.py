@@ -116,7 +116,7 @@ def train(
         kind.train(settings)
         with writing_file(out, report, overwrite=overwrite) as made:
             kind.export_weights(settings, made)
-    console.last(str(out))
+    console.print_last_line(str(out))
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.batch.collection import SourceClip, collections
+from recon.batch.collection import SourceClip, clips_by_collection
 from recon.core.errors import FormatError
 from recon.core.skeleton import joint_index
 from recon.core.units import snapped_rate
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 from recon.ingest.maps import SkeletonMap
 from recon.mocap.bvh import read_bvh
 from recon.mocap.c3d import read_c3d
@@ -56,7 +56,7 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
     """
     folders = sorted(manifest.parent for manifest in (data / MORE).glob("*/manifest.csv"))
     more = [_listed(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
-    return [*collections(data / FIRST), *more]
+    return [*clips_by_collection(data / FIRST), *more]
 
 
 def _listed(folder: Path) -> list[SourceClip]:
@@ -265,7 +265,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
         ValueError: when it is no such motion.
     """
     try:
-        table = json.loads(decode(read_bytes(path)))
+        table = json.loads(decoded_text(read_bytes(path)))
         frames = np.array(table["Frames"], dtype=float)
         if frames.ndim != 2 or frames.shape[1] != 44 or not np.isfinite(frames).all():
             raise ValueError(f"its frames have the shape {frames.shape}")

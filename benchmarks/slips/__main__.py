@@ -24,7 +24,7 @@ from benchmarks.slips.judging import Verdict, slipped
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import SENSORS, recording_of
 from recon.benchmark.dataset import Splits
-from recon.benchmark.table import interval
+from recon.benchmark.table import mean_with_interval
 from recon.benchmark.windows import load_windows
 
 
@@ -101,7 +101,7 @@ def _counts(clips: Sequence[Verdict]) -> list[Cell]:
 def _share(flags: Sequence[bool], clips: Sequence[Verdict]) -> str:
     """A share in percent with its 95 % interval over clips."""
     names = [clip.clip for clip in clips]
-    found = interval([float(flag) for flag in flags], names, ["all"] * len(names))
+    found = mean_with_interval([float(flag) for flag in flags], names, ["all"] * len(names))
     return f"{100 * found.mean:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 

@@ -28,7 +28,7 @@ _HANGING = BELOW.nonzero(as_tuple=True)
 """All pairs of a joint and one that is the same or hangs from it."""
 
 
-def torques(
+def gradient_by_turns(
     bones: Float[Tensor, "rows 22 3 4"], force: Float[Tensor, "rows 22 3 4"]
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 22 3"]]:
     """Derivatives of the energy by the translation and by world turns about the joints."""
@@ -44,7 +44,7 @@ def torques(
     return push.sum(1), below @ twist - torch.linalg.cross(bones[..., 3], hung)
 
 
-def inertia(
+def hessian_by_turns(
     bones: Float[Tensor, "rows 22 3 4"], stiffness: Float[Tensor, "rows 22 4 4"]
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3 66"], Float[Tensor, "rows 66 66"]]:
     """Gauss-Newton Hessian: by two translations, by a translation and a turn, by two turns.
@@ -328,8 +328,8 @@ def _by_coordinates(
 ) -> tuple[Float[Tensor, "rows 69"], Float[Tensor, "rows 69 69"]]:
     """Gradient and Gauss-Newton Hessian by translation, turn of the root (world) and z."""
     bones = state.bones
-    pull, turning = torques(bones, force)
-    mass, across, between = inertia(bones, stiffness)
+    pull, turning = gradient_by_turns(bones, force)
+    mass, across, between = hessian_by_turns(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
     # rotations of all joints by steps of the root and of z; other joints turn by v = B z

@@ -19,7 +19,7 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.surface_steps import SeenSurface, misfits
+from observations.start.surface_steps import SeenSurface, misfits_of_frames
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
@@ -187,7 +187,7 @@ class _Tracker:
         found = held.refined_to_surface(
             posed[rows], self.solver, targets[rows], _STEP_SCALES, ties
         )
-        return _interpolated(found, moments.number, count)
+        return _interpolated_poses(found, moments.number, count)
 
     def _targets(self, moments: _PosedFrames, signs: tuple[int, int, int]) -> BoneTargets:
         """The points with their places on bones under one hypothesis of the labels."""
@@ -230,7 +230,7 @@ class _Tracker:
         )  # fmt: skip
         repeated = (readings, 1, 1)
         eye = None if moments.eye is None else moments.eye.repeat(readings, 1)
-        misfit, contradicted = misfits(
+        misfit, contradicted = misfits_of_frames(
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(readings, 1), eye,
         )  # fmt: skip
@@ -304,7 +304,7 @@ def _costs_of_changes(
     return cost.clamp(max=_MAX_CHANGE_COST)
 
 
-def _interpolated(
+def _interpolated_poses(
     found: BonePoses, number: Int[Tensor, " rows"], count: int
 ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
     """Interpolate translations and rotations between some frames; constant beyond the ends."""

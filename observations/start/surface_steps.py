@@ -19,7 +19,7 @@ from priors.labels.regions import REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.nearest import nearest_alike
-from recon.core.raster import facing
+from recon.core.raster import faces_eye
 from recon.core.struct import concatenate
 
 _PLACE_WEIGHT = 0.005
@@ -120,10 +120,10 @@ class SeenSurface:
 
     def _targets(self, state: BonePoses) -> BoneTargets:
         """The nearest surfels of the points, on the bones that move them most."""
-        middles, normals = self.cover.posed(self.body.pose(_motion(state, self.body)))
+        middles, normals = self.cover.posed(self.body.pose(_motion_of_poses(state, self.body)))
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if self.eye is not None:
-            allowed = facing(middles, normals, self.eye)
+            allowed = faces_eye(middles, normals, self.eye)
         found = nearest_alike(self.points, self.present, self.costs, middles, allowed, self.kinds)
         pick = found[..., None].expand(*found.shape, 3)
         middle, normal = middles.gather(1, pick), normals.gather(1, pick)
@@ -138,7 +138,7 @@ class SeenSurface:
         return BoneTargets(middle + height + _ALONG * (away - height), weight, bone, place)
 
 
-def _motion(state: BonePoses, body: BodyModel) -> Motion:
+def _motion_of_poses(state: BonePoses, body: BodyModel) -> Motion:
     """The poses of all rows as the frames of one motion of the average body."""
     shape = state.translation.new_zeros(body.shape_size)
     return Motion.create(state.translation, state.rotations, shape, fps=30.0)
@@ -152,7 +152,7 @@ _BEFORE = 0.12
 """Metres that a surface may be nearer to the sensor than the points along its line of sight."""
 
 
-def misfits(
+def misfits_of_frames(
     motion: Motion,
     body: BodyModel,
     surfels: Surfels,
@@ -178,7 +178,7 @@ def misfits(
     middles, normals = surfels.posed(body.pose(motion))
     shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
     if eye is not None:
-        shown = facing(middles, normals, eye)
+        shown = faces_eye(middles, normals, eye)
     centre = points.mean(1, keepdim=True)  # near zero, products of coordinates keep their digits
     squared = squared_distances(points - centre, middles - centre)
     nearest = squared.masked_fill(~shown[:, None], torch.inf).amin(-1)

@@ -227,12 +227,12 @@ class Collocation(Prior[PoseVariables]):
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
         # imported here: seldom is a limb never seen
-        from priors.humor.likely import LikelyStates, tempo
+        from priors.humor.likely import LikelyStates, time_factor
         from recon.physics.support import SupportEnergy
 
         carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
-        read = replace(self, tempo=tempo(data))
+        read = replace(self, tempo=time_factor(data))
         limbs = replace(feet, name="limbs", minimiser=compared, proposals=proposals, kept=1)
         feet = replace(feet, minimiser=replace(last, tolerance_decrease=1e-4))
         limbs, feet = (

@@ -13,9 +13,9 @@ from priors.humor.prior import Humor
 from priors.humor.state import (
     Frame,
     State,
-    compose,
     contact_probabilities,
     posed_joints,
+    state_after_step,
     states_of,
 )
 from recon.body.contacts import rest_heights, touching_heights
@@ -120,7 +120,7 @@ def drawn_step(
     if random is not None:
         noise = torch.randn(latent.shape, generator=random).to(latent)
         latent = latent + temperature * noise * (0.5 * log_variance).exp()
-    return frame, *compose(here, networks.decode(packed, latent))
+    return frame, *state_after_step(here, networks.decode(packed, latent))
 
 
 TEMPERATURE = 0.9

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import canonical, initial_features, on_network_clock, posed_states
+from priors.humor.state import canonical_state, initial_features, on_network_clock, posed_states
 from priors.humor.steps import RARITY, heavy_tailed
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
@@ -30,21 +30,23 @@ _SPEED_SPAN_S = 0.5
 matters."""
 
 
-def tempo(data: Sequence[Term]) -> float:
+def time_factor(data: Sequence[Term]) -> float:
     """Factor by which time is scaled for the networks, per motion of a batch; 1 is real time.
 
     √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
     that tells most of it; clips of which no sensor tells a speed are read as they are.
     """
-    speeds = [_speed(term.energy) for term in data if getattr(term.energy, "placed", False)]
+    speeds = [
+        _centroid_speed(term.energy) for term in data if getattr(term.energy, "placed", False)
+    ]
     if len(speeds) == 0:
         return 1.0
     slowest = float(torch.stack(speeds).amax(0).min())
     return math.sqrt(FASTEST / max(slowest, FASTEST))
 
 
-def _speed(sensor: Any) -> Float[Tensor, " clips"]:
+def _centroid_speed(sensor: Any) -> Float[Tensor, " clips"]:
     """Mean speed of the centroid of visible points over `_SPEED_SPAN_S`, m/s."""
     places, shown = sensor.places, sensor.shown
     lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
@@ -74,7 +76,7 @@ class LikelyStates(TensorStruct):
         motion = estimate.motion
         humor = self.humor.like(motion.translation)
         states = posed_states(on_network_clock(motion), estimate.body.joints)
-        states = canonical(states, humor.pelvis(motion.shape)[:, None])
+        states = canonical_state(states, humor.pelvis(motion.shape)[:, None])
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]
         return heavy_tailed(rarity, RARITY).where(exists, 0.0).sum(-1)

@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from priors.humor.networks import LATENT, RAW, STATE, Perceptron
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.skeleton import JOINTS
 
 VECTORS = 2 + 2 * len(JOINTS)
@@ -158,7 +158,7 @@ class HeadingTurn:
         """A turn in a tensor's precision and on its device."""
         quarters = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0))
         like = (tensor.device, tensor.dtype)
-        return cls(constant((_UPRIGHT, 0.0), *like), constant(quarters, *like))
+        return cls(cached_constant((_UPRIGHT, 0.0), *like), cached_constant(quarters, *like))
 
     def right_side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
         """Horizontal part of the vector to the body's right, not normalised."""

@@ -136,7 +136,7 @@ class HumorNetworks(nn.Module):
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """The decoder's raw step, which `priors.humor.state.compose` applies to the state."""
+        """The decoder's raw step, which `priors.humor.state.state_after_step` applies."""
         x = torch.cat((state, latent), -1)
         return self.decoder(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 

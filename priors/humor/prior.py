@@ -19,10 +19,10 @@ from priors.checkpoints import Checkpoint, named_checkpoint
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks, width_of
 from recon.body.model import BodyModel
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.errors import WeightsError
 from recon.core.motion import Motion
-from recon.core.plugins import imported
+from recon.core.plugins import imported_object
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
@@ -111,13 +111,13 @@ class Humor(Prior[HumorVariables]):
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
         """The stages of `collocation` (all frames) or `rollout` (first state and latents)."""
-        kind = imported(_METHODS[self.methods[0] if method is None else method], "method")
+        kind = imported_object(_METHODS[self.methods[0] if method is None else method], "method")
         humor = self if body is None else self.like(body.template)
         return kind.for_noise(humor, noise).stages(data)
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream of points with a noise of `noise` metres."""
-        return imported("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
+        return imported_object("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None
@@ -149,9 +149,9 @@ class Humor(Prior[HumorVariables]):
         Raises:
             ValueError: when it has fewer than two frames.
         """
-        from priors.humor.unrolled import encoded
+        from priors.humor.unrolled import encoded_variables
 
-        return encoded(self.like(motion.translation), motion)
+        return encoded_variables(self.like(motion.translation), motion)
 
     def decode(self, variables: HumorVariables) -> Decoded:
         """The motion of a first state and latents.
@@ -159,13 +159,13 @@ class Humor(Prior[HumorVariables]):
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
-        from priors.humor.unrolled import decoded  # for roll-outs only
+        from priors.humor.unrolled import decoded_motion  # for roll-outs only
 
-        return decoded(self.like(variables.translation), variables)
+        return decoded_motion(self.like(variables.translation), variables)
 
     def pelvis(self, shape: Float[Tensor, "clips shape"]) -> Float[Tensor, "clips 3"]:
         """Pelvis of the unposed body with its height set to zero, metres; see `rest_pelvis`."""
-        return self.body.rest_joints(shape)[:, 0] * constant(
+        return self.body.rest_joints(shape)[:, 0] * cached_constant(
             (1.0, 1.0, 0.0), shape.device, shape.dtype
         )
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from priors.humor.networks import STATE
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct
@@ -75,7 +75,8 @@ class Frame(TensorStruct):
         """The canonical frame of a state: its heading and horizontal translation."""
         place = state.translation
         return cls(
-            so3.heading(state.root), place * constant((1.0, 1.0, 0.0), place.device, place.dtype)
+            so3.heading(state.root),
+            place * cached_constant((1.0, 1.0, 0.0), place.device, place.dtype),
         )
 
     def to_frame(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
@@ -120,12 +121,12 @@ def rest_pelvis(state: State) -> Float[Tensor, "*batch 3"]:
     return (state.joints[..., 0, :] - state.translation) * level
 
 
-def canonical(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+def canonical_state(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
     """The state expressed in its canonical frame."""
     return Frame.of(state).to_frame(state, pelvis)
 
 
-def compose(
+def state_after_step(
     state: State, raw: Float[Tensor, "*batch 216"]
 ) -> tuple[State, Float[Tensor, "*batch 9"]]:
     """The decoder's step applied: vectors are added, rotations R' = Exp(w) R; and contact logits.
@@ -154,12 +155,12 @@ def contact_probabilities(
     """
     probability = logits.sigmoid()
     contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
-    contacts[..., constant(tuple(CONTACT_JOINTS), contacts.device)] = probability
+    contacts[..., cached_constant(tuple(CONTACT_JOINTS), contacts.device)] = probability
     return torch.cat((contacts[:, :1], contacts), 1)
 
 
 def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
-    """The raw step with which `compose` leads from a state to another one of the same frame.
+    """The raw step by which `state_after_step` leads from a state to another of the same frame.
 
     Turns are axes times sines of angles: those of a step are small.
     """

@@ -47,7 +47,7 @@ def posterior_outputs(
     raw = networks.decode(steps.start, mean)
     return StepOutputs(
         error=steps.error(raw),
-        surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
+        surprise=kl_divergence(mean, log_variance, prior_mean, prior_log_variance),
         contacts=raw[..., _MOVED:],
     )
 
@@ -133,7 +133,7 @@ def _offset_matrices(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, 
     return about, back
 
 
-def divergence(
+def kl_divergence(
     mean: Float[Tensor, "*batch 48"],
     log_variance: Float[Tensor, "*batch 48"],
     prior_mean: Float[Tensor, "*batch 48"],

@@ -12,9 +12,9 @@ from priors.humor.rollout import roll_out
 from priors.humor.state import (
     Frame,
     State,
-    compose,
     contact_probabilities,
     initial_features,
+    state_after_step,
     states_of,
 )
 from recon.body.model import BodyModel
@@ -68,7 +68,7 @@ class HumorVariables(TensorStruct):
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
 
 
-def encoded(humor: Any, motion: Motion) -> HumorVariables:
+def encoded_variables(humor: Any, motion: Motion) -> HumorVariables:
     """First state and posterior means of a motion; see `Humor.encode`."""
     motion = motion.resample(REFERENCE_FPS)
     states = states_of(motion, humor.body)
@@ -89,7 +89,7 @@ def encoded(humor: Any, motion: Motion) -> HumorVariables:
     )
 
 
-def decoded(humor: Any, variables: HumorVariables) -> Decoded:
+def decoded_motion(humor: Any, variables: HumorVariables) -> Decoded:
     """The motion of a first state and latents; see `Humor.decode`."""
     first, pelvis = _first_state(humor, variables), humor.pelvis(variables.shape)
     frame = Frame.of(first)
@@ -143,7 +143,7 @@ def _latents_along(
         ahead = frame.to_frame(states[:, step], pelvis).pack()
         latents.append(humor.networks.posterior(here, ahead)[0])
         raw = humor.networks.decode(here, latents[-1])
-        reached = frame.from_frame(compose(State.unpack(here), raw)[0], pelvis)
+        reached = frame.from_frame(state_after_step(State.unpack(here), raw)[0], pelvis)
         frame = Frame.of(reached)
         here = frame.to_frame(reached, pelvis).pack()
     return torch.stack(latents, 1)

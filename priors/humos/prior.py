@@ -29,7 +29,7 @@ from recon.body.motion_files import leg_length
 from recon.core import rotations as so3
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion
-from recon.core.plugins import imported
+from recon.core.plugins import imported_object
 from recon.core.struct import TensorStruct
 from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
@@ -118,7 +118,7 @@ class Humos(Prior[HumosVariables]):
         del method
         if body is not None and body.template.device.type != "cpu":
             raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
-        fitted = imported("priors.humos.collocation:CollocatedHumos", "method")
+        fitted = imported_object("priors.humos.collocation:CollocatedHumos", "method")
         return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
@@ -184,7 +184,7 @@ class Humos(Prior[HumosVariables]):
         coarse = frames_at_rate(count, variables.fps)
         exists = self.exists(variables.valid, variables.fps)
         rows = self.weights.networks.decode(codes, variables.shape, exists, coarse)
-        return BodyFrames.unpack(spline(coarse, count, variables.fps).to(rows) @ rows)
+        return BodyFrames.unpack(spline_matrix(coarse, count, variables.fps).to(rows) @ rows)
 
     def sample(
         self, shape: Float[Tensor, "clips shape"], seconds: float, generator: torch.Generator
@@ -257,7 +257,7 @@ def at_rate(motion: Motion) -> Motion:
 
 
 @lru_cache(maxsize=16)
-def spline(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse"]:
+def spline_matrix(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse"]:
     """Matrix from rows at 20 Hz to rows at another rate: the natural cubic spline through them."""
     if fps == FPS:
         return torch.eye(coarse)[:frames]

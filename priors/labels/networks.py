@@ -32,7 +32,7 @@ def squared_distances(
     return torch.baddbmm(sums, a, b.mT, alpha=-2.0).clamp(min=0)
 
 
-def kernel(
+def kernel_weights(
     squared: Float[Tensor, "moments first second"],
     width: float,
     present: Bool[Tensor, "moments second"] | None = None,
@@ -85,7 +85,7 @@ class Patch(TensorStruct):
     less where they lie close together."""
 
 
-def patches(
+def local_patches(
     points: Float[Tensor, "moments points 3"], weights: Float[Tensor, "moments centres points"]
 ) -> Patch:
     """Means, covariances and normals of weighted points."""
@@ -309,10 +309,11 @@ class LabelNetwork(nn.Module):
             centres = points.take_along_dim(pick[..., None], -2)
             squared = squared_distances(centres, points)
             near, wide = (
-                patches(points, kernel(squared, width, clouds.present)) for width in (_NEAR, _WIDE)
+                local_patches(points, kernel_weights(squared, width, clouds.present))
+                for width in (_NEAR, _WIDE)
             )
-            around = kernel(squared, _MIDDLE, clouds.present)
-            share = kernel(squared.mT, _NEAR)
+            around = kernel_weights(squared, _MIDDLE, clouds.present)
+            share = kernel_weights(squared.mT, _NEAR)
             described, normals = _surface_features(clouds, centres, near, wide)
             # the token of the whole frame has distance zero to all others
             between = torch.nn.functional.pad(squared_distances(centres, centres), (1, 0, 1, 0))

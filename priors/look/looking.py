@@ -14,7 +14,7 @@ from priors.look.networks import LookNetwork, Proposed
 from priors.look.points import SeenPoints
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, descendants
 from recon.core.struct import TensorStruct
@@ -135,7 +135,7 @@ class LookedLimbs:
         unseen = self.unseen.at(motion, clip)
         if not bool(unseen.any()):
             return None
-        parents = constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
+        parents = cached_constant(tuple(max(parent, 0) for parent in PARENTS), unseen.device)
         joints = estimate.body.joints.detach()
         found = proposed(self.network, joints, motion.valid, ~unseen[:, parents], body)
         likely = found.log_weight[0].topk(min(_PROPOSED, found.log_weight.shape[1])).indices

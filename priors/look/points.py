@@ -8,7 +8,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.struct import TensorStruct
 from recon.method.sensor import UPRIGHT
 
@@ -60,7 +60,7 @@ class WalkingFrames(TensorStruct):
         number Σ w_p conj(a_p) x_p (Procrustes in the plane). Its sum over neighbouring moments,
         weighted by (1 + (Δt / 0.15 s)²)^-2, also fills moments in which nothing is seen.
         """
-        upright = so3.exp(constant(UPRIGHT, seen.positions.device, seen.positions.dtype))
+        upright = so3.exp(cached_constant(UPRIGHT, seen.positions.device, seen.positions.dtype))
         standing = (
             body.joint_template[seen.bone] - body.joint_template[0] + seen.offset
         ) @ upright.mT

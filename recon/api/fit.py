@@ -24,7 +24,7 @@ from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLik
 from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, positive, usable_device, usable_rate
+from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
@@ -155,7 +155,7 @@ def fit(
         weights=weights,
         method=method,
         noise=_noises(noise, clip),
-        physics=finite(physics, "physics"),
+        physics=finite_number(physics, "physics"),
         ground_given=clip.ground_given,
         grounded=ground is not None,
         repair=repair,
@@ -166,7 +166,7 @@ def fit(
     )
     stopper = None
     if callback is not None or max_seconds is not None:
-        limit = None if max_seconds is None else positive(max_seconds, "max_seconds")
+        limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
     examined = fitted(
         clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
@@ -342,7 +342,7 @@ def _noises(
             f"noise: expected one number, or {count}, one for each of {', '.join(clip.names)}; "
             f"got {len(given)}"
         )
-    return tuple(None if one is None else positive(one, "noise") for one in given)
+    return tuple(None if one is None else positive_number(one, "noise") for one in given)
 
 
 def _start(

@@ -19,9 +19,9 @@ from recon.api.given import (
 )
 from recon.api.made import MadeMotion, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
-from recon.body.identities import doubts
+from recon.body.identities import reasons_for_doubt
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, usable_device, usable_rate
+from recon.core.arrays import finite_number, usable_device, usable_rate
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import MotionFile
 from recon.diagnosis.findings import Finding
@@ -88,7 +88,7 @@ def sample(
     frames = _frame_count(seconds)
     humor = _humor_prior(prior, weights, body, device)
     random = torch.Generator().manual_seed(seed)
-    factor = _temperature(temperature)
+    factor = _checked_temperature(temperature)
     made = generation.sample(humor, frames, count, random, temperature=factor)
     return replace(_motion_results(made, humor.body, "sample"), settings={"temperature": factor})
 
@@ -130,14 +130,14 @@ def predict(
         FileNotFoundError: when a file does not exist.
     """
     _checked_count(samples, "samples")
-    frames, factor = _frame_count(seconds), _temperature(temperature)
+    frames, factor = _frame_count(seconds), _checked_temperature(temperature)
     if prior != "humor" and not isinstance(prior, Humor):
         raise WeightsError(f"prior: expected 'humor' or a loaded Humor, got {prior!r:.60}")
     humor = _humor_prior(prior, weights, body, device)
     given = motion_given(motion, humor.body.to(device="cpu"))
     known = given.motion
     if at is not None:
-        last = round(finite(at, "at") * known.fps)
+        last = round(finite_number(at, "at") * known.fps)
         if not 0 < last < known.frames:
             raise ReconError(
                 f"at: expected a time after the first frame of {given.name} and not after its "
@@ -179,7 +179,7 @@ def _humos_motions(
     labels = contact_labels(joints, rest_heights(model, motion.shape), motion.fps)
     warnings = tuple(
         Finding("body size", f"shape {shape_name(asked)}: {doubt}")
-        for doubt in doubts(model, coefficients)
+        for doubt in reasons_for_doubt(model, coefficients)
     )
     made = Decoded(motion, contacts=labels.to(coefficients))
     return replace(
@@ -220,15 +220,15 @@ def _humor_prior(prior: str | Humor, weights: str, body: BodyLike, device: str) 
 
 
 def _frame_count(seconds: float) -> int:
-    if not finite(seconds, "seconds") >= 1 / REFERENCE_FPS:
+    if not finite_number(seconds, "seconds") >= 1 / REFERENCE_FPS:
         raise ReconError(f"seconds: expected a frame (1/30 s) or longer, got {seconds}")
     return round(seconds * REFERENCE_FPS) + 1
 
 
-def _temperature(temperature: float | None) -> float:
+def _checked_temperature(temperature: float | None) -> float:
     if temperature is None:
         return generation.TEMPERATURE
-    if not finite(temperature, "temperature") >= 0:
+    if not finite_number(temperature, "temperature") >= 0:
         raise ReconError(f"temperature: expected a number of 0 or more, got {temperature}")
     return temperature
 

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from recon.api.results import MotionResult
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers, finite, float_tensor, positive
+from recon.core.arrays import Numbers, finite_number, float_tensor, positive_number
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion, MotionFile
-from recon.core.plugins import PRIORS, registered
+from recon.core.plugins import PRIORS, registered_places
 from recon.fitting.methods import checked_method, class_of, trait_of
 from recon.method.priors import PriorLike, is_prior
 
@@ -164,12 +164,14 @@ class Shape:
         from recon.body.identities import identity
         from recon.method.shape_prior import ShapePrior
 
-        height_std = positive(self.height_std, "shape.height_std")
+        height_std = positive_number(self.height_std, "shape.height_std")
         if self.like is None:
-            tall = identity(f"height={finite(self.height, 'shape.height')}", body)
+            tall = identity(f"height={finite_number(self.height, 'shape.height')}", body)
             return ShapePrior(tall, self.height, height_std, None)
         mean = shape_given(self.like, body)
-        return ShapePrior(mean, self.height, height_std, positive(self.like_std, "shape.like_std"))
+        return ShapePrior(
+            mean, self.height, height_std, positive_number(self.like_std, "shape.like_std")
+        )
 
 
 def shape_known(
@@ -235,7 +237,7 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
         class_of(given)
         checked_method(given, method)
         return given
-    names = ", ".join(registered(PRIORS))
+    names = ", ".join(registered_places(PRIORS))
     if weights != "open":
         raise WeightsError(
             f"weights: {weights!r} is for a prior that is given by its name ({names}), but a "

@@ -13,7 +13,7 @@ from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, usable_rate
+from recon.core.arrays import finite_number, usable_rate
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.interpolation import (
@@ -23,7 +23,7 @@ from recon.fitting.interpolation import (
     interpolated_cycle,
     motion_of_cycle,
 )
-from recon.fitting.retargeting import flies, settled
+from recon.fitting.retargeting import flying_frames, settled_on_ground
 
 
 def interpolate(
@@ -59,7 +59,7 @@ def interpolate(
             without a cycle, and for motions whose cycles never stand on the same feet.
         FileNotFoundError: when there is no such file.
     """
-    share = finite(at, "at")
+    share = finite_number(at, "at")
     if not 0 <= share <= 1:
         raise ReconError(
             f"at: expected a number from 0 (the first motion) to 1 (the second), got {at}"
@@ -87,7 +87,7 @@ def interpolate(
     ]
     mixed = interpolated_cycle(prior, parts[0], parts[1], share)
     made = motion_of_cycle(prior, mixed, given[0].motion.fps if rate is None else rate)
-    motion = settled(made, made, flies(made, model), model).detach()
+    motion = settled_on_ground(made, made, flying_frames(made, model), model).detach()
     durations = {
         "A": chosen[0].duration,
         "B": chosen[1].duration,

@@ -11,13 +11,13 @@ from observations.first_guess import guessed
 from recon.api.given import paths_given
 from recon.api.observations import ClipInFitFrame, clip_of, on_ground, with_robust_kernel
 from recon.body.model import BodyModel
-from recon.core.arrays import finite, geometries_given
+from recon.core.arrays import finite_number, geometries_given
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.fitting.clip import posed
-from recon.fitting.methods import FitOptions, loaded
-from recon.fitting.records import ClipFit, window
+from recon.fitting.methods import FitOptions, loaded_prior
+from recon.fitting.records import ClipFit, clip_between
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.pace import paced
 from recon.method.sensor import Sensor
@@ -46,7 +46,7 @@ def observed(
     Raises:
         ReconError, FileNotFoundError: as `recon.fit`.
     """
-    beyond = None if robust == "auto" else finite(robust, "robust")
+    beyond = None if robust == "auto" else finite_number(robust, "robust")
     paths, geometries = paths_given(given), geometries_given(given)
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
@@ -65,7 +65,7 @@ def observed(
         )
     clip = clip_of(given, body)
     if between is not None:
-        clip = window(clip, *between)
+        clip = clip_between(clip, *between)
     if beyond is not None:
         clip = with_robust_kernel(clip, beyond)
     return on_ground(clip, ground)
@@ -151,7 +151,7 @@ def _completed(
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording
 
-    prior = loaded(options.prior, options.weights, body)
+    prior = loaded_prior(options.prior, options.weights, body)
     if isinstance(prior, WholeRecording):
         return complete_recording(observations, prior, options, body, watch)
     return complete(observations, replace(options, prior=prior), body, watch)

@@ -37,7 +37,7 @@ def in_ten_lines(first: str, known: Sequence[str], found: Sequence[str]) -> str:
         known: lines, such as one for every observation.
         found: repairs and warnings.
     """
-    lines = [*shortened(known, _KNOWN, "lines"), *shortened(found, _FINDINGS, "findings")]
+    lines = [*first_lines(known, _KNOWN, "lines"), *first_lines(found, _FINDINGS, "findings")]
     return "\n".join([first, *map(one_line, lines)])
 
 
@@ -72,7 +72,7 @@ def one_line(text: str) -> str:
     return text if len(text) <= WIDEST else f"{text[: WIDEST - 3]}..."
 
 
-def shortened(lines: Sequence[str], count: int, noun: str) -> list[str]:
+def first_lines(lines: Sequence[str], count: int, noun: str) -> list[str]:
     """The first lines, and how many more there are."""
     if len(lines) <= count:
         return list(lines)

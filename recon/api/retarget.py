@@ -21,11 +21,11 @@ from recon.api.given import (
 )
 from recon.api.made import MadeMotion
 from recon.api.result import motion_file_of
-from recon.body.identities import doubts, weight
+from recon.body.identities import body_weight, reasons_for_doubt
 from recon.body.model import BodyModel
 from recon.body.motion_files import with_equal_pelvis_path
 from recon.core import rotations as so3
-from recon.core.arrays import finite, positive
+from recon.core.arrays import finite_number, positive_number
 from recon.core.errors import ReconError
 from recon.core.motion import Motion, MotionFile
 from recon.diagnosis.findings import Finding
@@ -92,12 +92,12 @@ def retarget(
     if method != "network" and weights != "open":
         raise ReconError(f"weights={weights!r:.60} needs method='network', got {method!r}")
     model = body_given(body)
-    rate = None if fps is None else positive(fps, "fps")
-    asked = None if ground is None else finite(ground, "ground")
+    rate = None if fps is None else positive_number(fps, "fps")
+    asked = None if ground is None else finite_number(ground, "ground")
     target = shape_given(shape, model)
     given = motion_given(motion, model)
     level = ground_height(given, asked)
-    source = raised(given.motion, -level)
+    source = raised_motion(given.motion, -level)
     if source.frames < max(SHORTEST_MOTION * source.fps, 2):
         raise ReconError(
             f"{given.name}: lasts {source.frames / source.fps:.2f} s; a motion that is retargeted "
@@ -110,13 +110,16 @@ def retarget(
         *_ground_warnings(given.name, before, told),
         *(
             Finding("body size", f"shape {shape_name(shape)}: {doubt}")
-            for doubt in doubts(model, target)
+            for doubt in reasons_for_doubt(model, target)
         ),
     )
     made = _retargeted(source, target, model, method, weights).detach()
     result = made if rate is None else made.resample(rate)
     windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
-    bodies = {"source": _measures(model, source.shape), "target": _measures(model, target)}
+    bodies = {
+        "source": _measures_of_body(model, source.shape),
+        "target": _measures_of_body(model, target),
+    }
     about = {
         "source": {"file": given.name, **bodies["source"]},
         "target": {"asked": shape_name(shape), **bodies["target"]},
@@ -143,7 +146,7 @@ def retarget(
         },
         "physics at 20 Hz": {k: _metrics_to_show(row) for k, row in about["physics"].items()},
     }
-    file = motion_file_of(raised(result, level), model, level)
+    file = motion_file_of(raised_motion(result, level), model, level)
     return MadeMotion(file, model, warnings, about, tuple(lines), shown=shown)
 
 
@@ -167,7 +170,7 @@ def ground_height(given: GivenMotion, asked: float | None) -> float:
     return offset / length
 
 
-def raised(motion: Motion, metres: float) -> Motion:
+def raised_motion(motion: Motion, metres: float) -> Motion:
     """The motion moved upwards by `metres`."""
     up = motion.translation.new_tensor((0.0, 0.0, 1.0))
     return motion.replace(translation=motion.translation + metres * up)
@@ -237,10 +240,10 @@ def _physical_metrics(
     return physics_metrics(physics_samples(motion.resample(RATE), body, contacts))
 
 
-def _measures(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]:
+def _measures_of_body(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]:
     return {
         "height": float(body.height(shape)),
-        "weight": float(weight(body, shape)),
+        "weight": float(body_weight(body, shape)),
         "shape": [round(x, 4) for x in shape.tolist()],
     }
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from recon.api.given import MotionLike, motion_given
 from recon.api.results import Tables, closing_fields, in_ten_lines
 from recon.body.model import BodyModel
-from recon.core.arrays import positive
+from recon.core.arrays import positive_number
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.records import Clip
@@ -201,7 +201,7 @@ def simulate(
         if not 0 <= frames[0] < frames[1] <= truth.frames:
             raise ReconError(f"{given.name}: has {truth.frames} frames, asked for {frames}")
         truth = truth.window(*frames)
-    truth = truth if fps is None else truth.resample(positive(fps, "fps"))
+    truth = truth if fps is None else truth.resample(positive_number(fps, "fps"))
     files = seen_by(
         truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
     )

@@ -69,7 +69,7 @@ class SourceClip:
         return "one common skeleton" not in self.notes.get("skeleton", "")
 
 
-def collections(root: Path) -> list[list[SourceClip]]:
+def clips_by_collection(root: Path) -> list[list[SourceClip]]:
     """List the clips below a folder by collection: each subfolder with a manifest, else itself.
 
     Raises:
@@ -196,7 +196,7 @@ class ClipContent:
         return drop_lead_in(recording)
 
 
-def contents(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
+def contents_of_clips(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
     """The contents of clips; each archive is read only once.
 
     A clip that its archive holds twice comes again, as one that cannot be read.

@@ -9,14 +9,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from recon.batch.collection import SourceClip, collections, contents
+from recon.batch.collection import SourceClip, clips_by_collection, contents_of_clips
 from recon.batch.corpus_jobs import (
     Row,
     Task,
     calibrate_group,
     convert_task,
-    rejection,
-    survey,
+    rejected_row,
+    surveyed_clip,
     write_report,
 )
 from recon.batch.workers import Failure, run_jobs
@@ -70,7 +70,7 @@ def convert_corpus(
             have one output, or another run is writing to OUT.
     """
     return convert_clips(
-        collections(Path(folder)),
+        clips_by_collection(Path(folder)),
         out,
         processes=processes,
         body=body,
@@ -130,8 +130,8 @@ class _Corpus:
     def convert(self, clips: Sequence[SourceClip]) -> None:
         """Survey, calibrate and convert the clips of one collection."""
         surveyed: dict[str, tuple[str, str]] = {}
-        jobs = ((content,) for content in contents(clips))
-        for (content,), found in run_jobs(survey, jobs, self.processes):
+        jobs = ((content,) for content in contents_of_clips(clips))
+        for (content,), found in run_jobs(surveyed_clip, jobs, self.processes):
             if isinstance(found, Failure):
                 self._log_failure(content.clip, found)
             else:
@@ -166,12 +166,14 @@ class _Corpus:
                 if isinstance(found, SubjectModel):
                     tasks[clip.id] = self._task_of(clip, key, checksums[clip.id], found)
                 elif isinstance(found, str):
-                    self._log_result(clip, {"outputs": {}, "rows": [rejection(clip, found)]}, key)
+                    self._log_result(
+                        clip, {"outputs": {}, "rows": [rejected_row(clip, found)]}, key
+                    )
                 else:
                     reason = f"the shape of its subject could not be found: {found.reason}"
                     self._log_failure(clip, replace(found, reason=reason))
         clips = [task.clip for task in tasks.values()]
-        work = ((tasks[content.clip.id], content) for content in contents(clips))
+        work = ((tasks[content.clip.id], content) for content in contents_of_clips(clips))
         for (task, _), found in run_jobs(convert_task, work, self.processes):
             if isinstance(found, Failure):
                 self._log_failure(task.clip, found)
@@ -249,7 +251,7 @@ class _Corpus:
 
     def _log_failure(self, clip: SourceClip, failure: Failure) -> None:
         """Log a clip whose conversion failed."""
-        rows = [rejection(clip, failure.reason)]
+        rows = [rejected_row(clip, failure.reason)]
         self._log_clip(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
 
     def _log_result(self, clip: SourceClip, found: Record, key: str) -> None:

@@ -10,7 +10,7 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
-from recon.batch.collection import ClipContent, SourceClip, contents, skeleton_key
+from recon.batch.collection import ClipContent, SourceClip, contents_of_clips, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
 from recon.core.visible import visible
@@ -29,7 +29,7 @@ from recon.mocap.recording import SkeletonRecording
 Row = dict[str, str | float | int | bool | None]
 
 
-def rejection(clip: SourceClip, reason: str) -> Row:
+def rejected_row(clip: SourceClip, reason: str) -> Row:
     """The report's row of a clip without a motion."""
     return {
         "collection": clip.collection,
@@ -88,7 +88,7 @@ class RecordingPiece:
     """What was cut off, for the report."""
 
 
-def survey(content: ClipContent) -> tuple[str, str]:
+def surveyed_clip(content: ClipContent) -> tuple[str, str]:
     """Checksum of a recording, and a key that recordings of the same skeleton share.
 
     Raises:
@@ -106,10 +106,10 @@ def calibrate_group(
     Or why there is none: nobody knows the skeleton, or no clip is whole.
     """
     recordings: list[SkeletonRecording] = []
-    for content in contents(clips):
+    for content in contents_of_clips(clips):
         # a file that has changed since the survey is refused when it is converted
         with contextlib.suppress(ValueError):
-            pieces, _ = split(content.clip, content.read())
+            pieces, _ = split_at_jumps(content.clip, content.read())
             recordings += [piece.recording for piece in pieces]
     if not recordings:
         return "no clip of its skeleton lasts a second without jumps"
@@ -137,7 +137,7 @@ def convert_task(task: Task, content: ClipContent) -> Record:
             f"{task.clip.source}: it changed while the folder was converted; run again"
         )
     body = _loaded_body(task.body)
-    pieces, rows = split(task.clip, recording)
+    pieces, rows = split_at_jumps(task.clip, recording)
     for piece in pieces:
         _check_target(task, piece)
     outputs: dict[str, str] = {}
@@ -187,7 +187,7 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
     return found
 
 
-def split(
+def split_at_jumps(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
     """The parts of a recording between jumps that last at least a second."""
@@ -205,7 +205,7 @@ def split(
     kept = sum(piece.recording.frames for piece in pieces)
     if kept < recording.frames:
         between = f" between its {len(jumps)} jumps" if jumps else ""
-        row = rejection(clip, f"shorter than a second{between}")
+        row = rejected_row(clip, f"shorter than a second{between}")
         frames = recording.frames - kept
         rejected.append(row | {"frames": frames, "fps": recording.fps, "n_glitch": len(jumps)})
     return pieces, rejected

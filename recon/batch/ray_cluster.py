@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from recon.batch.workers import Failure, Run, as_worker, attempt
+from recon.batch.workers import Failure, Run, as_worker, result_or_failure
 from recon.core.errors import ReconError
 from recon.fitting.settings import FitSettings
 
@@ -113,9 +113,9 @@ def _run_on_cluster(
 
 
 def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """Run a job in a process of the cluster, like `recon.batch.workers.attempt`."""
+    """Run a job in a process of the cluster, like `recon.batch.workers.result_or_failure`."""
     as_worker()
-    return attempt(function, job)
+    return result_or_failure(function, job)
 
 
 def _result_or_failure(ray: Any, reference: Any) -> Any:

@@ -76,8 +76,8 @@ def batch(
 
     check_plugins(settings.prior, settings.reader)
     from recon.batch.batch import fit_all
+    from recon.batch.worklog import clips_of_shard as part
     from recon.batch.worklog import read_manifest
-    from recon.batch.worklog import shard as part
 
     if ray is not None:
         from recon.batch.ray_cluster import with_absolute_paths
@@ -95,15 +95,15 @@ def batch(
     out.mkdir(parents=True, exist_ok=True)
     log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
     counts: dict[str, int] = {}
-    with console.progress() as bar, _executor(processes, ray) as (workers, run):
+    with console.progress_bars() as bar, _executor(processes, ray) as (workers, run):
         task = bar.add_task("clips", total=len(clips))
         for record in fit_all(clips, out, settings, workers, log, overwrite=overwrite, run=run):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
-                console.complain(f"{record['id']}: {record['status']}: {record['error']}")
+                console.print_error(f"{record['id']}: {record['status']}: {record['error']}")
             bar.advance(task)
-    console.answer({"clips": len(clips), **counts, "log": str(log)})
-    console.last(str(out))
+    console.print_json({"clips": len(clips), **counts, "log": str(log)})
+    console.print_last_line(str(out))
     if any(status not in ("ok", "skipped") for status in counts):
         bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
         raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")
@@ -184,10 +184,10 @@ def convert_all(
         else 0,
         "report": str(table),
     }
-    console.table(str(out), {key: {"value": value} for key, value in summary.items()})
-    console.last(str(out))
+    console.print_table(str(out), {key: {"value": value} for key, value in summary.items()})
+    console.print_last_line(str(out))
     if json:
-        console.answer(summary)
+        console.print_json(summary)
     if not kept:
         raise Failed(f"{recordings}: no recording could be converted; see {table}")
     if failed:

@@ -149,10 +149,10 @@ def _worker_loop(function: Callable[..., Any], connection: Connection) -> None:
     as_worker()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            connection.send(attempt(function, connection.recv()))
+            connection.send(result_or_failure(function, connection.recv()))
 
 
-def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+def result_or_failure(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
     """Run a job; returns its result, or the `Failure` that ended it."""
     try:
         return function(*job)

@@ -88,7 +88,7 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
     return BatchClip(name, tuple(path.parent / file for file in files), whose)
 
 
-def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
+def clips_of_shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
     """The clips for one of `count` runs that share the work, always the same ones.
 
     They are told apart by a hash of the id; clips of one subject stay together.

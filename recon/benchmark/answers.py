@@ -161,7 +161,9 @@ def _answer_of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) 
     return Answer(tensors["joints"], points=points, contacts=tensors.get("contacts"))
 
 
-def evaluated(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
+def metrics_of_answer(
+    protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel
+) -> Row:
     """Metrics of a method's answer over the frames that a protocol evaluates, in SI units."""
     part = slice(*protocol.judged)
     truth = window.truth.window(*protocol.judged)

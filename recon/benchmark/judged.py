@@ -11,8 +11,8 @@ from recon.benchmark.answers import (
     Row,
     answer_in,
     answer_of,
-    evaluated,
     feet_balanced_accuracy,
+    metrics_of_answer,
 )
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
@@ -159,7 +159,7 @@ def _evaluated_windows(
     body: BodyModel,
 ) -> tuple[list[Row], float | None]:
     """Metrics of a method's answer for every window, and the accuracy of foot contacts."""
-    rows = [evaluated(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
+    rows = [metrics_of_answer(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):
         return rows, None

@@ -15,7 +15,7 @@ from recon.benchmark.protocols import noise_of, sensor_of
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import MotionFile
-from recon.core.plugins import imported
+from recon.core.plugins import imported_object
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import PositionsFile
 from recon.method.priors import Prior
@@ -88,7 +88,7 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
         ReconError: names the built-in methods, or says why a class cannot be had.
     """
     if ":" in name:
-        made = imported(name, "--method")()
+        made = imported_object(name, "--method")()
         if not callable(made):
             raise ReconError(
                 f"--method: objects of {name} cannot be called; expected a method "

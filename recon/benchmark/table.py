@@ -33,7 +33,9 @@ class MeanWithInterval:
         return self.low > 0 or self.high < 0
 
 
-def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> MeanWithInterval:
+def mean_with_interval(
+    values: Values, clips: Sequence[str], subjects: Sequence[str]
+) -> MeanWithInterval:
     """Mean over subjects of each subject's mean over windows, with a 95 % interval.
 
     Args:
@@ -53,14 +55,14 @@ def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> M
     if not groups:
         raise ValueError("no window has a value")
     random = np.random.default_rng(0)
-    drawn = np.mean([_resampled(own, random) for own in groups.values()], axis=0)
+    drawn = np.mean([_bootstrap_means(own, random) for own in groups.values()], axis=0)
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(drawn, (tail, 100 - tail))
     mean = np.mean([own[:, 0].sum() / own[:, 1].sum() for own in groups.values()])
     return MeanWithInterval(float(mean), float(low), float(high))
 
 
-def paired(
+def paired_difference(
     values: Values, others: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> MeanWithInterval:
     """Mean difference of two methods on the same windows, with a 95 % interval.
@@ -73,7 +75,7 @@ def paired(
     differences = [
         None if a is None or b is None else a - b for a, b in zip(values, others, strict=True)
     ]
-    return interval(differences, clips, subjects)
+    return mean_with_interval(differences, clips, subjects)
 
 
 def _by_clip(
@@ -90,7 +92,7 @@ def _by_clip(
     }
 
 
-def _resampled(
+def _bootstrap_means(
     clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
 ) -> Float[np.ndarray, " draws"]:
     """Bootstrap means of one subject, whose clips are drawn with replacement."""
@@ -130,7 +132,7 @@ class BenchTable:
         if all(value is None for value in values):
             return None
         clips = [self.names[i].rsplit("@", 1)[0] for i in chosen]
-        return interval(values, clips, [self.subjects[i] for i in chosen])
+        return mean_with_interval(values, clips, [self.subjects[i] for i in chosen])
 
     def by_subject(self, method: str, metric: str) -> dict[str, float | None]:
         """Mean of a metric over each subject's windows; None if no window has a value."""

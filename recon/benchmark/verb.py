@@ -5,10 +5,10 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from recon.cli.places import Overwrite, Place, Quiet, folder, its_own_report, writes
+from recon.cli.places import Overwrite, Place, Quiet, folder_output, report_output, writes
 
 
-@writes(Place("json", its_own_report), Place("write", folder))
+@writes(Place("json", report_output), Place("write", folder_output))
 def bench(
     protocol: Positional[Literal["noisy-joints", "hidden-points", "gap", "upper-body"]],
     method: tuple[str, ...] = (),
@@ -56,9 +56,9 @@ def bench(
         files = work.write_windows(
             protocol, write, corpus, part=part, splits=splits, only=only, overwrite=overwrite
         )
-        console.last(f"{len(files)} windows in {write}")
+        console.print_last_line(f"{len(files)} windows in {write}")
         return
-    with console.progress() as bar:
+    with console.progress_bars() as bar:
         tasks = {}
 
         def advance_bar(name: str, window: str) -> None:
@@ -70,9 +70,9 @@ def bench(
             protocol, method, corpus, predictions=predictions, part=part, splits=splits, only=only,
             callback=advance_bar,
         )  # fmt: skip
-    console.table(f"{protocol}, {table.source}", table.rows())
+    console.print_table(f"{protocol}, {table.source}", table.rows())
     if json is None:
-        console.answer(table.as_json())
+        console.print_json(table.as_json())
     else:
         table.save(json, overwrite=overwrite)
-        console.last(str(json))
+        console.print_last_line(str(json))

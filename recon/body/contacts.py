@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS, TOES
 
 MAXIMUM_SPEED = 0.25
@@ -39,9 +39,9 @@ def touching_heights(rest_height: Float[Tensor, "*batch 22"]) -> Float[Tensor, "
     them does, not at standing height: they are measured from the level of the toe joints, as in
     HuMoR, and so is everything else.
     """
-    toes = rest_height[..., constant(TOES, rest_height.device)].mean(-1, keepdim=True)
+    toes = rest_height[..., cached_constant(TOES, rest_height.device)].mean(-1, keepdim=True)
     of_foot = tuple(j in FEET for j in range(len(JOINTS)))
-    return torch.where(constant(of_foot, rest_height.device, torch.bool), rest_height, toes)
+    return torch.where(cached_constant(of_foot, rest_height.device, torch.bool), rest_height, toes)
 
 
 def contact_labels(

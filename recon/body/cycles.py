@@ -71,7 +71,7 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
     if len(times) < SHORTEST_CYCLE * RATE:
         return ()
     flexion = hip_flexion(motion.at(torch.from_numpy(times), float(RATE)))
-    hips = _standardised(flexion)
+    hips = _standardised_flexion(flexion)
     found: list[Cycle] = []
     for side, template in _hip_flexion_templates().items():
         cost, first = warping_costs(template, hips)
@@ -134,7 +134,7 @@ def _hip_flexion_templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
     }
 
 
-def _standardised(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "frames 2"]:
+def _standardised_flexion(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "frames 2"]:
     from scipy.ndimage import uniform_filter1d
 
     width = max(1, round(_NORMALISED_OVER_S * RATE))
@@ -155,11 +155,11 @@ def _without_overlaps(found: list[Cycle]) -> tuple[Cycle, ...]:
     """Non-overlapping cycles, chosen greedily by cost."""
     kept: list[Cycle] = []
     for cycle in sorted(found, key=lambda cycle: cycle.cost):
-        if all(_overlap(cycle, other) <= _OVERLAP for other in kept):
+        if all(_overlap_of_cycles(cycle, other) <= _OVERLAP for other in kept):
             kept.append(cycle)
     return tuple(sorted(kept, key=lambda cycle: cycle.start))
 
 
-def _overlap(a: Cycle, b: Cycle) -> float:
+def _overlap_of_cycles(a: Cycle, b: Cycle) -> float:
     shared = min(a.stop, b.stop) - max(a.start, b.start)
     return max(shared, 0.0) / (max(a.stop, b.stop) - min(a.start, b.start))

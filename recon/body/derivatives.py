@@ -9,7 +9,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 
@@ -61,7 +61,7 @@ class CarriedPoints:
 
     def some(self, rows: Sequence[int]) -> "CarriedPoints":
         """Some of the points, by their numbers."""
-        order, own = constant(tuple(rows), self.share.device), self.own_joints
+        order, own = cached_constant(tuple(rows), self.share.device), self.own_joints
         return CarriedPoints(
             self.share[order], self.place[order], self.place_by_shape[:, order],
             None if own is None else tuple(own[row] for row in rows),
@@ -72,7 +72,7 @@ class CarriedPoints:
     ) -> "CarriedPoints":
         """Points moved by constant offsets in the frames of their bones, metres."""
         place = self.place.clone()
-        of_bone = constant(tuple(bones), place.device)
+        of_bone = cached_constant(tuple(bones), place.device)
         place[torch.arange(len(place), device=place.device), of_bone] += offsets
         return replace(self, place=place, own_joints=None)
 
@@ -94,7 +94,7 @@ class CarriedPoints:
         parts = (
             _offsets_in_world(self.place, orientations) + self.share[:, :, None] * joints[:, None]
         )
-        below = constant(_BELOW, parts.device, parts.dtype)
+        below = cached_constant(_BELOW, parts.device, parts.dtype)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
         axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
@@ -127,11 +127,11 @@ def joints_by_shape(
     """Derivatives of the joints by the first `count` shape coefficients, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
     bones = directions.clone()
-    parents = constant((0, *PARENTS[1:]), bones.device)
+    parents = cached_constant((0, *PARENTS[1:]), bones.device)
     bones[1:] -= directions[parents[1:]]
     turned = orientations[:, parents] @ bones
     turned[:, 0] = bones[0]
-    below = constant(_BELOW, turned.device, turned.dtype)
+    below = cached_constant(_BELOW, turned.device, turned.dtype)
     return (below.mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 

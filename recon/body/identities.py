@@ -86,12 +86,12 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
     return _shape_with(_measures_asked(spec, words), body)
 
 
-def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+def body_weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
     """Volume of the unposed body times the density of people, kg."""
     return DENSITY * part_volumes(body.rest_vertices(shape), Parts.of(body)).sum(-1)
 
 
-def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
+def reasons_for_doubt(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
     """Reasons why no adult has this shape, as sentences; empty where an adult may have it."""
     tall, odd = float(body.height(shape)), float(shape.abs().max())
     found: list[str] = []
@@ -195,7 +195,7 @@ def _parsed_measure(spec: str, name: str, value: str) -> float:
 def _shape_with(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     exact = body.to(dtype=torch.float64)
     base, free = _mean_of_sex(wanted.sex, exact)
-    tall, heavy = exact.height, partial(weight, exact)
+    tall, heavy = exact.height, partial(body_weight, exact)
     metres, kilograms = wanted.height, wanted.weight
     if isinstance(metres, _FromAverage):
         # one standard deviation of a linear measure is the length of its gradient

@@ -51,7 +51,7 @@ def standing_flat(feet: Float[Tensor, "time 4 3"], fps: float) -> Bool[Tensor, "
     return flat
 
 
-def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
+def levelling_rotation(stance: Stance) -> Float[Tensor, "3 3"] | None:
     """Rotation that levels a tilted floor, or None where the floor is level or not one plane.
 
     z = a x + b y + c through the soles of firm stance, by least absolute deviations (reweighted
@@ -88,7 +88,7 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
     return so3.exp(-axis * angle).float()
 
 
-def turned(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
+def rotated_motion(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
     """A motion in a world that is rotated about its origin."""
     T = torch.eye(4).to(motion.translation)
     T[:3, :3] = rotation

@@ -34,7 +34,7 @@ def bone_affines(
     return torch.cat((orientations, joints[..., None]), -1).transpose(1, 2).flatten(-2)
 
 
-def turned(
+def rotations_after_turns(
     rotations: Float[Tensor, "frames 22 3 3"],
     orientations: Float[Tensor, "frames 22 3 3"],
     turns: Float[Tensor, "frames 66"],

@@ -25,7 +25,7 @@ _SIDES = {"left": ("l", "left"), "right": ("r", "right")}
 _IGNORED = re.compile(r"[\s._\-]+")
 
 
-def normalised(label: str) -> str:
+def normalised_label(label: str) -> str:
     """A marker label without subject prefix, case, spaces, dots, underscores and hyphens."""
     return _IGNORED.sub("", label.rsplit(":", 1)[-1]).lower()
 
@@ -39,8 +39,8 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     without it.
     """
     labels = tuple(labels)
-    plain = {label: normalised(label) for label in labels}
-    table = _synonyms()
+    plain = {label: normalised_label(label) for label in labels}
+    table = _landmark_of_label()
     if (shorter := _without_common_prefix(labels)) is not None and (
         sum(word in table for word in shorter.values())
         > sum(word in table for word in plain.values())
@@ -69,7 +69,7 @@ def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
     cut = max((beginning.rfind(mark) for mark in "_.-: "), default=-1) + 1
     if len(named) < 2 or cut == 0:
         return None
-    return {label: normalised(label[cut:]) for label in named}
+    return {label: normalised_label(label[cut:]) for label in named}
 
 
 def load_marker_map(path: str | Path) -> dict[str, int | None]:
@@ -131,13 +131,13 @@ def _vertex_number(path: Path, label: str, point: object) -> int | None:
 
 
 @cache
-def _synonyms() -> Mapping[str, str]:
+def _landmark_of_label() -> Mapping[str, str]:
     """Normalised label -> landmark, from `assets/markers.toml`."""
-    sections = _sections()
+    sections = _label_sections()
     table: dict[str, str] = {}
 
     def add(label: str, point: str) -> None:
-        known = table.setdefault(normalised(label), point)
+        known = table.setdefault(normalised_label(label), point)
         if known != point or point not in landmarks():
             raise ReconError(f"markers.toml: label {label!r} -> {point!r}, but also {known!r}")
 
@@ -156,10 +156,12 @@ def _synonyms() -> Mapping[str, str]:
 @cache
 def _joint_centres() -> Mapping[str, str]:
     """Normalised label of a computed joint centre -> label of the marker at the same joint."""
-    pairs = cast("dict[str, str]", _sections()["centres"])
+    pairs = cast("dict[str, str]", _label_sections()["centres"])
     return MappingProxyType(
         {
-            normalised(label.replace("*", spelling)): normalised(other.replace("*", spelling))
+            normalised_label(label.replace("*", spelling)): normalised_label(
+                other.replace("*", spelling)
+            )
             for label, other in pairs.items()
             for spellings in _SIDES.values()
             for spelling in spellings
@@ -168,6 +170,6 @@ def _joint_centres() -> Mapping[str, str]:
 
 
 @cache
-def _sections() -> Mapping[str, dict[str, list[str]]]:
+def _label_sections() -> Mapping[str, dict[str, list[str]]]:
     text = files("recon").joinpath("assets", "markers.toml").read_text(encoding="utf-8")
     return cast("dict[str, dict[str, list[str]]]", tomllib.loads(text))

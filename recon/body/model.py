@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.motion import Motion
 from recon.core.skeleton import FAMILIES, JOINTS, PARENTS
 from recon.core.struct import TensorStruct
@@ -217,7 +217,7 @@ def forward_kinematics(
     rest. The derivative walks the same tree backwards, which is cheaper than recording each
     small product; joints come first in memory, so that a level is one block.
     """
-    parents = constant(tuple(PARENTS[1:]), rest.device)
+    parents = cached_constant(tuple(PARENTS[1:]), rest.device)
     bones = torch.cat((rest[..., :1, :], rest[..., 1:, :] - rest[..., parents, :]), -2)
     bones = bones[..., None, :, :].expand(rotations.shape[:-1])
     return _KinematicChain.apply(rotations, bones)

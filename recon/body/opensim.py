@@ -118,25 +118,25 @@ def opensim_coordinates(
     found |= {name: place[:, k] for k, name in enumerate(TRANSLATIONS)}
     for end in ("r", "l"):
         for joint in _LEGS[model]:
-            found |= _coordinates(joint, axes, end)
+            found |= _joint_coordinates(joint, axes, end)
             knee = f"knee_angle_{end}"
             if model == "rajagopal2016" and knee in found:
                 # the patella follows the knee by a constraint
                 found[f"{knee}_beta"] = found[knee]
-    found |= _coordinates(_BACK, axes, "")
+    found |= _joint_coordinates(_BACK, axes, "")
     for end in ("r", "l"):
         for joint in _ARMS[model]:
-            found |= _coordinates(joint, axes, end)
+            found |= _joint_coordinates(joint, axes, end)
     return found
 
 
-def _coordinates(
+def _joint_coordinates(
     joint: _Joint, axes: Mapping[str, np.ndarray], end: str
 ) -> dict[str, Float[np.ndarray, " time"]]:
     proximal = joint.proximal if joint.proximal in axes else f"{joint.proximal}_{end}"
     distal = f"{joint.distal}_{end}" if end else joint.distal
     relative = np.swapaxes(axes[proximal], -1, -2) @ axes[distal]
-    about = [_mirrored(axis) if end == "l" else axis for axis in joint.axes]
+    about = [_mirrored_axis(axis) if end == "l" else axis for axis in joint.axes]
     if len(about) == 3:
         order = "".join("XYZ"[int(np.argmax(np.abs(axis)))] for axis in about)
         signs = [float(np.sum(axis)) for axis in about]
@@ -148,7 +148,7 @@ def _coordinates(
     return {f"{n}{ending}": degrees[:, k] for k, n in enumerate(joint.names) if n}
 
 
-def _mirrored(axis: Axis3) -> Axis3:
+def _mirrored_axis(axis: Axis3) -> Axis3:
     """The axis on the left side about which the same angle makes the mirror image."""
     return (-axis[0], -axis[1], axis[2])
 

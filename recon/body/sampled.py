@@ -37,7 +37,7 @@ class SampledSurface(TensorStruct):
     def of(cls, body: BodyModel) -> "SampledSurface":
         """The sampled points of a body; chosen once per body and cached."""
         if body.template not in _KNOWN:
-            _KNOWN[body.template] = _sampled(body)
+            _KNOWN[body.template] = _sample_of_surface(body)
         return _KNOWN[body.template]
 
     def rows_of(self, part: int) -> slice:
@@ -55,7 +55,7 @@ class SampledSurface(TensorStruct):
 _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
-def _sampled(body: BodyModel) -> SampledSurface:
+def _sample_of_surface(body: BodyModel) -> SampledSurface:
     """Choose the extreme vertices of every bone, then those farthest from all chosen ones.
 
     Bones are nearly rigid: whatever the pose, the lowest vertex of one is extreme in some
@@ -70,7 +70,7 @@ def _sampled(body: BodyModel) -> SampledSurface:
         if len(bone) == 0:
             continue
         count = POINTS_PER_FOOT_BONE if joint in FEET else POINTS_PER_BONE
-        seeds = (rest[bone] @ _sphere(count).to(rest).T).argmax(0).unique()
+        seeds = (rest[bone] @ _even_directions(count).to(rest).T).argmax(0).unique()
         points = farthest_points(rest[bone], seeds, min(count, len(bone)))
         nearest = torch.cdist(rest[bone], rest[bone][points]).argmin(-1)
         areas.append(rest.new_zeros(len(points)).index_add(0, nearest, all_areas[bone]))
@@ -83,7 +83,7 @@ def _sampled(body: BodyModel) -> SampledSurface:
     return SampledSurface(vertices, torch.cat(areas)[order], part[vertices], feet & low)
 
 
-def _sphere(count: int) -> Tensor:
+def _even_directions(count: int) -> Tensor:
     """Directions spread evenly (Fibonacci's spiral)."""
     index = torch.arange(count, dtype=torch.float64) + 0.5
     up = 1 - 2 * index / count

@@ -46,13 +46,13 @@ def part_volumes(
     if parts.of_vertex not in _KNOWN:
         _KNOWN[parts.of_vertex] = Openings.of(parts)
     openings = _KNOWN[parts.of_vertex]
-    edges = _corners(vertices, openings.edges)
+    edges = _corners_of_faces(vertices, openings.edges)
     # every vertex of a loop begins exactly one of its edges
     centres = _group_means(edges[..., 0, :], openings.loop_of_edge, len(openings.part_of_loop))
     of_edge = openings.part_of_loop[openings.loop_of_edge]
     apex = centres.index_select(-2, openings.loop_of_edge)
     fan = torch.stack((apex, edges[..., 1, :], edges[..., 0, :]), -2)
-    triangles = torch.cat((_corners(vertices, parts.faces), fan), -3)
+    triangles = torch.cat((_corners_of_faces(vertices, parts.faces), fan), -3)
     owner = torch.cat((openings.of_face, of_edge))
     a, b, c = (triangles - means.index_select(-2, owner)[..., None, :]).unbind(-2)
     solid = (a * torch.linalg.cross(b, c, dim=-1)).sum(-1) / 6
@@ -68,7 +68,7 @@ def _group_means(
     return sums / torch.bincount(group, minlength=groups).clamp(min=1)[:, None]
 
 
-def _corners(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> Tensor:
+def _corners_of_faces(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> Tensor:
     # its backward pass is cheaper than that of indexing vertices[..., faces, :]
     return vertices.index_select(-2, faces.flatten()).unflatten(-2, tuple(faces.shape))
 

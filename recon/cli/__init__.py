@@ -51,9 +51,9 @@ def _run(words: Sequence[str]) -> int:
     if list(words) == ["--version"]:
         sys.stdout.write(f"{_version()}\n")
         return OK
-    from recon.cli.parsing import parsed
+    from recon.cli.parsing import parsed_command
 
-    return run_command(lambda: parsed(words)())
+    return run_command(lambda: parsed_command(words)())
 
 
 def run_command(command: Callable[[], object]) -> int:

@@ -19,7 +19,7 @@ _DIM, _YELLOW, _PLAIN = "\x1b[2m", "\x1b[33m", "\x1b[0m"
 
 
 @contextmanager
-def quietly(is_quiet: bool) -> Iterator[None]:
+def quiet_if(is_quiet: bool) -> Iterator[None]:
     """Context that, with `--quiet`, suppresses output except errors, answers and last lines."""
     before, log = _quiet.set(is_quiet), logging.getLogger()
     level = log.level
@@ -31,55 +31,55 @@ def quietly(is_quiet: bool) -> Iterator[None]:
         _quiet.reset(before)
 
 
-def say(message: str) -> None:
+def print_progress(message: str) -> None:
     """Print a line about progress to stderr."""
     if not _quiet.get():
         _print_line(message)
 
 
-def note(message: str) -> None:
+def print_note(message: str) -> None:
     """Print a remark, such as an assumption that explains the result."""
     if not _quiet.get():
         _print_line(message, _DIM)
 
 
-def warn(message: str) -> None:
+def print_warning(message: str) -> None:
     """Print a warning: a line that should be read before the result is used."""
     if not _quiet.get():
         _print_line(f"warning: {message}", _YELLOW)
 
 
-def complain(message: str) -> None:
+def print_error(message: str) -> None:
     """Print an error that concerns only a part of the work."""
     _print_line(message)
 
 
-def last(message: str) -> None:
+def print_last_line(message: str) -> None:
     """Print the last line of a verb, which says where its result is."""
     _print_line(message)
 
 
-def findings(report: Mapping[str, Any]) -> None:
+def print_findings(report: Mapping[str, Any]) -> None:
     """Print the findings of a report: remarks, repairs and warnings, in this order."""
     for finding in report.get("diagnosis", []):
-        note(finding["message"])
+        print_note(finding["message"])
     for finding in report.get("repairs", []):
-        say(f"repaired: {finding['message']}")
+        print_progress(f"repaired: {finding['message']}")
     for finding in report.get("warnings", []):
-        warn(finding if isinstance(finding, str) else finding["message"])
+        print_warning(finding if isinstance(finding, str) else finding["message"])
 
 
-def answer(value: Mapping[str, Any]) -> None:
+def print_json(value: Mapping[str, Any]) -> None:
     """Print a command's result for programs, as one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, indent=1, default=str) + "\n")
 
 
-def facts(title: str, values: Mapping[str, Any]) -> None:
+def print_facts(title: str, values: Mapping[str, Any]) -> None:
     """Print a command's result for people on stdout, a name and a value per row."""
     _table(title, {name: {"value": value} for name, value in values.items()}, stderr=False)
 
 
-def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
+def print_table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Print a table on stderr: rows by name, one column per key of the first row."""
     if not _quiet.get():
         _table(title, rows, stderr=True)
@@ -111,7 +111,7 @@ def _cell_text(value: Any) -> str:
 
 
 @contextmanager
-def fitting(limits: Mapping[str, int]) -> Iterator[Any]:
+def stage_progress_bars(limits: Mapping[str, int]) -> Iterator[Any]:
     """Context with a progress bar per stage; yields the callback for `recon.fit`.
 
     The bars appear with the first call, so that nothing is loaded for a fit that is refused.
@@ -137,10 +137,10 @@ def _stage_bars() -> "Progress":
 
     steps = TextColumn("{task.completed} steps")
     name = TextColumn("{task.description}", markup=False)
-    return progress(name, BarColumn(), steps, TimeElapsedColumn())
+    return progress_bars(name, BarColumn(), steps, TimeElapsedColumn())
 
 
-def progress(*columns: Any) -> "Progress":
+def progress_bars(*columns: Any) -> "Progress":
     """Progress bars on stderr that vanish at the end: name, bar, share, time left."""
     from rich.console import Console
     from rich.progress import Progress

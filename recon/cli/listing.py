@@ -9,9 +9,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from recon.cli.making import Verb, command
-from recon.cli.places import Arguments, Place, folder, its_own_report, several_or_npz
-from recon.core.plugins import VERBS, registered
+from recon.cli.making import Verb, command_function
+from recon.cli.places import Arguments, Place, folder_or_npz_output, folder_output, report_output
+from recon.core.plugins import VERBS, registered_places
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, OutputKind
 
@@ -26,13 +26,13 @@ def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
 
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
 CORE = {
-    "demo": Verb("recon.demo:demo", (Place("out", folder),)),
+    "demo": Verb("recon.demo:demo", (Place("out", folder_output),)),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),
     "convert": Verb("recon.api.convert:convert", out_follows=True),
-    "sample": Verb("recon.api.generate:sample", (Place("out", several_or_npz),), _SEVERAL),
-    "predict": Verb("recon.api.generate:predict", (Place("out", several_or_npz),), _SEVERAL),
+    "sample": Verb("recon.api.generate:sample", (Place("out", folder_or_npz_output),), _SEVERAL),
+    "predict": Verb("recon.api.generate:predict", (Place("out", folder_or_npz_output),), _SEVERAL),
     "interpolate": Verb("recon.api.interpolate:interpolate"),
     "retarget": Verb("recon.api.retarget:retarget"),
     "simulate": Verb(
@@ -44,12 +44,12 @@ CORE = {
     ),
     "register": Verb(
         "recon.api.register:register",
-        (Place("out", folder),),
+        (Place("out", folder_output),),
         "folder for a file per camera.",
     ),
     "evaluate": Verb(
         "recon.api.evaluate:evaluate",
-        (Place("json", its_own_report),),
+        (Place("json", report_output),),
         "File for the metrics.",
     ),
     "view": Verb(
@@ -69,11 +69,11 @@ WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
 `convert-all`, which another room registers."""
 
 
-def names() -> tuple[str, ...]:
+def verb_names() -> tuple[str, ...]:
     """Names of all verbs: the core's, then registered ones whose package is installed."""
     return (
         *CORE,
-        *sorted(name for name, place in registered(VERBS).items() if _is_installed(place)),
+        *sorted(name for name, place in registered_places(VERBS).items() if _is_installed(place)),
     )
 
 
@@ -85,9 +85,9 @@ def _is_installed(place: str) -> bool:
 
 
 @cache
-def verb(name: str) -> Callable[..., None]:
+def function_of_verb(name: str) -> Callable[..., None]:
     """The function behind a verb of the command line."""
     if name in CORE:
-        return command(name, CORE[name])
-    module, _, function = registered(VERBS)[name].partition(":")
+        return command_function(name, CORE[name])
+    module, _, function = registered_places(VERBS)[name].partition(":")
     return getattr(import_module(module), function)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
 
-from recon.core.plugins import PRIORS, registered
+from recon.core.plugins import PRIORS, registered_places
 
 _ENDINGS = (".c3d", ".trc")
 EXPECTED = (
@@ -31,10 +31,10 @@ def look_at(given: Mapping[str, Any]) -> None:
     """
     if (settings := given.get("settings")) is not None:
         check_plugins(settings.prior, settings.reader)
-        from recon.core.plugins import SENSORS, registered
+        from recon.core.plugins import SENSORS, registered_places
 
         paths = given.get("observations", ())
-        if settings.reader is None and not registered(SENSORS):
+        if settings.reader is None and not registered_places(SENSORS):
             refuse_foreign(paths)
             if settings.up is None:
                 refuse_unknown_markers(paths, settings.mapping, settings.unit)
@@ -159,7 +159,7 @@ def check_plugins(prior: str, reader: str | None) -> None:
     Raises:
         ValueError: names the priors there are.
     """
-    known = registered(PRIORS)
+    known = registered_places(PRIORS)
     if prior not in known and ":" not in prior:
         near = get_close_matches(prior, known, n=1)
         hint = f" (did you mean {near[0]}?)" if near else ""

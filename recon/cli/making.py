@@ -64,11 +64,11 @@ class Verb:
     """Options that stand for the function's arguments of these names, with their defaults."""
 
 
-def command(name: str, verb: Verb) -> Callable[..., None]:
+def command_function(name: str, verb: Verb) -> Callable[..., None]:
     """Make the function of a verb, which checks, computes, writes and reports."""
     function = _parsed_function(verb.function_name)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
-    own = [one for one in _parameters(function) if one.name not in taken]
+    own = [one for one in _command_parameters(function) if one.name not in taken]
     shown = [*own, *_further_options(verb, {one.name for one in own})]
     given = [one for one in shown if one.annotation is not Parameter.empty]
     given.sort(key=lambda one: one.default is not Parameter.empty)
@@ -91,7 +91,7 @@ def _parsed_function(function_place: str) -> ast.FunctionDef:
     return next(one for one in tree.body if isinstance(one, ast.FunctionDef) and one.name == name)
 
 
-def _parameters(node: ast.FunctionDef) -> list[Parameter]:
+def _command_parameters(node: ast.FunctionDef) -> list[Parameter]:
     """Parameters of a function, without annotations that a command line cannot express."""
     plain = node.args.args
     missing = [None] * (len(plain) - len(node.args.defaults))
@@ -108,9 +108,9 @@ def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter
         return Parameter(node.arg, Parameter.KEYWORD_ONLY)
     if default is None:
         read = kind in (Path, tuple[Path, ...])
-        return _option(node.arg, Positional[kind] if read else kind)
+        return _option_parameter(node.arg, Positional[kind] if read else kind)
     value = ast.literal_eval(default)
-    return _option(node.arg, kind, Path(value) if kind is Path else value)
+    return _option_parameter(node.arg, kind, Path(value) if kind is Path else value)
 
 
 def _type_of_annotation(node: ast.expr) -> Any:
@@ -142,26 +142,26 @@ def _type_of_annotation(node: ast.expr) -> Any:
 def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
     """Options of a command line besides the arguments of its function."""
     if verb.settings is not None:
-        yield _option("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)
+        yield _option_parameter("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)
     if verb.places and (result := verb.places[0].parameter) not in own:
         if result == "json":
-            yield _option("json", Annotated[Path | None, arg(help=verb.out)], None)
+            yield _option_parameter("json", Annotated[Path | None, arg(help=verb.out)], None)
         else:
             also = " Also as --out OUT." if verb.out_follows else ""
             kind = Annotated[Path, arg(help=verb.out + also)]
-            yield _option(result, Positional[kind] if verb.out_follows else kind)
+            yield _option_parameter(result, Positional[kind] if verb.out_follows else kind)
     written = {place.parameter for place in verb.places}
     if "json" not in written and not own & written:
-        yield _option(
+        yield _option_parameter(
             "json", Annotated[bool, arg(help="Print the report as JSON on stdout.")], False
         )
     if verb.places and "overwrite" not in own:
-        yield _option("overwrite", Overwrite, False)
+        yield _option_parameter("overwrite", Overwrite, False)
     if verb.places:
-        yield _option("quiet", Quiet, False)
+        yield _option_parameter("quiet", Quiet, False)
 
 
-def _option(name: str, kind: Any, *default: Any) -> Parameter:
+def _option_parameter(name: str, kind: Any, *default: Any) -> Parameter:
     """A keyword parameter, with its default if it has one."""
     value = default[0] if default else Parameter.empty
     return Parameter(name, Parameter.KEYWORD_ONLY, annotation=kind, default=value)

@@ -15,7 +15,7 @@ from recon.core.visible import visible
 BAD_USAGE = 2
 
 
-def parsed(words: Sequence[str]) -> Callable[[], None]:
+def parsed_command(words: Sequence[str]) -> Callable[[], None]:
     """A function that runs the verb of a command line with its arguments.
 
     Raises:
@@ -25,9 +25,9 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
 
     words = _with_verb_of_all(list(words))
     first = words[0] if len(words) > 0 else ""
-    if first in listing.CORE or (first and first in listing.names()):
+    if first in listing.CORE or (first and first in listing.verb_names()):
         return _parsed_verb(first, words[1:])
-    names = listing.names()
+    names = listing.verb_names()
     if first and not first.startswith("-"):
         _exit_with_error(
             f"there is no verb {first}{_did_you_mean(first, names)}; the verbs are "
@@ -37,7 +37,7 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
         _exit_with_error(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
     app = tyro.extras.SubcommandApp()
     for name in names:
-        app.command(name=name)(_with_short_help(listing.verb(name)))
+        app.command(name=name)(_with_short_help(listing.function_of_verb(name)))
     return app.cli(prog="recon", description=listing.__doc__ or "", args=words or ["--help"])
 
 
@@ -58,7 +58,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     """Parse the words of one verb, four times as fast as with all verbs."""
     import tyro
 
-    verb = listing.verb(name)
+    verb = listing.function_of_verb(name)
     options = options_of(verb)
     if "--out" not in options and "out" in inspect.signature(verb).parameters:
         words = _with_out_option_last(words)
@@ -95,18 +95,21 @@ def options_of(verb: Callable[..., None]) -> set[str]:
     """Names of all options of a verb, with `--no-` of switches."""
     parameters = inspect.signature(verb).parameters.values()
     return {"-h", "--help", *_COMPLETION}.union(
-        *(_options(one.name, one.annotation, one.default) for one in parameters)
+        *(_option_names(one.name, one.annotation, one.default) for one in parameters)
     )
 
 
-def _options(name: str, hint: Any, default: Any) -> set[str]:
+def _option_names(name: str, hint: Any, default: Any) -> set[str]:
     """Option names of a parameter; a record of settings has one per field."""
     from tyro.conf import Positional
 
     if is_dataclass(default):
         hints = get_type_hints(type(default), include_extras=True)
         return set().union(
-            *(_options(f.name, hints[f.name], getattr(default, f.name)) for f in fields(default))
+            *(
+                _option_names(f.name, hints[f.name], getattr(default, f.name))
+                for f in fields(default)
+            )
         )
     marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
     if set(marks) & set(get_args(Positional[str])[1:]):

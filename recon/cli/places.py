@@ -30,22 +30,22 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def a_file(path: Path, _: Arguments) -> tuple[Output, ...]:
+def file_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     """The output is a file with a report next to it."""
     return (Output(path),)
 
 
-def its_own_report(path: Path, _: Arguments) -> tuple[Output, ...]:
+def report_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     """The output is a JSON file that is its own report."""
     return (Output(path, OutputKind.REPORT),)
 
 
-def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
+def folder_output(path: Path, _: Arguments) -> tuple[Output, ...]:
     """The output is a folder, written as a whole."""
     return (Output(path, OutputKind.FOLDER),)
 
 
-def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
+def folder_or_npz_output(path: Path, given: Arguments) -> tuple[Output, ...]:
     """The output is one motion file if the name ends in .npz, else a folder of several.
 
     Raises:
@@ -62,7 +62,7 @@ class Place:
     """An argument that names an output of a verb."""
 
     parameter: str
-    outputs: Callable[[Path, Arguments], tuple[Output, ...]] = a_file
+    outputs: Callable[[Path, Arguments], tuple[Output, ...]] = file_output
     """What is written, by the argument and all the others; default: a file and its report."""
 
 
@@ -96,7 +96,7 @@ def writes(
                 (*paths_in(tuple(read.values())), *reads(given)),
                 overwrite=given.get("overwrite", False),
             )
-            with console.quietly(given.get("quiet", False)):
+            with console.quiet_if(given.get("quiet", False)):
                 return verb(*bound.args, **bound.kwargs)
 
         vars(checked)["writes"] = places
@@ -105,6 +105,6 @@ def writes(
     return declare
 
 
-def declared(verb: Callable[..., Any]) -> tuple[Place, ...]:
+def declared_outputs(verb: Callable[..., Any]) -> tuple[Place, ...]:
     """The declared outputs of a verb; empty for one that only reads."""
     return vars(verb).get("writes", ())

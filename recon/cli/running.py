@@ -43,7 +43,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         more = settings.arguments()
     # before reading, so that files that change during the run are noticed
     inputs = input_checksums(how | options)
-    with console.fitting({}) as watch:
+    with console.stage_progress_bars({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))
     write_and_tell(result, given[written[0]], inputs, options, given)
 
@@ -67,9 +67,9 @@ def write_and_tell(
         written = result.save(out, overwrite=given["overwrite"], report=report)
     print_summary(report, result.tables, ", ".join(map(str, written or [out])) if out else "")
     if given["json"] is True:
-        console.answer({**report.get("conversion", {}), **report})
+        console.print_json({**report.get("conversion", {}), **report})
     elif out is None:
-        console.answer(result)
+        console.print_json(result)
     if report.get("failed"):
         reasons = "; ".join(stage["termination"] for stage in report.get("stages", ()))
         raise Failed(f"{out}: {reasons or 'a fit met nan or inf'}")
@@ -84,46 +84,46 @@ def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: s
         place: of the result; empty where it was not written.
     """
     for line in report.get("read", ()):
-        console.note(line)
+        console.print_note(line)
     for line in report.get("decisions", ()):
-        console.say(f"  {line}")
+        console.print_progress(f"  {line}")
     for stage in report.get("stages", ()):
-        console.say(
+        console.print_progress(
             f"{stage['name']:<9} {stage['iterations']:>4} iterations {stage['seconds']:>7.2f} s, "
             f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
         )
     if cycle := report.get("cycle"):
         residuals = ", ".join(f"{mm:.0f}" for mm in cycle["residual_mm"] if mm is not None)
-        console.say(
+        console.print_progress(
             f"one cycle of {cycle['seconds']:.2f} s, seen at {cycle['moments_seen']} moments, "
             f"code distance {cycle['code_distance']:.2f}, "
             f"residual {residuals} mm"
         )
     for one in report.get("stretches", ()):
-        console.say(
+        console.print_progress(
             f"{one['start']:7.2f} s to {one['stop']:7.2f} s: {one['prior']}, seen at "
             f"{one['moments_seen']} moments"
             + (f", {one['joined']} of {one['cycles']} cycles of gait" if one["cycles"] else "")
         )
-    console.findings(report)
+    console.print_findings(report)
     for title, rows in tables.items():
-        console.table(title, rows)
+        console.print_table(title, rows)
     if place:
-        console.last(place)
+        console.print_last_line(place)
 
 
 def _print_facts(found: Any, given: Mapping[str, Any]) -> None:
     """Print the facts that a function returned, or what it wrote itself."""
     if given.get("json"):
-        console.answer(found)
+        console.print_json(found)
     elif "json" in given:
-        console.facts(str(given["file"]), found)
+        console.print_facts(str(given["file"]), found)
     elif found is not None:
         for title, rows in found.tables.items():
-            console.table(title, rows)
+            console.print_table(title, rows)
         for warning in getattr(found, "warnings", ()):
-            console.warn(warning)
-        console.last(str(found.place))
+            console.print_warning(warning)
+        console.print_last_line(str(found.place))
 
 
 def _is_read(parameter: Parameter, value: Any) -> bool:

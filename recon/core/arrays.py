@@ -17,7 +17,7 @@ Numbers = Tensor | np.ndarray | Sequence[Any]
 
 
 @lru_cache(maxsize=64)
-def constant(
+def cached_constant(
     numbers: tuple[int, ...] | tuple[float, ...] | tuple[tuple[float, ...], ...],
     device: torch.device,
     dtype: torch.dtype = torch.long,
@@ -49,7 +49,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
         return values.float()
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(float), np.nan)
-    array = _array(values, name)
+    array = _as_array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
     with np.errstate(over="ignore"):  # too large for float32: infinite, refused later
@@ -84,7 +84,7 @@ def bool_tensor(values: Any, name: str) -> Tensor:
     if isinstance(values, Tensor) and values.dtype == torch.bool:
         return values
     if not isinstance(values, Tensor):
-        array = _array(values, name)
+        array = _as_array(values, name)
         if array.dtype.kind not in "fiub":
             raise ReconError(f"{name}: expected true and false, got {_described(values, array)}")
         values = torch.from_numpy(np.array(array, order="C"))
@@ -102,7 +102,9 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
     Raises:
         ValueError: when these are something else.
     """
-    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else _array(values, name)
+    array = (
+        values.detach().cpu().numpy() if isinstance(values, Tensor) else _as_array(values, name)
+    )
     if array.ndim != 1 or (array.size > 0 and (array.dtype.kind not in "iu" or array.min() < 0)):
         raise ReconError(
             f"{name}: expected a row of whole numbers from 0 on, got {_described(values, array)}"
@@ -123,13 +125,13 @@ def usable_device(name: str) -> torch.device:
         raise ReconError(f"device: {name!r} cannot be used here ({reason}); use 'cpu'") from error
 
 
-def positive(value: Any, name: str) -> float:
+def positive_number(value: Any, name: str) -> float:
     """The number, checked to be finite and above zero.
 
     Raises:
         ValueError: when it is something else.
     """
-    number = finite(value, name)
+    number = finite_number(value, name)
     if not number > 0:
         raise ReconError(f"{name}: expected a number above 0, got {number:g}")
     return number
@@ -137,11 +139,11 @@ def positive(value: Any, name: str) -> float:
 
 def usable_rate(value: Any, name: str) -> float:
     """The number, checked to be a frame rate in Hz; otherwise a ValueError."""
-    FRAME_RATE.check(rate := positive(value, name), name)
+    FRAME_RATE.check(rate := positive_number(value, name), name)
     return rate
 
 
-def finite(value: Any, name: str) -> float:
+def finite_number(value: Any, name: str) -> float:
     """One finite number.
 
     Raises:
@@ -183,7 +185,7 @@ def first_where(mask: Tensor) -> list[int]:
     return mask.nonzero()[0].tolist()
 
 
-def _array(values: Any, name: str) -> np.ndarray:
+def _as_array(values: Any, name: str) -> np.ndarray:
     try:
         return np.asarray(values)
     except ValueError:

@@ -180,7 +180,7 @@ class Camera(TensorStruct):
         Raises:
             ValueError: when it would look straight up or down.
         """
-        return self.replace(T_camera_world=looking(position, target))
+        return self.replace(T_camera_world=pose_looking_at(position, target))
 
 
 def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: str = "") -> None:
@@ -241,7 +241,9 @@ def check_pose(pose: Any, source: object, key: str) -> None:
     limits.POSITION.check(T[..., :3, 3], source, key)
 
 
-def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
+def pose_looking_at(
+    position: Float[Tensor, "3"], target: Float[Tensor, "3"]
+) -> Float[Tensor, "4 4"]:
     """T_camera_world of an upright camera at `position` whose viewing axis meets `target`.
 
     Raises:

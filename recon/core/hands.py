@@ -27,7 +27,7 @@ _MIRRORED = -0.3
 of noise, the least is 0.14; that of mirrored ones is the opposite."""
 
 
-def facing(
+def facing_agreement(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
@@ -90,12 +90,12 @@ def right_handed(
     """Signs of the axes that make coordinates right-handed, and a note about the change.
 
     Args:
-        names: as of `facing`.
+        names: as of `facing_agreement`.
         positions: metres, z up.
         visible: whether each is seen.
         hand: handedness, given by the user; None to tell it from the body.
     """
-    agreement = facing(names, positions, visible)
+    agreement = facing_agreement(names, positions, visible)
     known = agreement[agreement != 0]
     if hand == "right" or (hand is None and (known.size == 0 or known.mean() > _MIRRORED)):
         return np.ones(3), ()

@@ -7,7 +7,7 @@ from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
 
 
-def pairs(*names: str) -> tuple[str, ...]:
+def left_right_pairs(*names: str) -> tuple[str, ...]:
     """left_a, right_a, left_b, right_b, ..."""
     return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
 
@@ -17,25 +17,25 @@ def _side(side: str, *names: str) -> tuple[str, ...]:
 
 
 _COCO = (
-    "nose", *pairs("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"),
+    "nose", *left_right_pairs("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"),
 )  # fmt: skip
 _FOOT = ("big_toe", "small_toe", "heel")
 JOINT = "_joint"
 """Ending of keypoints that are joints of the body model where detectors mean another place."""
 
 
-def _arm(side: str) -> tuple[str, ...]:
+def _arm_names(side: str) -> tuple[str, ...]:
     names = ("clavicle", "shoulder", "elbow", "wrist", "hand", "fingertip", "thumb")
     return _side(side, *names)
 
 
-def _leg(side: str) -> tuple[str, ...]:
+def _leg_names(side: str) -> tuple[str, ...]:
     return _side(side, "hip", "knee", "ankle", f"foot{JOINT}")
 
 
 _AZURE = (
     f"pelvis{JOINT}", "spine_navel", "spine_chest", f"neck{JOINT}",
-    *_arm("left"), *_arm("right"), *_leg("left"), *_leg("right"),
+    *_arm_names("left"), *_arm_names("right"), *_leg_names("left"), *_leg_names("right"),
     f"head{JOINT}", "nose", "left_eye", "left_ear", "right_eye", "right_ear",
 )  # fmt: skip
 LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -52,12 +52,12 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "coco17": _COCO,
         "coco133": (*_COCO, *_side("left", *_FOOT), *_side("right", *_FOOT)),
-        "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *pairs(*_FOOT)),
+        "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *left_right_pairs(*_FOOT)),
         "mediapipe33": (
             "nose", *_side("left", "eye_inner", "eye", "eye_outer"),
-            *_side("right", "eye_inner", "eye", "eye_outer"), *pairs("ear", "mouth"),
-            *pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
-            *pairs("hip", "knee", "ankle", "heel", "big_toe"),
+            *_side("right", "eye_inner", "eye", "eye_outer"), *left_right_pairs("ear", "mouth"),
+            *left_right_pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+            *left_right_pairs("hip", "knee", "ankle", "heel", "big_toe"),
         ),
         "h36m17": (
             "mid_hip", *_side("right", "hip", "knee", "ankle"),
@@ -66,12 +66,12 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *_side("right", "shoulder", "elbow", "wrist"),
         ),
         "azure32": _AZURE,
-        "zed34": (*_AZURE, *pairs("heel")),
+        "zed34": (*_AZURE, *left_right_pairs("heel")),
         "kinect25": (
             f"pelvis{JOINT}", f"spine2{JOINT}", f"neck{JOINT}", "head_centre",
             *_side("left", "shoulder", "elbow", "wrist", "hand"),
             *_side("right", "shoulder", "elbow", "wrist", "hand"),
-            *_leg("left"), *_leg("right"), "thorax",
+            *_leg_names("left"), *_leg_names("right"), "thorax",
             *_side("left", "fingertip", "thumb"), *_side("right", "fingertip", "thumb"),
         ),
         "smpl22": JOINTS,

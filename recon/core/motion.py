@@ -138,7 +138,7 @@ def carried_translation(
     return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 
 
-def pad(motions: list[Motion]) -> Motion:
+def padded_batch(motions: list[Motion]) -> Motion:
     """Several clips as one batch; the shorter ones repeat their last frame, marked not valid.
 
     Raises:

@@ -25,7 +25,7 @@ _CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 @cache
-def registered(group: str) -> Mapping[str, str]:
+def registered_places(group: str) -> Mapping[str, str]:
     """Places "package.module:Class" of all classes of an entry point group, by their names.
 
     Those of this package come last, so that nobody else takes their names. In a source checkout
@@ -38,7 +38,7 @@ def registered(group: str) -> Mapping[str, str]:
     return MappingProxyType(found)
 
 
-def imported(place: str, what: str) -> Any:
+def imported_object(place: str, what: str) -> Any:
     """The class at "package.module:Class".
 
     Args:
@@ -57,7 +57,7 @@ def imported(place: str, what: str) -> Any:
         raise ReconError(f"{what}: {place!r} cannot be imported: {error}") from error
 
 
-def lazy(
+def lazy_names(
     package: str, module_of: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of a package whose names are imported on first use.

@@ -108,7 +108,7 @@ def tensor_normals(
     return torch.where(length > 1e-12, total / length.clamp(min=1e-12), vertical)
 
 
-def facing(
+def faces_eye(
     middles: Float[Tensor, "*batch discs 3"],
     normals: Float[Tensor, "*batch discs 3"],
     eye: Float[Tensor, "*batch 3"],

@@ -12,7 +12,7 @@ from recon.detections.tables import (
     read_sleap,
 )
 from recon.formats.json_files import read_frame_folder, read_json
-from recon.formats.opening import existing
+from recon.formats.opening import existing_file
 
 
 def read_keypoints(
@@ -36,7 +36,7 @@ def read_keypoints(
         if any(is_alphapose(entry) for _, entry in frames):
             raise FormatError(f"{path}: give AlphaPose's file itself, not its folder")
         return read_frames(frames, str(path), layout, image_size)
-    existing(path)
+    existing_file(path)
     match path.suffix.lower():
         case ".csv":
             return (read_sleap if is_sleap(path) else read_deeplabcut)(path, layout)

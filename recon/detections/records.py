@@ -171,7 +171,7 @@ def detections_of_rows(
     _check_sizes(name, frame_numbers, rows)
     points = np.stack([row[1] for row in rows])
     SCORE.check(points[..., 2], name, "[person, keypoint]", seen=np.isfinite(points[..., 2]))
-    points = cleaned(points)
+    points = with_clipped_confidences(points)
     PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
     chosen, points, decision = settle_layout(points, layout, name)
     return Detections(
@@ -199,7 +199,9 @@ def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -
     PEOPLE.check(people, name, f"frame {frame}")
 
 
-def cleaned(points: Float[np.ndarray, "rows points 3"]) -> Float[np.ndarray, "rows points 3"]:
+def with_clipped_confidences(
+    points: Float[np.ndarray, "rows points 3"],
+) -> Float[np.ndarray, "rows points 3"]:
     """Keypoints with confidences clipped to [0, 1], and zeros where one is missing."""
     finite = np.isfinite(points).all(-1)
     place = points[..., :2]

@@ -11,7 +11,12 @@ from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import first_rows, numbers, read_rows, refuse_repeated_columns
+from recon.formats.text_tables import (
+    first_rows,
+    numbers_of_columns,
+    read_rows,
+    refuse_repeated_columns,
+)
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 _NAME = 200
@@ -51,7 +56,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
     KEYPOINTS.check(len(set(parts)), name, "bodyparts")
     rows = read_rows(path, JSON)[len(header) :]
     SAMPLES.check(max(len(rows) * width, 1), name)
-    values = numbers(rows, range(1, width + 1), name, most=width + 1)
+    values = numbers_of_columns(rows, range(1, width + 1), name, most=width + 1)
     found = [re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:]) for row in rows]
     frames = [int(number[1]) if number else line for line, number in enumerate(found)]
     if sorted(set(frames)) != frames:
@@ -131,9 +136,9 @@ def read_sleap(path: Path, layout: str | None = None) -> Detections:
             column = columns.get(f"{node}.{coordinate}")
             points[:, k, axis] = 1.0
             if column is not None:
-                cells = numbers(rows, [column], name, least=len(head), most=len(head))
+                cells = numbers_of_columns(rows, [column], name, least=len(head), most=len(head))
                 points[:, k, axis] = cells[:, 0]
-    frames = numbers(rows, [columns["frame_idx"]], name, most=len(head))[:, 0]
+    frames = numbers_of_columns(rows, [columns["frame_idx"]], name, most=len(head))[:, 0]
     if not (frames >= 0).all() or (frames % 1).any():
         raise FormatError(f"{name}: expected the number of a frame in every row of frame_idx")
     tracks = [row[columns["track"]] if "track" in columns else "" for row in rows]

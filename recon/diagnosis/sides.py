@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from recon.core.hands import facing
+from recon.core.hands import facing_agreement
 from recon.diagnosis.findings import Finding, Findings, spans, stretches
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
@@ -144,7 +144,7 @@ def _misfit_per_frame(
     miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     cost += counted[:, named.sided].sum(-1)
-    return cost - _BACKWARDS_COST * facing(images.points, points, exists)
+    return cost - _BACKWARDS_COST * facing_agreement(images.points, points, exists)
 
 
 def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:

@@ -20,13 +20,13 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
-from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.methods import FitOptions, loaded_prior
 from recon.fitting.records import ClipFit
 from recon.method.cycle_prior import CyclePrior
 from recon.method.priors import PriorLike
 from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction, data_terms
-from recon.method.running import Hypotheses, rank, run_hypotheses
+from recon.method.running import Hypotheses, ranking_objective, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, Watch
 from recon.method.terms import Term, offsets
@@ -249,7 +249,7 @@ def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[A
     Raises:
         ReconError: when it is of something else.
     """
-    found = loaded(prior, weights, body)
+    found = loaded_prior(prior, weights, body)
     if not isinstance(found, CyclePrior):
         raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
     return found
@@ -284,7 +284,7 @@ class _Completion:
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
         every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
-        value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
+        value = torch.cat([ranking_objective(search[0], began.rows(some), body) for some in every])
         data = data_terms(self.observations, weights)
         coded = prior.coded(data, noise)
         details = prior.details(data, noise) if self.dense else ()

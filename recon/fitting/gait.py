@@ -54,7 +54,7 @@ class CompletedCycle:
         return self.energy <= self.first + self.noise
 
 
-def stretches(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
+def stretches_of_cycles(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
     """Cycles grouped into stretches, in which each follows or overlaps the one before."""
     found: list[list[Cycle]] = []
     for cycle in sorted(cycles, key=lambda cycle: cycle.start):

@@ -22,7 +22,7 @@ from recon.method.reconstruction import Reconstruction, checked_arguments, recon
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
-from recon.method.windows import join
+from recon.method.windows import joined_windows
 from recon.solver.lbfgs import Progress, Solution
 
 WINDOW, OVERLAP = 4.0, 1.0
@@ -104,7 +104,7 @@ def fit_long(
     apart = job.fit("apart", every[::2], shape, lambda _, data: shape_held(stages(data)))
     between = job.fit("tied", every[1::2], shape, tied)
     motions, rate = apart.motions | between.motions, min(apart.fps, between.fps)
-    joined = join([motions[row].resample(rate) for row in every])
+    joined = joined_windows([motions[row].resample(rate) for row in every])
     whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError, WeightsError
-from recon.core.plugins import PRIORS, imported, registered
+from recon.core.plugins import PRIORS, imported_object, registered_places
 from recon.method.priors import PriorLike, as_prior, is_prior, trait
 from recon.method.terms import Term
 
@@ -24,18 +24,18 @@ def class_of(prior: str) -> Any:
     Raises:
         WeightsError: when there is no such prior.
     """
-    known = registered(PRIORS)
+    known = registered_places(PRIORS)
     if prior not in known and ":" not in prior:
         raise WeightsError(
             f"prior: expected {', '.join(known)} or 'package.module:Class', got {prior!r}"
         )
     try:
-        return imported(known.get(prior, prior), "prior")
+        return imported_object(known.get(prior, prior), "prior")
     except ReconError as error:
         raise WeightsError(str(error)) from error
 
 
-def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
+def loaded_prior(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     """The prior, loaded with its weights; an object is returned as it is.
 
     A class is loaded by `load(weights, body)`; without such a method it is made without arguments.

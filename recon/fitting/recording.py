@@ -32,8 +32,8 @@ from recon.fitting.cycles import (
     on_fast_clock,
     seen_times,
 )
-from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches
-from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.gait import CompletedCycle, CycleData, joints_of_cycles, stretches_of_cycles
+from recon.fitting.methods import FitOptions, loaded_prior
 from recon.fitting.records import ClipFit, Stretch
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
@@ -155,7 +155,7 @@ def _one_cycle(
         return None
     if not SHORTEST_CYCLE <= seconds <= LONGEST_CYCLE:
         return None
-    cycles = loaded(prior.cycles, prior.cycle_weights, body)
+    cycles = loaded_prior(prior.cycles, prior.cycle_weights, body)
     fit = complete(seen, replace(options, prior=cycles), body, watch)
     motion = fit.result.clip(0).detach()
     covered = [one for one in find_cycles(motion, SWING) if one.duration >= _COVERED * seconds]
@@ -193,7 +193,9 @@ def _completed_gait(
     seen = in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
-    made = [[data.completed(motion, one) for one in stretch] for stretch in stretches(found)]
+    made = [
+        [data.completed(motion, one) for one in stretch] for stretch in stretches_of_cycles(found)
+    ]
     return [own for rows in made if (own := [one for one in rows if one is not None])]
 
 

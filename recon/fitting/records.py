@@ -28,7 +28,7 @@ class Clip:
     """Whether the caller gave the plane that lies at z = 0 of the recording."""
 
 
-def window(clip: Clip, start: float, stop: float) -> Clip:
+def clip_between(clip: Clip, start: float, stop: float) -> Clip:
     """What was seen from one time to another, both included, seconds of the recording's clock.
 
     Before the first and after the last moment of all observations there is nothing to fit.

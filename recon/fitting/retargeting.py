@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humos.prior import Humos, at_rate, frames_at_rate, spline
+from priors.humos.prior import Humos, at_rate, frames_at_rate, spline_matrix
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length, with_shape
@@ -20,7 +20,7 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
-from recon.method.windows import Windows, join
+from recon.method.windows import Windows, joined_windows
 from recon.physics.energies import FloatingUnlessFlying, dynamic_stability, penetration, slide
 from recon.physics.metrics import NO_GROUND
 from recon.solver.lbfgs import LBFGS
@@ -35,7 +35,7 @@ SMOOTH = 5.0
 SETTLING_ITERATIONS = 60
 
 
-def settled(
+def settled_on_ground(
     motion: Motion, accelerations_of: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
     """Motions corrected so that feet neither sink, float nor slide and the body is balanced.
@@ -70,7 +70,7 @@ def settled(
     return estimate.motion
 
 
-def flies(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
+def flying_frames(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"]:
     """Frames in which no vertex is within 5 cm of the ground."""
     return body.pose(motion).vertices[..., 2].amin(-1) > NO_GROUND
 
@@ -180,8 +180,8 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
     """
     coarse, source = at_rate(made), at_rate(window)
     scaled = with_shape(source, body, made.shape)
-    flying = flies(source, body)
-    stands = settled(coarse[None], scaled[None], flying[None], body).detach()[0]
+    flying = flying_frames(source, body)
+    stands = settled_on_ground(coarse[None], scaled[None], flying[None], body).detach()[0]
     between = _spline_matrix(made)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation
@@ -194,14 +194,14 @@ def _settled_proposal(made: Motion, window: Motion, body: BodyModel) -> Motion:
 def _spline_matrix(motion: Motion) -> Float[Tensor, "frames coarse"]:
     """The matrix of splines from frames at 20 Hz to those of a motion."""
     coarse = frames_at_rate(motion.frames, motion.fps)
-    return spline(coarse, motion.frames, motion.fps).to(motion.translation)
+    return spline_matrix(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
 def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
     """The results of `function` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
-    return join([function(part) for part in parts])
+    return joined_windows([function(part) for part in parts])
 
 
 def _start_position(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:

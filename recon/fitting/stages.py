@@ -6,7 +6,7 @@ from typing import Any
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.fitting.methods import FitOptions, checked_method, loaded
+from recon.fitting.methods import FitOptions, checked_method, loaded_prior
 from recon.method.free import FreeMotion
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term, joint_acceleration, relative_acceleration
@@ -30,7 +30,7 @@ def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
             "recon.fitting.cycles.complete, or `recon complete`"
         )
     method = checked_method(options.prior, options.method)
-    prior = loaded(options.prior, options.weights, body)
+    prior = loaded_prior(options.prior, options.weights, body)
     physics: tuple[Term, ...] = ()
     if options.physics != 0:
         # imported here: few fits have energies of physics

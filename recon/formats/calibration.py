@@ -20,7 +20,7 @@ from recon.core.units import METRES, Up, to_z_up
 from recon.formats.cameras import CameraArrays, CameraFields, checked_camera
 from recon.formats.json_files import read_json
 from recon.formats.opencv_yaml import read_opencv_yaml
-from recon.formats.opening import existing, load_arrays
+from recon.formats.opening import existing_file, load_arrays
 from recon.formats.texts import read_toml
 
 
@@ -141,7 +141,7 @@ def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], 
         if len(dict(found)) < len(found):
             raise FormatError(f"{path}: expected one file per camera, got two of one name")
         return dict(found), ()
-    existing(path)
+    existing_file(path)
     match path.suffix.lower():
         case ".toml":
             return toml_cameras(path), ()
@@ -155,7 +155,7 @@ def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], 
 
 
 def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
-    CALIBRATION.check(existing(path).stat().st_size, path)
+    CALIBRATION.check(existing_file(path).stat().st_size, path)
     value = read_json(path)
     if not isinstance(value, dict) or "camera_mtx" not in value:
         raise FormatError(

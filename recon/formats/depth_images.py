@@ -12,7 +12,7 @@ from recon.core.camera import Camera
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
 from recon.formats.observations import CameraArrays, PointsFile
-from recon.formats.opening import existing, files_of
+from recon.formats.opening import existing_file, files_of
 from recon.formats.scans import POINTS, naturally_sorted, thinned
 
 _HEAD = struct.Struct(">8s4x4sIIBB")
@@ -33,7 +33,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     # imported only when needed, since it loads slowly
     import cv2
 
-    BINARY.check(existing(path).stat().st_size, path)
+    BINARY.check(existing_file(path).stat().st_size, path)
     data = path.read_bytes()
     if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
         raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")

@@ -22,7 +22,7 @@ from recon.core.coordinates import along_axis
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Up, to_z_up
-from recon.formats.opening import existing, load_arrays
+from recon.formats.opening import existing_file, load_arrays
 from recon.formats.pickles import check_tree, read_tree
 
 SUFFIXES = (".npz", ".pt", ".pth", ".pkl", ".npy")
@@ -122,7 +122,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
 
 def _read_tree(path: Path) -> Tree:
     """Read a file as nested dictionaries of arrays, without running code in it."""
-    existing(path)
+    existing_file(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return load_arrays(path)

@@ -13,7 +13,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_NUMBER, JSON, PERSON, Limit
 from recon.formats.opening import files_of
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""
@@ -56,7 +56,7 @@ def _parsed(path: Path, data: bytes) -> Any:
     collects = gc.isenabled()
     gc.disable()
     try:
-        return json.loads(decode(data))
+        return json.loads(decoded_text(data))
     except (RecursionError, json.JSONDecodeError) as error:
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     except ValueError as error:

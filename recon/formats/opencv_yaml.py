@@ -9,7 +9,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import CALIBRATION
 from recon.formats.cameras import CameraFields
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M")
 _DISTORTION = (
@@ -101,7 +101,7 @@ def _read(path: Path) -> dict[str, Any]:
 
     OpenCV's own reader is not used: damaged files make it end the whole process.
     """
-    text = decode(read_bytes(path, CALIBRATION))
+    text = decoded_text(read_bytes(path, CALIBRATION))
     starts = [found.start() for found in _KEY.finditer(text)]
     if len(starts) > _MOST_ENTRIES:
         raise FormatError(f"{path}: expected cameras, got {len(starts)} entries")

@@ -123,7 +123,7 @@ def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
     return sorted(one for one in seen if endings is None or one.suffix.lower() in endings)
 
 
-def existing(path: Path) -> Path:
+def existing_file(path: Path) -> Path:
     """The path itself, after a check that it is an existing file with contents.
 
     Raises:
@@ -146,7 +146,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, too large or needs pickle.
     """
-    existing(path)
+    existing_file(path)
     try:
         names = check_sizes(path)
         with np.load(path, allow_pickle=False) as file:
@@ -168,7 +168,7 @@ def load_array(path: Path) -> np.ndarray:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, too large or needs pickle.
     """
-    existing(path)
+    existing_file(path)
     BINARY.check(path.stat().st_size, path)
     try:
         return np.load(path, allow_pickle=False)

@@ -14,7 +14,7 @@ from typing import Any
 
 from recon.core.errors import FormatError, ObservationError
 from recon.core.limits import FRAME_NUMBER, FRAME_RATE
-from recon.formats.texts import decode, read_toml
+from recon.formats.texts import decoded_text, read_toml
 
 _POSES = ("pose-associated", "pose-sync", "pose")
 """Folders of 2D detections of Pose2Sim; those after association with a person come first."""
@@ -150,7 +150,7 @@ def _trc_rate(path: Path) -> float | None:
     if not path.is_file():  # reading a pipe would never end
         return None
     with path.open("rb") as file:
-        lines = decode(file.read(_TRC_HEADER)).splitlines()
+        lines = decoded_text(file.read(_TRC_HEADER)).splitlines()
     if len(lines) < 3:
         return None
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))

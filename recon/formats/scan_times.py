@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 
 _EVEN = 0.2
 """Frames that the times of a recording may differ from an even clock."""
@@ -65,7 +65,9 @@ def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files
     Raises:
         ValueError: when a file has no time or the lines are of another kind.
     """
-    rows = [re.split(r"[,;\s]+", line.strip()) for line in decode(read_bytes(path)).splitlines()]
+    rows = [
+        re.split(r"[,;\s]+", line.strip()) for line in decoded_text(read_bytes(path)).splitlines()
+    ]
     rows = [row for row in rows if row != [""]]
     if rows and not _is_number(rows[0][-1]):
         rows = rows[1:]

@@ -13,12 +13,12 @@ from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PointsFile
-from recon.formats.opening import existing, files_of, load_array
+from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
 from recon.formats.scan_times import timed
-from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
+from recon.formats.texts import decoded_text, numbers_in, read_bytes, with_decimal_points
 
 _BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -113,7 +113,7 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged.
     """
-    if check_counts(existing(path)) == 0:
+    if check_counts(existing_file(path)) == 0:
         return np.zeros((0, 3))
     # imported only when needed, since it loads slowly
     import trimesh
@@ -323,7 +323,7 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 
 def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
     """Read the vertices of an .obj file without their colours."""
-    lines = decode(read_bytes(path)).splitlines()
+    lines = decoded_text(read_bytes(path)).splitlines()
     rows = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
     CLOUD.check(len(rows), path, "vertices")
     try:
@@ -345,7 +345,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     Lines have equally many numbers. A heading of one line may say what they are (#, //, x), or as
     in .pts how many lines follow. Invalid points (NaN) are left out.
     """
-    text = with_decimal_points(decode(read_bytes(path)), _BETWEEN)
+    text = with_decimal_points(decoded_text(read_bytes(path)), _BETWEEN)
     text = text.replace(",", " ").replace(";", " ").strip()
     first, _, rest = text.partition("\n")
     promised = int(first[:20]) if first[:20].strip().isdecimal() else None

@@ -13,7 +13,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.opening import DAMAGE, check_sizes, existing
+from recon.formats.opening import DAMAGE, check_sizes, existing_file
 from recon.formats.pickles import array_in, read_tree
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -94,7 +94,7 @@ def load_smpl(path: str | Path) -> SmplArrays:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(_MISSING.format(path=path))
-    match existing(path).suffix.lower():
+    match existing_file(path).suffix.lower():
         case ".npz":
             fields = _read_npz(path)
         case ".pkl":

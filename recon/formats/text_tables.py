@@ -12,7 +12,7 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import Limit
 from recon.formats.replacing import replacing
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 
 _CELLS = Limit(
     "number of cells", 0.0, 8e6, "", "each takes sixty bytes while it is read: cut the recording"
@@ -33,7 +33,7 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     data = read_bytes(path, limit)
     _CELLS.check(sum(map(data.count, (b",", b";", b"\t", b"\n"))), path.name)
     try:
-        return [row for row in _split(decode(data)) if any(row)]
+        return [row for row in _split(decoded_text(data)) if any(row)]
     except csv.Error as error:
         raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
 
@@ -105,12 +105,12 @@ def first_rows(path: Path, count: int = 4) -> list[list[str]]:
     with path.open("rb") as file:
         head = b"".join(line for line, _ in zip(file, range(count + _COMMENTS), strict=False))
     try:
-        return _split(decode(head).replace("\0", ""))[:count]
+        return _split(decoded_text(head).replace("\0", ""))[:count]
     except csv.Error:
         return []
 
 
-def numbers(
+def numbers_of_columns(
     rows: Sequence[Sequence[str]],
     columns: Sequence[int],
     name: str,

@@ -10,7 +10,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CALIBRATION, TEXT, Limit
-from recon.formats.opening import existing, limit_when_unpacked
+from recon.formats.opening import existing_file, limit_when_unpacked
 
 
 def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
@@ -20,7 +20,7 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty, damaged or too large for memory.
     """
-    existing(path)
+    existing_file(path)
     if path.suffix.lower() != ".xz":
         limit.check(path.stat().st_size, path)
         return path.read_bytes()
@@ -39,7 +39,7 @@ def read_binary(path: Path) -> bytes:
     return read_bytes(path, BINARY)
 
 
-def decode(data: bytes) -> str:
+def decoded_text(data: bytes) -> str:
     """Decode bytes as UTF-16 or 32 if they have its mark, else as UTF-8, else as Latin-1."""
     if data[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
         return data.decode("utf-32", errors="replace")
@@ -97,7 +97,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty, damaged, too large, or has keys of twenty parts or more.
     """
-    text = decode(read_bytes(path, CALIBRATION))
+    text = decoded_text(read_bytes(path, CALIBRATION))
     if _DEEP_KEY.search(text):
         raise FormatError(f"{path}: expected plain names, got a key of 20 parts or more")
     try:

@@ -22,7 +22,7 @@ from recon.core.errors import FormatError
 from recon.core.units import to_z_up
 from recon.formats.cameras import CameraFields
 from recon.formats.json_files import read_json
-from recon.formats.opening import existing, load_array, load_arrays
+from recon.formats.opening import existing_file, load_array, load_arrays
 
 _MODELS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -223,7 +223,7 @@ def read_track(path: Path) -> CameraTrack:
     """
     if path.is_dir() and (path / "images.txt").is_file():
         path = path / "images.txt"
-    existing(path)
+    existing_file(path)
     match path.suffix.lower():
         case ".txt" | ".tum":
             return (read_colmap if path.name == "images.txt" else read_tum)(path)

@@ -8,7 +8,7 @@ from typing import Any
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import MotionResult, Tables
-from recon.body.identities import weight
+from recon.body.identities import body_weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.motion import MotionFile
@@ -99,7 +99,7 @@ def _laboratory_report(
         angle_std=file.angle_std,
         observed=file.observed,
     )
-    tall, heavy = body.height(motion.shape), weight(body, motion.shape)
+    tall, heavy = body.height(motion.shape), body_weight(body, motion.shape)
     decisions = (*said.get("decisions", ()), *said.get("read", ()))
     return LaboratoryReport(
         title=name,

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from recon.cli.making import Verb, command
+from recon.cli.making import Verb, command_function
 from recon.cli.places import Arguments, Place
 from recon.formats.outputs import Output
 
@@ -14,5 +14,7 @@ def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
     return outputs_of(out)
 
 
-report = command("report", Verb("recon.gait.report:report_file", (Place("out", _page_and_table),)))
+report = command_function(
+    "report", Verb("recon.gait.report:report_file", (Place("out", _page_and_table),))
+)
 """Write a laboratory report; see `recon.gait.report.report_file`."""

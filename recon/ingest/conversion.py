@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
-from recon.body.levelling import levelling, turned
+from recon.body.levelling import levelling_rotation, rotated_motion
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion, MotionFile
@@ -152,8 +152,8 @@ def on_ground(
     stance = Stance.of(motion, body, soles, belt, placed)
     notes: list[str] = []
     tilt = 0.0
-    if (rotation := levelling(stance)) is not None:
-        motion = turned(motion, rotation, body)
+    if (rotation := levelling_rotation(stance)) is not None:
+        motion = rotated_motion(motion, rotation, body)
         stance = Stance.of(motion, body, soles, belt, placed)
         tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
         notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")

@@ -27,7 +27,7 @@ from recon.ingest.marker_findings import (
 )
 from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_positions
 from recon.ingest.marker_frames import jump_findings
-from recon.ingest.marker_gaps import gap_findings, trimmed
+from recon.ingest.marker_gaps import gap_findings, trimmed_recording
 from recon.ingest.marker_sets import (
     MarkerSet,
     full_body_markers,
@@ -108,7 +108,7 @@ def fitted_markers(
         ValueError: when no frame shows enough markers to place a body.
     """
     chosen, repairs = steady_labels(recording.select(markers.labels))
-    chosen, cut = trimmed(chosen, markers.bones)
+    chosen, cut = trimmed_recording(chosen, markers.bones)
     fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (
         other := _with_better_labels(chosen, markers, body, fit)

@@ -21,7 +21,7 @@ from recon.core.skeleton import JOINTS
 from recon.ingest.marker_calibration import CalibratedFrames, SubjectEnergies, calibrated
 from recon.ingest.marker_frames import repaired_frames, solved_apart, solved_together
 from recon.ingest.marker_gaps import (
-    interpolated,
+    interpolated_poses,
     observed_joints,
     placed_frames,
     turned_joints,
@@ -109,7 +109,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         energies = subject.of(found.shape, offsets)
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
-        motion = solved_apart(energies, keys, interpolated(motion, chosen, keys))
+        motion = solved_apart(energies, keys, interpolated_poses(motion, chosen, keys))
         about = frames_about_gaps(visible, recording.fps) & shown
         if bool(about.any()):
             points = partial(SkinPoints.of, body, found.shape, subject.vertices)
@@ -117,7 +117,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
                 energies, points, offsets, bones, motion, keys, about
             )
         energies = energies.frames(placed)
-        motion = solved_together(energies, interpolated(motion, keys, placed))
+        motion = solved_together(energies, interpolated_poses(motion, keys, placed))
         motion, changed, unsupported = repaired_frames(
             energies, bones, lambda motion: body.pose(motion).joints, motion
         )

@@ -18,7 +18,7 @@ from torch import Tensor
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.ingest.marker_gaps import frames_of, interpolated, widened, with_poses
+from recon.ingest.marker_gaps import frames_of, interpolated_poses, widened_flags, with_poses
 from recon.ingest.marker_poses import PoseEnergies
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
@@ -253,7 +253,9 @@ def _interpolated_over(
 ) -> tuple[Int[Tensor, " frames"], Motion]:
     """Numbers of the flagged frames, and the motion interpolated over them."""
     frames, kept = flags.nonzero()[:, 0], (~flags).nonzero()[:, 0]
-    return frames, with_poses(motion, frames, interpolated(frames_of(motion, kept), kept, frames))
+    return frames, with_poses(
+        motion, frames, interpolated_poses(frames_of(motion, kept), kept, frames)
+    )
 
 
 def _stretches_where(
@@ -332,4 +334,4 @@ def _doubtful_frames(
     flags = away.any(-1)
     flags[1:] |= steps
     flags[:-1] |= steps
-    return widened(flags, max(1, round(_AROUND * fps)))
+    return widened_flags(flags, max(1, round(_AROUND * fps)))

@@ -45,7 +45,7 @@ def placed_frames(
     return enough | (visible.sum(-1) > _SHARE * visible.shape[-1])
 
 
-def trimmed(
+def trimmed_recording(
     recording: MarkerRecording, bones: tuple[int, ...]
 ) -> tuple[MarkerRecording, tuple[str, ...]]:
     """The recording from the first to the last frame with enough markers, and a note.
@@ -111,7 +111,7 @@ def with_gaps_filled(
         seen_joints: over all frames, joints whose rotation the markers show.
     """
     everything = torch.arange(len(seen_joints))
-    whole = interpolated(motion, known, everything)
+    whole = interpolated_poses(motion, known, everything)
     rotations = whole.rotations.clone()
     here = torch.zeros(len(seen_joints), dtype=torch.bool)
     here[known] = True
@@ -119,7 +119,7 @@ def with_gaps_filled(
         shown = (seen_joints[:, joint] & here).nonzero()[:, 0]
         if 0 < len(shown) < len(seen_joints):
             sparse = frames_of(whole, shown)
-            rotations[:, joint] = interpolated(sparse, shown, everything).rotations[:, joint]
+            rotations[:, joint] = interpolated_poses(sparse, shown, everything).rotations[:, joint]
     return whole.replace(rotations=rotations)
 
 
@@ -130,7 +130,7 @@ def frames_of(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
     )
 
 
-def interpolated(
+def interpolated_poses(
     motion: Motion, known_frames: Int[Tensor, " known"], wanted_frames: Int[Tensor, " wanted"]
 ) -> Motion:
     """Poses interpolated between known frames; beyond them those of the nearest known frame."""
@@ -155,7 +155,7 @@ def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | P
     )
 
 
-def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
+def widened_flags(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
     """The flags, true also for a number of frames before and after each flagged one."""
     wide = torch.nn.functional.max_pool1d(
         flags[None, None].float(), 2 * frames + 1, stride=1, padding=frames

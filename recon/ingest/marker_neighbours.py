@@ -22,7 +22,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.ingest.marker_frames import solved_near
-from recon.ingest.marker_gaps import interpolated, widened, with_poses
+from recon.ingest.marker_gaps import interpolated_poses, widened_flags, with_poses
 from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.method.protocols import REFERENCE_FPS
 
@@ -56,7 +56,7 @@ _AT_ONCE = 500
 def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool[Tensor, " time"]:
     """Mask of frames with a marker hidden that other frames show, and of frames near them."""
     hidden = (~visible & visible.any(0)).any(-1)
-    return widened(hidden, max(1, round(_AROUND * fps)))
+    return widened_flags(hidden, max(1, round(_AROUND * fps)))
 
 
 def joined_in_time(
@@ -89,7 +89,7 @@ def joined_in_time(
         return energies, offsets, motion, keys
     some, step = energies.frames(asked), stride / motion.fps
     moments = (asked - asked[0]) // stride
-    found = solved_near(some, interpolated(motion, keys, asked))
+    found = solved_near(some, interpolated_poses(motion, keys, asked))
     hidden = (some.visible == 0) & (some.visible > 0).any(0)
     for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
         some = _tied_energies(some, found, moments, step)
@@ -101,7 +101,9 @@ def joined_in_time(
             break
     some = _tied_energies(some, found, moments, step)
     suggested = found.replace(rotations=torch.cat((found.rotations[:, :1], some.natural), 1))
-    everywhere = interpolated(suggested, asked, torch.arange(len(near_gaps))).rotations[:, 1:]
+    everywhere = interpolated_poses(suggested, asked, torch.arange(len(near_gaps))).rotations[
+        :, 1:
+    ]
     everything = replace(
         energies,
         markers=some.markers,
@@ -110,7 +112,7 @@ def joined_in_time(
     )
     frames = torch.cat((keys[~near_gaps[keys]], asked)).unique()
     rows = torch.searchsorted(frames, asked)
-    start = with_poses(interpolated(motion, keys, frames), rows, found)
+    start = with_poses(interpolated_poses(motion, keys, frames), rows, found)
     return everything, offsets, start, frames
 
 

@@ -16,8 +16,8 @@ from recon.body.levers import (
     ShapeLevers,
     bone_affines,
     flat_world_vectors,
+    rotations_after_turns,
     sums_over_descendants,
-    turned,
 )
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
@@ -50,7 +50,7 @@ class Poses(TensorStruct):
 
     def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
         """Poses after a step of every frame, in the coordinates of `recon.body.levers`."""
-        rotations = turned(self.rotations, self.orientations, steps[:, 3:])
+        rotations = rotations_after_turns(self.rotations, self.orientations, steps[:, 3:])
         return Poses.of(self.translation + steps[:, :3], rotations, rest)
 
 

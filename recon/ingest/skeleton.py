@@ -10,7 +10,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from observations.joints3d import Joints3D
 from recon.body.model import BodyModel
-from recon.core.motion import Motion, pad
+from recon.core.motion import Motion, padded_batch
 from recon.core.scene import Scene
 from recon.core.skeleton import PARENTS
 from recon.ingest.subject import BoneOrientations, Frames, SubjectModel, joint_terms
@@ -47,7 +47,7 @@ def solve(
     joints meet theirs: no term couples frames, so nothing is smoothed or delayed.
     """
     frames = [Frames.of(r, subject.skeleton) for r in recordings]
-    motion = pad(
+    motion = padded_batch(
         [_first_guess(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
     )
     points = subject.skeleton.joints

@@ -267,7 +267,7 @@ def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
     skin = body.pose(motion).points(torch.from_numpy(corners))
     asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
     positions = torch.einsum("pc,tpcd->tdp", shares, asked)
-    local, translation = carried(motion, body, target, rest)
+    local, translation = carried_rotations(motion, body, target, rest)
     # vertices far from the other body's surface at rest belong to parts that only one has
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
@@ -290,7 +290,7 @@ def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
     )
 
 
-def carried(
+def carried_rotations(
     motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
     """Bone rotations and root of one body applied to the other, from the pose where both agree."""

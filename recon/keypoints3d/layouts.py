@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from recon.core.layouts import LAYOUTS, pairs
+from recon.core.layouts import LAYOUTS, left_right_pairs
 from recon.keypoints3d.records import Points3D
 
 
@@ -14,16 +14,18 @@ def _hand_keypoints(side: str) -> tuple[str, ...]:
 
 _FOOT = ("big_toe", "small_toe", "heel")
 MHR70 = (
-    "nose", *pairs("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
+    "nose", *left_right_pairs("eye", "ear", "shoulder", "elbow", "hip", "knee", "ankle"),
     *(f"left_{name}" for name in _FOOT), *(f"right_{name}" for name in _FOOT),
     *_hand_keypoints("right"), "right_wrist", *_hand_keypoints("left"), "left_wrist",
-    *pairs("olecranon", "cubital_fossa", "acromion"), "neck",
+    *left_right_pairs("olecranon", "cubital_fossa", "acromion"), "neck",
 )  # fmt: skip
 """Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
 ZED38 = (
     "pelvis", "spine_1", "spine_2", "spine_3", "neck", "nose",
-    *pairs("eye", "ear", "clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle",
-           "big_toe", "small_toe", "heel", "thumb_tip", "index", "fingertip", "pinky"),
+    *left_right_pairs(
+        "eye", "ear", "clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "big_toe",
+        "small_toe", "heel", "thumb_tip", "index", "fingertip", "pinky",
+    ),
 )  # fmt: skip
 """Names of `sl.BODY_38_PARTS` of Stereolabs' ZED SDK."""
 _COCO18 = tuple(LAYOUTS["openpose25"][k] for k in (*range(8), *range(9, 19)))

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES, PEOPLE
 from recon.formats.json_files import Frames, as_floats, as_identity, listed_frames
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 from recon.keypoints3d.records import Person, Points3D, chosen_person, tracks_of_people
 
 _LISTS = ("instance_info", "predictions", "frames")
@@ -196,7 +196,7 @@ def read_ntu_skeleton(path: Path, person: int | None = None) -> Points3D:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or holds nobody.
     """
-    lines = iter(decode(read_bytes(path)).split("\n"))
+    lines = iter(decoded_text(read_bytes(path)).split("\n"))
     bodies: dict[str, int] = {}
     frames: list[tuple[int, People]] = []
     try:

@@ -13,7 +13,7 @@ from recon.formats.json_files import read_frame_folder
 from recon.formats.observations import PositionsFile
 from recon.formats.opening import load_arrays
 from recon.formats.producers import MARKERS, POINTS_3D, holds_sam3d_body, producer_of
-from recon.formats.text_tables import first_rows, numbers, read_rows
+from recon.formats.text_tables import first_rows, numbers_of_columns, read_rows
 from recon.keypoints3d.json_files import read_json_points
 from recon.keypoints3d.labels import STUDY, are_keypoints
 from recon.keypoints3d.layouts import with_names
@@ -71,7 +71,7 @@ def read_session(folder: Path) -> Points3D:
         return points
     columns = [header.index("frame"), header.index("timestamp")]
     try:
-        frames, times = numbers(rows, columns, stamps.name, most=len(header)).T
+        frames, times = numbers_of_columns(rows, columns, stamps.name, most=len(header)).T
     except FormatError:
         return points  # without a frame rate, which the user must then give
     first = np.unique(frames, return_index=True)[1]

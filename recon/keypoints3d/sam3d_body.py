@@ -69,12 +69,12 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     frames = [[_checked(one, path) for one in people] for people in _frames(path)]
     FRAMES.check(len(frames), path)
     PEOPLE.check(max(map(len, frames), default=0), path)
-    added = [_depth(one[_POINTS]) > _ADDED for people in frames for one in people]
+    added = [_depth_of_hips(one[_POINTS]) > _ADDED for people in frames for one in people]
     if not added:
         raise FormatError(f"{path}: expected people, but all {len(frames)} frames are empty")
     within = 2 * sum(added) > len(added)
     placed = [[_in_camera_frame(one, path, within) for one in people] for people in frames]
-    middle = float(np.median([_depth(one) for people in placed for one in people]))
+    middle = float(np.median([_depth_of_hips(one) for people in placed for one in people]))
     tracks = tracks_of_people([[_in_image(one, middle) for one in people] for people in placed])
     counts = [len(one) for one in tracks]
     chosen, several = chosen_person(counts, len(frames), person, path.name)
@@ -97,7 +97,7 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     return Points3D(path.name, positions, MHR70, unit="m", decisions=tuple(said))
 
 
-def _depth(points: np.ndarray) -> float:
+def _depth_of_hips(points: np.ndarray) -> float:
     return float(points[_HIPS, 2].mean())
 
 
@@ -172,7 +172,7 @@ def _at_common_focal_length(
 ) -> tuple[np.ndarray, str]:
     """Points moved to the depths that the median focal length implies, and a note."""
     f, x, y = np.median(found, axis=0)
-    depth = [one[_PLACE][2] if _PLACE in one else _depth(one[_POINTS]) for one in people]
+    depth = [one[_PLACE][2] if _PLACE in one else _depth_of_hips(one[_POINTS]) for one in people]
     moved = points.copy()
     moved[..., 2] += (np.array(depth) * (f / found[:, 0] - 1))[:, None]
     said = f"focal length {f:.0f} px"
@@ -195,7 +195,7 @@ def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, l
     scale = np.median(sizes) / sizes
     hips = points[:, _HIPS].mean(1)
     about = [hips, hips * scale[:, None]]
-    hips_now = min(about, key=lambda one: _noise(np.log(one[:, 2])))
+    hips_now = min(about, key=lambda one: _noise_of_depths(np.log(one[:, 2])))
     body = (points - hips[:, None]) * scale[:, None, None]
     every = np.arange(seen[0], seen[-1] + 1)
     depth = np.interp(every, seen, np.log(hips_now[:, 2]))
@@ -230,7 +230,7 @@ def _smoothed_over_time(values: np.ndarray) -> np.ndarray:
     return line(gaussians[np.flatnonzero(alike)[-1]])
 
 
-def _noise(values: np.ndarray) -> float:
+def _noise_of_depths(values: np.ndarray) -> float:
     """Standard deviation of white noise on smooth values, from third differences."""
     steps = np.diff(values, 3)
     return float(np.sqrt(np.mean(steps**2) / 20)) if len(steps) else 0.0

@@ -12,7 +12,7 @@ from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.core.units import METRES, parse_unit
 from recon.formats.opening import load_array, load_arrays
 from recon.formats.pickles import read_tree
-from recon.formats.text_tables import numbers, read_rows, refuse_repeated_columns
+from recon.formats.text_tables import numbers_of_columns, read_rows, refuse_repeated_columns
 from recon.keypoints3d.records import Points3D
 
 _COORDINATE = re.compile(
@@ -83,7 +83,7 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     JOINTS.check(len(columns), name, "header")
     SAMPLES.check((len(rows) + 1) * max(len(header), 1), name)
     needed = [k for axes in columns.values() for k in axes]
-    values = numbers(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
+    values = numbers_of_columns(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
     lower = [cell.lower() for cell in header]
     frames, times = (_column(rows, lower, words, name) for words in (_FRAME, _TIME))
     if frames is None or not np.isfinite(frames).all() or len(frames) == 0:
@@ -114,7 +114,7 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     point = next(header.index(key) for key in _KEYPOINT if key in header)
     axes = [header.index(axis) for axis in "xyz"]
     least = max(*axes, point) + 1
-    values = numbers(rows, axes, name, least=least, most=max(map(len, [header, *rows])))
+    values = numbers_of_columns(rows, axes, name, least=least, most=max(map(len, [header, *rows])))
     labels = [row[point] for row in rows]
     place = {one: k for k, one in enumerate(dict.fromkeys(labels))}
     count = int(frames.max()) - int(frames.min()) + 1
@@ -149,7 +149,7 @@ def _column(
     found = next((header.index(word) for word in words if word in header), None)
     if found is None:
         return None
-    return numbers(
+    return numbers_of_columns(
         [[_time_in_seconds(cell) for cell in row[found : found + 1]] for row in rows],
         [0],
         name,

@@ -6,8 +6,14 @@ from typing import Any
 
 from torch import Tensor
 
-from observations.moments import Tracker, frame_from_array, moments, streamable, with_points_hidden
-from recon.core.arrays import Numbers, finite
+from observations.moments import (
+    Tracker,
+    as_streamed,
+    frame_from_array,
+    frames_between,
+    with_points_hidden,
+)
+from recon.core.arrays import Numbers, finite_number
 from recon.core.errors import ObservationError
 from recon.core.struct import TensorStruct
 
@@ -46,13 +52,13 @@ class StreamSensors:
         seen = _one_or_more(given)
         if len(seen) == 0:
             raise ObservationError("expected at least one observation, got none")
-        sensors = tuple(streamable(one) for one in seen)
+        sensors = tuple(as_streamed(one) for one in seen)
         if len(rates := sorted({one.fps for one in sensors})) > 1:
             raise ObservationError(
                 f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
                 "Hz; give each its own stream, or bring them to one clock first"
             )
-        return cls(tuple(moments(one, 0, 1) for one in sensors))
+        return cls(tuple(frames_between(one, 0, 1) for one in sensors))
 
     @property
     def fps(self) -> float:
@@ -86,7 +92,7 @@ class StreamSensors:
             seen = tuple(
                 frame_from_array(s, row) for s, row in zip(self.trackers, rows, strict=True)
             )
-            return Moment(next_time if time is None else finite(time, "time"), seen)
+            return Moment(next_time if time is None else finite_number(time, "time"), seen)
         rows = _one_or_more(given)
         self._check_count(rows)
         seen = tuple(_checked_like(s, row) for s, row in zip(self.trackers, rows, strict=True))
@@ -98,7 +104,7 @@ class StreamSensors:
             )
         if time is None:
             time = starts[0] if starts[0] != 0 else next_time
-        return Moment(finite(time, "time"), seen)
+        return Moment(finite_number(time, "time"), seen)
 
     def _check_count(self, rows: Any) -> None:
         if len(rows) != len(self.trackers):
@@ -117,7 +123,7 @@ def _checked_like(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
         )
-    one = streamable(given)
+    one = as_streamed(given)
     if one.moments != 1:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:

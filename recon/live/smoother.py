@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from observations.moments import Tracker, joined_in_time, moments
+from observations.moments import Tracker, frames_between, joined_in_time
 from recon.body.derivatives import CarriedPoints
 from recon.live.objective import VARIABLES, Equations, Objective, Window
 from recon.solver.banded import Banded, Factor
@@ -103,7 +103,7 @@ class SmoothedWindow:
         data = tuple(joined_in_time(a, b) for a, b in zip(self.seen, seen, strict=True))
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
-            data = tuple(moments(one, count - most, count) for one in data)
+            data = tuple(frames_between(one, count - most, count) for one in data)
             # this many frames are held fixed, so that the motion continues smoothly
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
@@ -181,7 +181,7 @@ class _Refinement(Problem[SmoothedWindow]):
         window = x.window.moved(frames.view(x.active, VARIABLES))
         objective = x.objective
         if x.learning:
-            objective = reshaped(objective, objective.shape + shape, x.seen)
+            objective = objective_of_shape(objective, objective.shape + shape, x.seen)
         return replace(x, window=window, objective=objective)
 
     def value(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
@@ -190,7 +190,7 @@ class _Refinement(Problem[SmoothedWindow]):
         return torch.full((len(rows), 1), value, dtype=torch.float64)
 
 
-def reshaped(
+def objective_of_shape(
     objective: Objective, shape: Float[Tensor, " shape"], seen: Sequence[Tracker]
 ) -> Objective:
     """The objective for a body of another shape."""

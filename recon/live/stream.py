@@ -10,10 +10,10 @@ import torch
 from observations.moments import Tracker
 from priors.pose.prior import PosePrior
 from recon.api.given import BodyLike, ShapeLike, body_given, shape_given
-from recon.core.arrays import positive
+from recon.core.arrays import positive_number
 from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import loaded
+from recon.fitting.methods import loaded_prior
 from recon.live.moments import Moment, MomentLike, StreamSensors
 from recon.live.tracking import KnownShape, LiveEstimate, Tracking
 from recon.method.priors import USUAL_NOISE, Prior
@@ -72,7 +72,7 @@ class Stream:
             raise ReconError(f"lag: expected 0 to 120 frames, got {lag!r}")
         self._lag = lag
         self._body = body_given(body).to(dtype=torch.float32, device="cpu")
-        found = loaded(prior, "open", self._body) if isinstance(prior, str) else prior
+        found = loaded_prior(prior, "open", self._body) if isinstance(prior, str) else prior
         live = getattr(found, "live", None)
         if not isinstance(found, PosePrior) and (live is None or live(USUAL_NOISE) is None):
             raise WeightsError(
@@ -83,7 +83,7 @@ class Stream:
         self._poses = poses.to(dtype=torch.float32)
         self._prior = None if isinstance(found, PosePrior) else found
         rows = noise if isinstance(noise, Sequence) else (noise,)
-        known = tuple(None if one is None else positive(one, "noise") for one in rows)
+        known = tuple(None if one is None else positive_number(one, "noise") for one in rows)
         self._noise = known if isinstance(noise, Sequence) else known[0]
         held = None if shape is None else shape_given(shape, self._body)
         self._person = KnownShape(held)

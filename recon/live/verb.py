@@ -57,6 +57,6 @@ def stream(
     live = Stream(prior, lag, template=seen, noise=noise, shape=shape, body=body)
     sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
-    for line in stream_lines(lines, live, console.complain):
+    for line in stream_lines(lines, live, console.print_error):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()

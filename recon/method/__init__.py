@@ -7,7 +7,7 @@ A `Sensor` has data and says what it would have measured of a `PosedBody`.
 
 from typing import TYPE_CHECKING
 
-from recon.core.plugins import lazy
+from recon.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from recon.body.model import PosedBody as PosedBody
@@ -42,4 +42,4 @@ _HOMES = {
     "shape": "recon.method.terms",
 }
 
-__getattr__, __dir__ = lazy(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import FRAME, ClipModel
 from recon.method.stages import Stage
@@ -123,7 +123,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
     if carried.own_joints is not None and found.isotropic and on_frames:
         # the other terms share the Jacobian of the joints
         isotropic = curvature[..., 0, 0]
-        joints = constant(carried.own_joints, places.device)
+        joints = cached_constant(carried.own_joints, places.device)
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
         own = every.index_add(0, before, isotropic)
         model.joints[:, 0].unflatten(-1, (-1, 3)).index_add_(

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel, PosedBody
-from recon.core.arrays import finite
+from recon.core.arrays import finite_number
 from recon.core.errors import ReconError
 from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
@@ -243,7 +243,7 @@ def checked_arguments(
     if start is not None:
         start = checked_start(start, data, body)
     if weights is not None:
-        weights = [finite(weight, "weights") for weight in weights]
+        weights = [finite_number(weight, "weights") for weight in weights]
         if len(weights) != len(observations) or min(weights) < 0:
             raise ReconError(
                 f"weights: expected {len(observations)} numbers from 0 on, one for each "

@@ -152,7 +152,7 @@ def run_hypotheses(
         held = replace(held, unknowns=unknowns)
         reports.append(StageReport(stage, solution, perf_counter() - started))
         if stage.kept is not None:
-            value = rank(stage, held, body) if stage.ranking else solution.value
+            value = ranking_objective(stage, held, body) if stage.ranking else solution.value
             index = held.best(value, stage.kept)
             if len(index) < len(value):
                 reports[-1] = replace(reports[-1], compared=held.compared(value, index, body))
@@ -160,7 +160,7 @@ def run_hypotheses(
     return held, reports
 
 
-def rank(
+def ranking_objective(
     stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
 ) -> Float[Tensor, " rows"]:
     """The objective by which a stage compares hypotheses: its `ranking`, or else its terms."""

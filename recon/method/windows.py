@@ -61,7 +61,7 @@ def smooth_ramp(
     return share.square() * (3 - 2 * share)
 
 
-def join(motions: Sequence[Motion]) -> Motion:
+def joined_windows(motions: Sequence[Motion]) -> Motion:
     """One clip from the windows' (no batch axes), in order of time, the first one's clock.
 
     Where two windows overlap, the later one fades in: positions linearly, rotations along the

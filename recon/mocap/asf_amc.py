@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Up
-from recon.formats.texts import decode, read_bytes
+from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -75,8 +75,8 @@ def read_amc(
     """
     data = read_bytes(path)
     skeleton = find_skeleton(path) if skeleton is None else skeleton
-    tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
-    motion, degrees = _parse_amc(decode(data), path.name)
+    tree = _parse_asf(decoded_text(read_bytes(skeleton, TABLE)), skeleton.name)
+    motion, degrees = _parse_amc(decoded_text(data), path.name)
     recording = _recording_of(tree, motion, degrees, path.name, fps)
     said = (f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file")
     recording = replace(recording, decisions=said)

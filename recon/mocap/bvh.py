@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.texts import decode, numbers_in, read_bytes, with_decimal_points
+from recon.formats.texts import decoded_text, numbers_in, read_bytes, with_decimal_points
 from recon.mocap.recording import (
     SkeletonRecording,
     finite_numbers,
@@ -83,7 +83,7 @@ def read_bvh(path: Path, *, unit: str | None = None, up: Up | None = None) -> Sk
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, or its unit or up axis cannot be told.
     """
-    return parse_bvh(decode(read_bytes(path)), path.name, unit=unit, up=up)
+    return parse_bvh(decoded_text(read_bytes(path)), path.name, unit=unit, up=up)
 
 
 def parse_bvh(

@@ -15,8 +15,8 @@ from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
 from recon.core.visible import visible
 from recon.formats.replacing import write_text
-from recon.formats.text_tables import numbers, read_rows
-from recon.formats.texts import decode, read_bytes
+from recon.formats.text_tables import numbers_of_columns, read_rows
+from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 
@@ -57,7 +57,7 @@ def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) ->
     JOINTS.check(len(labels), name, "Name")
     SAMPLES.check(len(rows) * len(labels), name)
     wanted = [columns.get((label, axis), -1) for label in labels for axis in "XYZ"]
-    values = numbers(rows[start + 1 :], [1, *wanted], name, most=len(rows[start]))
+    values = numbers_of_columns(rows[start + 1 :], [1, *wanted], name, most=len(rows[start]))
     rate = said.get("Export Frame Rate") or said.get("Capture Frame Rate") or ""
     declared = parse_unit(said.get("Length Units", ""))
     return _in_metres(
@@ -73,7 +73,9 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
         ValueError: when it is damaged or has no markers, or its unit or axis cannot be told.
     """
     name = path.name
-    rows = [line.split("\t") for line in decode(read_bytes(path)).splitlines() if line.strip()]
+    rows = [
+        line.split("\t") for line in decoded_text(read_bytes(path)).splitlines() if line.strip()
+    ]
     head = {row[0].strip(): row[1:] for row in rows if not _is_number(row[0])}
     labels = [label.strip() for label in head.get("MARKER_NAMES", ()) if label.strip()]
     if head.get("DATA_INCLUDED", [""])[0].strip() != "3D" or not labels:
@@ -88,7 +90,7 @@ def read_qualisys(path: Path, *, unit: str | None = None, up: Up | None = None) 
     first = 2 if timed else 0
     width = first + 3 * len(labels)
     cells = [[cell.strip() for cell in row[:width]] for row in data]
-    values = numbers(cells, range(width), name, most=width)
+    values = numbers_of_columns(cells, range(width), name, most=width)
     start = float(values[0, 1]) if timed and len(values) else 0.0
     rate = (head.get("FREQUENCY") or [""])[0]
     return _in_metres(name, labels, values[:, first:], rate, unit, up, "mm", "z", start)
@@ -146,7 +148,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         ValueError: when it is damaged, or its unit or up axis cannot be told.
     """
     name = path.name
-    lines = decode(read_bytes(path)).splitlines()
+    lines = decoded_text(read_bytes(path)).splitlines()
     if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
         raise FormatError(f"{name}: expected a TRC file, five header lines from PathFileType on")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))

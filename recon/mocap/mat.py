@@ -12,7 +12,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, JOINTS, SAMPLES
 from recon.core.units import Up
-from recon.formats.opening import existing
+from recon.formats.opening import existing_file
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
 _READER = Path(__file__).with_name("mat_process.py")
@@ -31,7 +31,7 @@ def read_mat(
         FileNotFoundError: when there is no such file.
         ValueError: when it holds no such recording, or its unit or up axis cannot be told.
     """
-    arrays = _read_in_other_process(existing(path))
+    arrays = _read_in_other_process(existing_file(path))
     found = sorted({key.split("/")[0] for key in arrays})
     if variable is None and len(found) == 1:
         variable = found[0]

@@ -15,8 +15,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
-from recon.formats.opening import existing, limit_when_unpacked
-from recon.formats.texts import decode, read_bytes
+from recon.formats.opening import existing_file, limit_when_unpacked
+from recon.formats.texts import decoded_text, read_bytes
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, parse_hierarchy, read_bvh
 from recon.mocap.c3d import read_c3d
@@ -77,7 +77,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged.
     """
-    limit = limit_when_unpacked(existing(path), TEXT)
+    limit = limit_when_unpacked(existing_file(path), TEXT)
     try:
         with tarfile.open(path, "r|*") as archive:
             for member in archive:
@@ -86,7 +86,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
                 limit.check(member.size, f"{path}::{member.name}")
                 file = archive.extractfile(member)
                 assert file is not None  # None only for members that are no files
-                yield member.name, decode(file.read())
+                yield member.name, decoded_text(file.read())
     except (tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, OSError) as error:
         raise FormatError(f"{path}: expected a tar archive, but {error}") from error
 
@@ -179,7 +179,7 @@ def refuse_unknown_skeleton(path: Path) -> None:
     """
     if not path.name.lower().endswith((".bvh", ".bvh.xz")) or not path.is_file():
         return
-    head, keyword, _ = decode(read_bytes(path)).partition("MOTION")
+    head, keyword, _ = decoded_text(read_bytes(path)).partition("MOTION")
     if not keyword:
         return  # the file's reader raises the error
     joints = parse_hierarchy(head, path.name)

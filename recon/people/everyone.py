@@ -9,7 +9,7 @@ import numpy as np
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.detections.tables import holds_detections
-from recon.fitting.records import Clip, seen_times, window
+from recon.fitting.records import Clip, clip_between, seen_times
 from recon.fitting.settings import FitSettings
 from recon.reading.clip import DETECTIONS, clip_of_files, files_of_projects, format_errors
 from recon.reading.same_person import everybody_across_views
@@ -80,7 +80,7 @@ def people_in(
             files = list(zip(one.views.names, one.views.files, strict=True))
             clip = clip_of_files(files, [one.note], settings, body)
             times = np.concatenate([seen_times(view) for view in clip.observations])
-            people.append(PersonClip(one.number, window(clip, times.min(), times.max())))
+            people.append(PersonClip(one.number, clip_between(clip, times.min(), times.max())))
     notes = [decision for one in projects for decision in one.decisions]
     return tuple(people), (*notes, *seen.decisions, *found.decisions)
 

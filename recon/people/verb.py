@@ -1,14 +1,14 @@
 """`recon fit --person all`: everybody in files of 2D detections."""
 
-from recon.cli.making import Verb, command
-from recon.cli.places import Place, folder
+from recon.cli.making import Verb, command_function
+from recon.cli.places import Place, folder_output
 from recon.fitting.settings import FitSettings
 
-fit_all = command(
+fit_all = command_function(
     "fit-all",
     Verb(
         "recon.people.together:fit_files",
-        (Place("out", folder),),
+        (Place("out", folder_output),),
         "folder to write.",
         settings=FitSettings(person="all"),
     ),

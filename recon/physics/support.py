@@ -15,7 +15,7 @@ from torch import Tensor
 
 from recon.body.contacts import rest_heights, touching_heights
 from recon.body.parts import GRAVITY
-from recon.core.arrays import constant
+from recon.core.arrays import cached_constant
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -151,7 +151,7 @@ def _carried_weight(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
 def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     """½ (h² / σ_h² + v² / σ_v²) of height h and speed v of ankles and toes; nats."""
     posed, fps, span = estimate.body, estimate.motion.fps, _difference_step(estimate)
-    places = constant(FEET, posed.joints.device)
+    places = cached_constant(FEET, posed.joints.device)
     feet = posed.joints[..., places, :]
     resting = touching_heights(rest_heights(posed.model, posed.shape))[..., places]
     height = inner_frames(feet, fps)[..., 2] - resting[..., None, :]
@@ -165,8 +165,8 @@ def _energies_of_pairs(
     estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
 ) -> Float[Tensor, "*batch inner 10"]:
     """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of foot joints; nats."""
-    one, other = (constant(side, unrest.device) for side in (_FIRST, _SECOND))
-    joints = estimate.body.joints[..., constant(FEET, unrest.device), :2]
+    one, other = (cached_constant(side, unrest.device) for side in (_FIRST, _SECOND))
+    joints = estimate.body.joints[..., cached_constant(FEET, unrest.device), :2]
     feet = inner_frames(joints, estimate.motion.fps)
     first, second = feet[..., one, :], feet[..., other, :]
     moving = average_dynamics(estimate.body, estimate.motion.fps)
@@ -183,7 +183,7 @@ def _summed_by_restless_joint(
 ) -> Float[Tensor, "inner 4"]:
     """Sum the pairs' weights by joint; a pair counts for its joint with the larger unrest."""
     first, second = (
-        constant(side, unrest.device).expand(pairs.shape) for side in (_FIRST, _SECOND)
+        cached_constant(side, unrest.device).expand(pairs.shape) for side in (_FIRST, _SECOND)
     )
     restless = torch.where(unrest.gather(-1, first) >= unrest.gather(-1, second), first, second)
     return torch.zeros_like(unrest).scatter_add(-1, restless, pairs)

@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError, ReconError
 from recon.detections.tables import holds_detections
 from recon.fitting.ground import camera_above
-from recon.fitting.records import Clip, window
+from recon.fitting.records import Clip, clip_between
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
@@ -97,7 +97,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         if len(projects) != 1 or projects[0].frames is None:
             return clip
         first, end = (k - views.first_frame for k in projects[0].frames)
-        return window(clip, first / shown[0].fps, (end - 1) / shown[0].fps)
+        return clip_between(clip, first / shown[0].fps, (end - 1) / shown[0].fps)
 
 
 def _read(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from recon.core.errors import FormatError
 from recon.core.limits import IMAGE, MASKS
-from recon.formats.opening import DAMAGE, check_sizes, existing
+from recon.formats.opening import DAMAGE, check_sizes, existing_file
 
 _KEY = "mask"
 
@@ -38,7 +38,7 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, too large or holds no mask.
     """
-    existing(path)
+    existing_file(path)
     try:
         check_sizes(path, MASKS, (_KEY,))
         with zipfile.ZipFile(path) as archive:

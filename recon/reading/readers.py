@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
-from recon.core.plugins import SENSORS, imported, registered
+from recon.core.plugins import SENSORS, imported_object, registered_places
 from recon.method.sensor import Sensor
 
 
@@ -33,8 +33,11 @@ def readers(named_class: str | None) -> list[Reader]:
     Raises:
         ReconError: when one of them cannot be imported, or reads no files.
     """
-    places = [*([] if named_class is None else [named_class]), *registered(SENSORS).values()]
-    found = [imported(place, "reader") for place in places]
+    places = [
+        *([] if named_class is None else [named_class]),
+        *registered_places(SENSORS).values(),
+    ]
+    found = [imported_object(place, "reader") for place in places]
     for place, kind in zip(places, found, strict=True):
         if not isinstance(kind, Reader):
             raise ObservationError(

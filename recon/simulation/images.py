@@ -10,7 +10,7 @@ from torch import Tensor
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, full_hd_camera, looking
+from recon.core.camera import Camera, full_hd_camera, pose_looking_at
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.formats.calibration import load_cameras
@@ -76,7 +76,7 @@ def orbiting(
         c, s = math.cos(turn), math.sin(turn)
         at = start.new_tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ start
         at = at + sway * start.new_tensor([0.0, math.sin(0.21 * k), math.sin(0.42 * k)])
-        poses.append(looking(target + at, target))
+        poses.append(pose_looking_at(target + at, target))
     return camera.replace(T_camera_world=torch.stack(poses))
 
 

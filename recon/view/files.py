@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from recon.body.identities import weight
+from recon.body.identities import body_weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.core.camera import Ground
@@ -127,7 +127,7 @@ def _second_name(path: Path, first: Path) -> str:
 def _with_measures(figure: Figure) -> Figure:
     """The figure, with height and weight of its body added to its name."""
     shape = figure.motion.shape
-    tall, heavy = figure.body.height(shape), weight(figure.body, shape)
+    tall, heavy = figure.body.height(shape), body_weight(figure.body, shape)
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 

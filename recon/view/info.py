@@ -23,7 +23,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
-from recon.formats.opening import existing, load_arrays
+from recon.formats.opening import existing_file, load_arrays
 from recon.formats.pickles import read_tree
 from recon.formats.producers import producer_of, refuse_others
 from recon.formats.projects import Project, project_at
@@ -85,7 +85,7 @@ def _description(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if file.is_dir():
         return describe_folder(file)
     ending, found = file.suffix.lower(), producer_of(file)
-    keys = load_arrays(existing(file)).keys() if ending == ".npz" else set[str]()
+    keys = load_arrays(existing_file(file)).keys() if ending == ".npz" else set[str]()
     match "" if found is None else found.holds:
         case "an observation":
             return _describe_observation(file, axes)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import recon
 from recon import cli
 from recon.body.model import BodyModel
-from recon.core.camera import depth_camera, looking
+from recon.core.camera import depth_camera, pose_looking_at
 from recon.core.errors import ReconError
 from recon.formats.calibration import load_cameras
 from recon.formats.observations import PointsFile, load_observation, save_observation
@@ -33,7 +33,7 @@ def filmed() -> tuple[list[PointsFile], list[np.ndarray]]:
     for k, degrees in enumerate((-60, 0, 55)):
         angle = math.radians(degrees)
         place = torch.tensor([2.4 * math.sin(angle), 0.3 - 2.4 * math.cos(angle), 1.2 + 0.2 * k])
-        T = looking(place.double(), torch.tensor([0.0, 0.3, 0.8]).double())
+        T = pose_looking_at(place.double(), torch.tensor([0.0, 0.3, 0.8]).double())
         camera = depth_camera().replace(T_camera_world=T.float())
         seen = depth_points(
             motion, body, camera, Corruption(), k, points=12_000, furniture=things,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.batch.batch import FitJob, fit_all, fit_one, is_done
-from recon.batch.workers import attempt
+from recon.batch.workers import result_or_failure
 from recon.batch.worklog import Record, read_manifest
 from recon.fitting.settings import FitSettings
 from recon.formats.opening import load_arrays
@@ -102,7 +102,7 @@ def here(function, jobs, processes):
     """What `run_jobs` does without processes of their own, whose start takes seconds."""
     del processes
     for job in jobs:
-        yield job, attempt(function, job)
+        yield job, result_or_failure(function, job)
 
 
 if __name__ == "__main__":

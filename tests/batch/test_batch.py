@@ -10,7 +10,7 @@ import pytest
 import recon
 from recon.batch.batch import fit_all, large_first
 from recon.batch.workers import Run, run_jobs
-from recon.batch.worklog import BatchClip, read_manifest, shard
+from recon.batch.worklog import BatchClip, clips_of_shard, read_manifest
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
@@ -194,7 +194,7 @@ def test_manifests_are_checked_line_by_line(tmp_path):
         ({"id": "b"}, "line 2"),
         ({"id": None, "observations": []}, "line 2: expected texts"),
         ({"id": "b", "observations": [7]}, "line 2: expected texts"),
-        ({"id": "../b", "observations": []}, "names a file"),
+        ({"id": "../b", "observations": []}, "can be a file name"),
         ({"id": "b", "observations": [], "camera": "c.toml"}, "camera cannot differ"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -212,7 +212,7 @@ def test_manifests_are_text_as_it_comes(tmp_path):
 
 def test_shards_are_a_partition():
     clips = [BatchClip(f"clip {k}", ()) for k in range(50)]
-    parts = [shard(clips, k, 4) for k in range(4)]
+    parts = [clips_of_shard(clips, k, 4) for k in range(4)]
     assert sorted(c.name for part in parts for c in part) == sorted(c.name for c in clips)
     with pytest.raises(ValueError, match="I < N"):
-        shard(clips, 4, 4)
+        clips_of_shard(clips, 4, 4)

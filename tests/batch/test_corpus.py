@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.batch.collection import collections, contents
+from recon.batch.collection import clips_by_collection, contents_of_clips
 from recon.batch.corpus import convert_corpus
 from recon.batch.worklog import read_log
 from recon.benchmark.dataset import Splits, clip_files
@@ -31,7 +31,7 @@ def touched(folder: Path, *names: str) -> Path:
 
 
 def names_of(folder: Path) -> list[str]:
-    return [clip.name for clips in collections(folder) for clip in clips]
+    return [clip.name for clips in clips_by_collection(folder) for clip in clips]
 
 
 def test_names_are_paths_without_the_ending(tmp_path):
@@ -69,7 +69,7 @@ def test_names_in_a_manifest_are_as_it_says_or_paths(tmp_path):
 
 def test_names_of_the_recordings_here_are_what_splits_know(data):
     """recon/benchmark/splits.toml and trained weights know clips by these names."""
-    for clips in collections(data / "mocap"):
+    for clips in clips_by_collection(data / "mocap"):
         with (data / "mocap" / clips[0].collection / "manifest.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         former = {row["clip"] if "archive" in row else Path(row["path"]).name.split(".")[0]
@@ -85,7 +85,7 @@ def test_names_of_the_recordings_here_are_what_splits_know(data):
 def test_recordings_that_would_be_one_output_are_refused(files, tmp_path):
     touched(tmp_path / "in", *files)
     with pytest.raises(ValueError, match=r"would both be written as in/.*rename one"):
-        collections(tmp_path / "in")
+        clips_by_collection(tmp_path / "in")
 
 
 def test_a_collection_beside_one_of_the_same_name_is_refused_where_clips_meet(tmp_path):
@@ -94,7 +94,7 @@ def test_a_collection_beside_one_of_the_same_name_is_refused_where_clips_meet(tm
     (root / "manifest.csv").write_text("path\na.bvh\n")
     (root / "x" / "manifest.csv").write_text("path\na.bvh\n")
     with pytest.raises(ValueError, match=r"would both be written as x/a\.npz"):
-        collections(root)
+        clips_by_collection(root)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_collection_beside_one_of_the_same_name_is_refused_where_clips_meet(tm
 def test_manifests_are_checked_line_by_line(text, words, tmp_path):
     (tmp_path / "manifest.csv").write_text(text)
     with pytest.raises(ValueError, match=words):
-        collections(tmp_path)
+        clips_by_collection(tmp_path)
 
 
 def test_members_of_archives_are_told_apart(tmp_path):
@@ -124,14 +124,15 @@ def test_members_of_archives_are_told_apart(tmp_path):
     manifest.write_text(
         "archive,clip\n" + "".join(f"all.tar,{n}\n" for n in ("s1/walk", "s2/walk", "run"))
     )
-    (clips,) = collections(tmp_path)
-    assert {c.clip.name: c.text for c in contents(clips)} == {
+    (clips,) = clips_by_collection(tmp_path)
+    assert {c.clip.name: c.text for c in contents_of_clips(clips)} == {
         "s1/walk": "s1/walk.bvh", "s2/walk": "s2/walk.bvh", "run": "s1/run.bvh",
     }  # fmt: skip
     manifest.write_text("archive,clip\nall.tar,walk\n")
-    ((clip,),) = collections(tmp_path)
+    ((clip,),) = clips_by_collection(tmp_path)
     assert (
-        "several recordings 'walk', one of them s2/walk.bvh" in list(contents([clip]))[-1].missing
+        "several recordings 'walk', one of them s2/walk.bvh"
+        in list(contents_of_clips([clip]))[-1].missing
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from recon.batch import batch as subjects
 from recon.batch.batch import fit_all
-from recon.batch.worklog import read_manifest, shard
+from recon.batch.worklog import clips_of_shard, read_manifest
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
@@ -51,7 +51,7 @@ def test_clips_of_a_subject_have_one_shape_and_a_run_goes_on(tmp_path):
 
 def test_clips_of_a_subject_stay_in_one_part(tmp_path):
     clips = read_manifest(written(tmp_path, dict.fromkeys("abcdef", "anna")))
-    parts = [len(shard(clips, k, 3)) for k in range(3)]
+    parts = [len(clips_of_shard(clips, k, 3)) for k in range(3)]
     assert sorted(parts) == [0, 0, 6]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from recon.body.identities import doubts, identity, weight
+from recon.body.identities import body_weight, identity, reasons_for_doubt
 from recon.body.model import BodyModel
 from recon.core.motion import MotionFile
 from recon.formats.motions import save_motion
@@ -20,7 +20,7 @@ BODY = BodyModel.load()
 def measures(spec: str) -> tuple[float, float]:
     shape = identity(spec, BODY)
     assert shape.shape == (16,)
-    return float(BODY.height(shape)), float(weight(BODY, shape))
+    return float(BODY.height(shape)), float(body_weight(BODY, shape))
 
 
 def test_many_long_coefficients_are_no_file():
@@ -57,7 +57,7 @@ def test_no_other_body_with_these_measures_is_nearer_to_the_average():
     shape = identity("height=1.9,weight=70", BODY).double().requires_grad_()
     slopes = [
         torch.autograd.grad(tall_or_heavy, shape)[0]
-        for tall_or_heavy in (exact.height(shape), weight(exact, shape))
+        for tall_or_heavy in (exact.height(shape), body_weight(exact, shape))
     ]
     basis = torch.linalg.qr(torch.stack(slopes, 1)).Q
     off = shape - basis @ (basis.mT @ shape)
@@ -87,12 +87,12 @@ def test_a_measure_does_not_change_the_sex(sex):
 @pytest.mark.parametrize("build", ["", ",heavy", ",slim"])
 @pytest.mark.parametrize("sex", ["man", "woman"])
 def test_all_that_words_can_say_is_plausible(sex, size, build):
-    assert doubts(BODY, identity(sex + size + build, BODY)) == []
+    assert reasons_for_doubt(BODY, identity(sex + size + build, BODY)) == []
 
 
 def test_an_implausible_body_is_doubted():
-    assert "1.30 m tall" in doubts(BODY, identity("height=1.3", BODY))[0]
-    assert "4.5 standard deviations" in doubts(BODY, identity("0,0,0,4.5", BODY))[0]
+    assert "1.30 m tall" in reasons_for_doubt(BODY, identity("height=1.3", BODY))[0]
+    assert "4.5 standard deviations" in reasons_for_doubt(BODY, identity("0,0,0,4.5", BODY))[0]
 
 
 def test_a_motion_file_lends_its_shape(tmp_path: Path):

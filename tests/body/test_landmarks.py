@@ -12,7 +12,7 @@ from recon.body.landmarks import (
     landmark,
     landmarks,
 )
-from recon.body.marker_labels import load_marker_map, match_markers, normalised
+from recon.body.marker_labels import load_marker_map, match_markers, normalised_label
 from recon.core.skeleton import JOINTS
 
 PLUG_IN_GAIT = (
@@ -124,7 +124,7 @@ def test_known_protocols_match_completely(labels):
 
 
 def test_spelling_does_not_matter_and_strangers_are_reported():
-    assert normalised("Subject 01:L_Wrist.Med") == normalised("lwristmed")
+    assert normalised_label("Subject 01:L_Wrist.Med") == normalised_label("lwristmed")
     matched, unknown = match_markers(["Bob:LASI", "l.asis", "Left ASIS", "*113", "RKneeAngles"])
     assert matched == dict.fromkeys(["Bob:LASI", "l.asis", "Left ASIS"], "left_asis")
     assert unknown == ("*113", "RKneeAngles")

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from recon.body.derivatives import CarriedPoints
-from recon.body.levers import COORDINATES, Levers, ShapeLevers, bone_affines, turned
+from recon.body.levers import COORDINATES, Levers, ShapeLevers, bone_affines, rotations_after_turns
 from recon.body.model import BodyModel, forward_kinematics
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -41,7 +41,7 @@ class Posed:
         orientations, joints = forward_kinematics(self.rotations, rest)
         translation = self.translation
         if steps is not None:
-            rotations = turned(self.rotations, orientations, steps[:, 3:])
+            rotations = rotations_after_turns(self.rotations, orientations, steps[:, 3:])
             orientations, joints = forward_kinematics(rotations, rest)
             translation = translation + steps[:, :3]
         return bone_affines(orientations, joints + translation[:, None])

@@ -14,11 +14,11 @@ import recon
 from recon import cli
 from recon.cli import console, inputs, listing
 from recon.cli.examples import EXAMPLES
-from recon.cli.parsing import options_of, parsed
-from recon.cli.places import declared
+from recon.cli.parsing import options_of, parsed_command
+from recon.cli.places import declared_outputs
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
-VERBS = {name: listing.verb(name) for name in listing.names()}
+VERBS = {name: listing.function_of_verb(name) for name in listing.verb_names()}
 COMMANDS = [command for examples in EXAMPLES.values() for command in examples]
 
 
@@ -43,7 +43,7 @@ def test_every_verb_has_two_examples_or_more_in_its_help(capsys):
 def test_examples_are_commands(command):
     program, verb, *words = shlex.split(command)
     assert program == "recon"
-    call = parsed([verb, *words])
+    call = parsed_command([verb, *words])
     whole = "--all" in words or "--person all" in command
     expected = VERBS[f"{verb}-all" if whole else verb]
     assert inspect.unwrap(getattr(call, "func")) is inspect.unwrap(expected)  # noqa: B009
@@ -80,7 +80,9 @@ def test_options_are_those_of_the_help(verb, capsys, monkeypatch):
 
 
 def test_underscores_and_negative_numbers_are_no_unknown_options(tmp_path):
-    call = parsed(["simulate", "a.npz", "b.npz", "--kind", "joints3d", "--hide_below", "-0.5"])
+    call = parsed_command(
+        ["simulate", "a.npz", "b.npz", "--kind", "joints3d", "--hide_below", "-0.5"]
+    )
     assert getattr(call, "keywords")["hide_below"] == -0.5  # noqa: B009
 
 
@@ -109,19 +111,19 @@ def test_info_is_written_where_pipes_find_it(capsys):
 
 
 def test_quiet_leaves_the_last_line_and_what_went_wrong(capsys):
-    with console.quietly(True):
-        console.say("said")
-        console.note("noted")
-        console.warn("warned")
-        console.table("tabled", {"row": {"column": 1}})
-        console.findings({"warnings": [{"message": "found"}]})
-        console.complain("clip 3 has no frames")
-        console.last("out.npz")
-        console.answer({"n": 1})
+    with console.quiet_if(True):
+        console.print_progress("said")
+        console.print_note("noted")
+        console.print_warning("warned")
+        console.print_table("tabled", {"row": {"column": 1}})
+        console.print_findings({"warnings": [{"message": "found"}]})
+        console.print_error("clip 3 has no frames")
+        console.print_last_line("out.npz")
+        console.print_json({"n": 1})
     shown = capsys.readouterr()
     assert shown.err.splitlines() == ["clip 3 has no frames", "out.npz"]
     assert json.loads(shown.out) == {"n": 1}
-    console.say("said")
+    console.print_progress("said")
     assert capsys.readouterr().err == "said\n"
 
 
@@ -134,7 +136,7 @@ def test_a_quiet_verb_says_where_its_result_is(tmp_path, capsys):
 
 def test_every_argument_that_is_read_says_what_it_should_be():
     for verb, function in VERBS.items():
-        written = {place.parameter for place in declared(function)}
+        written = {place.parameter for place in declared_outputs(function)}
         for name, parameter in inspect.signature(function).parameters.items():
             if "Path" in str(parameter.annotation) and name not in written:
                 assert name in inputs.EXPECTED, f"{verb}: {name}"

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from recon.core import rotations as so3
-from recon.core.camera import Camera, depth_camera, full_hd_camera, looking
+from recon.core.camera import Camera, depth_camera, full_hd_camera, pose_looking_at
 
 LENSES = [
     None,
@@ -131,7 +131,7 @@ def test_bad_cameras_are_refused() -> None:
     with pytest.raises(ValueError, match="4 or 5 or 8 distortion coefficients"):
         Camera.create(matrix, (1920, 1080), torch.zeros(6))
     with pytest.raises(ValueError, match="move either one sideways"):
-        looking(numbers([0.0, 0.0, 3.0]), numbers([0.0, 0.0, 0.0]))
+        pose_looking_at(numbers([0.0, 0.0, 3.0]), numbers([0.0, 0.0, 0.0]))
 
 
 def test_a_moving_camera_is_where_its_clock_says_and_stands_still_beyond_its_poses() -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.core.motion import Motion, pad
+from recon.core.motion import Motion, padded_batch
 from recon.core.struct import stack
 
 
@@ -44,16 +44,16 @@ def test_a_window_is_the_motion_at_its_own_times():
 
 
 def test_unequal_clips_become_one_batch_that_knows_what_exists():
-    batch = pad([wave(31), wave(11)])
+    batch = padded_batch([wave(31), wave(11)])
     assert batch.translation.shape == (2, 31, 3)
     assert batch.valid.sum(-1).tolist() == [31, 11]
     assert torch.equal(batch[1].window(0, 11).translation, wave(11).translation)
     with pytest.raises(ValueError, match="one frame rate"):
-        pad([wave(), wave(fps=20.0)])
+        padded_batch([wave(), wave(fps=20.0)])
 
 
 def test_a_moment_beside_a_padded_frame_does_not_exist():
-    batch = pad([wave(31), wave(11)])
+    batch = padded_batch([wave(31), wave(11)])
     there = batch.at(torch.tensor([5.0 + 10 / 30, 5.0 + 10.5 / 30]).double(), 30.0)
     assert there.valid.tolist() == [[True, True], [True, False]]
 

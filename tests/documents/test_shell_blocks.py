@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.cli.parsing import parsed as command
+from recon.cli.parsing import parsed_command as command
 from tests.documents.blocks import PAGES, ROOT, Block, blocks, commands
 
 SHELL = [block for page in PAGES for block in blocks(page, "bash")]

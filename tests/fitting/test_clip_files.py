@@ -10,7 +10,7 @@ import torch
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from recon.core.rotations import transform
-from recon.fitting.records import Clip, window
+from recon.fitting.records import Clip, clip_between
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
@@ -107,10 +107,10 @@ def test_a_stretch_ends_where_the_observations_do():
     places, visible = torch.rand(1, 10, 2, 3), torch.ones(1, 10, 2, dtype=torch.bool)
     seen = Joints3D(places, visible, (4, 5), 10.0, start_time=2.0)
     clip = Clip((seen,), ("joints",), (), None)
-    (kept,) = window(clip, 0.0, 10.0).observations
+    (kept,) = clip_between(clip, 0.0, 10.0).observations
     assert kept.start_time == 2.0
     assert kept.shown.shape == (1, 10, 2)
-    (part,) = window(clip, 0.0, 2.35).observations
+    (part,) = clip_between(clip, 0.0, 2.35).observations
     assert part.shown.shape == (1, 4, 2)
     with pytest.raises(ValueError, match="nothing was seen between 5 and 9 s"):
-        window(clip, 5.0, 9.0)
+        clip_between(clip, 5.0, 9.0)

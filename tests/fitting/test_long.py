@@ -20,7 +20,7 @@ from recon.method.free import FreeMotion
 from recon.method.reconstruction import reconstruct, solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
-from recon.method.windows import join
+from recon.method.windows import joined_windows
 from recon.solver.lbfgs import LBFGS
 from tests import laws
 from tests.verbs import fit_files
@@ -193,9 +193,9 @@ def test_ties_bring_neighbours_together(toy_body, monkeypatch):
         first, second = motions
         there = [toy_body.pose(m.at(second.times[:1], 15.0)).joints for m in (first, second)]
         gaps.append((there[0] - there[1]).norm(dim=-1).mean())
-        return join(motions)
+        return joined_windows(motions)
 
-    monkeypatch.setattr(long, "join", comparing)
+    monkeypatch.setattr(long, "joined_windows", comparing)
     for tie in (0.0, 1.0):
         monkeypatch.setattr(long, "TIE", tie)
         fit_long([observation], Rigid(iterations=40), toy_body, window=2.0, overlap=0.7)

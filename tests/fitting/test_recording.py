@@ -18,7 +18,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting import gait
 from recon.fitting.cycles import NAMED_NOISE, moments_per_second, on_fast_clock
-from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches
+from recon.fitting.gait import CompletedCycle, joints_of_cycles, stretches_of_cycles
 from recon.fitting.recording import WholeRecording, given_or_usual_noise
 from recon.simulation.points import Corruption, landmarks3d
 from tests.walk_prior import one_cycle, tiny_weights, walk
@@ -122,7 +122,7 @@ def test_scans_at_odd_times_count_as_much_on_a_fast_clock(truth):
 def test_cycles_that_overlap_or_follow_are_one_stretch():
     spans = ((0.0, 1.0), (0.5, 1.5), (1.55, 2.5), (4.0, 5.0))
     cycles = [Cycle(start, stop, "left", 0.0) for start, stop in spans]
-    assert [len(one) for one in stretches(cycles)] == [3, 1]
+    assert [len(one) for one in stretches_of_cycles(cycles)] == [3, 1]
 
 
 def test_cycles_fade_into_each_other_and_out(truth):

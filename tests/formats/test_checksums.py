@@ -20,7 +20,7 @@ def test_a_file_is_its_bytes_and_not_its_place(tmp_path):
 
 def test_a_pipe_is_refused_and_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(ValueError, match="expected a file to hash"):
+    with pytest.raises(ValueError, match="expected a file, got a folder, pipe or device"):
         file_checksum(tmp_path / "pipe")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from recon.core.layouts import keypoint_names
 from recon.detections.reader import read_keypoints
-from recon.detections.records import cleaned
+from recon.detections.records import with_clipped_confidences
 from recon.detections.tables import plain_part_name
 from recon.formats.json_files import frame_numbers
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose
@@ -62,7 +62,7 @@ def test_25_keypoints_of_too_few_bones_are_refused_with_the_way_out(tmp_path):
 def test_every_spelling_of_missing_is_zero():
     places = [(5, 6, 0.4), (0, 0, 0.9), (-1, -1, 0.9), (np.nan, 2, 0.9), (1, 2, np.nan),
               (1, 2, -0.3), (np.inf, 2, 1), (3, 4, 7.5)]  # fmt: skip
-    found = cleaned(np.array([places]))[0]
+    found = with_clipped_confidences(np.array([places]))[0]
     assert np.allclose(found[0], (5, 6, 0.4))
     assert (found[1:7] == 0).all()
     assert found[7].tolist() == [3, 4, 1]

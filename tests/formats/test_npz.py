@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.core.motion import Motion, MotionFile, pad
+from recon.core.motion import Motion, MotionFile, padded_batch
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import (
     CameraArrays,
@@ -85,7 +85,7 @@ def test_rotations_near_a_half_turn_survive(tmp_path: Path) -> None:
 
 
 def test_padding_is_not_written(tmp_path: Path) -> None:
-    batch = pad([make_motion(3), make_motion(5)])
+    batch = padded_batch([make_motion(3), make_motion(5)])
     save_motion(tmp_path / "m.npz", batch[0])
     assert load_motion(tmp_path / "m.npz").motion.frames == 3
     with pytest.raises(ValueError, match="batch"):

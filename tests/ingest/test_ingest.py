@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.batch.collection import SourceClip, collections, contents, skeleton_key
+from recon.batch.collection import SourceClip, clips_by_collection, contents_of_clips, skeleton_key
 from recon.batch.corpus import conversion_checksum, convert_corpus
-from recon.batch.corpus_jobs import split
+from recon.batch.corpus_jobs import split_at_jumps
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
-from recon.body.levelling import levelling, standing_flat, turned
+from recon.body.levelling import levelling_rotation, rotated_motion, standing_flat
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core import rotations as so3
@@ -190,19 +190,19 @@ def test_a_tilted_floor_is_levelled() -> None:
     tilt = so3.exp(torch.tensor([0.02, -0.05, 0.0]))
     yes = torch.ones(200, 2, dtype=torch.bool)
     sloped = points @ tilt.mT + 0.003 * torch.randn(200, 2, 3)
-    found = levelling(Stance(sloped, yes, yes))
+    found = levelling_rotation(Stance(sloped, yes, yes))
     assert found is not None
     up = found @ tilt @ torch.tensor([0.0, 0.0, 1.0])
     assert torch.rad2deg(torch.acos(up[2].clamp(max=1))) < 0.3  # degrees
-    assert levelling(Stance(points, yes, yes)) is None
+    assert levelling_rotation(Stance(points, yes, yes)) is None
     stairs = points + torch.tensor([0.0, 0.0, 0.15]) * (place[..., :1] > 2)
-    assert levelling(Stance(stairs, yes, yes)) is None
+    assert levelling_rotation(Stance(stairs, yes, yes)) is None
 
 
 def test_turning_the_world(planted: Motion, bundled: BodyModel) -> None:
     rotation = so3.exp(torch.tensor([0.1, -0.2, 0.3]))
     before = bundled.pose(planted).joints
-    after = bundled.pose(turned(planted, rotation, bundled)).joints
+    after = bundled.pose(rotated_motion(planted, rotation, bundled)).joints
     assert torch.allclose(after, before @ rotation.mT, atol=1e-5)
 
 
@@ -212,7 +212,7 @@ def test_jumps_split_a_recording(recording: SkeletonRecording) -> None:
     jumpy[62:] += 2.0
     broken = dataclasses.replace(recording, positions=jumpy)
     assert jump_frames(broken) == (61,)
-    pieces, rejected = split(SourceClip("c", "clip", Path("clip.bvh")), broken)
+    pieces, rejected = split_at_jumps(SourceClip("c", "clip", Path("clip.bvh")), broken)
     assert [(p.name, p.recording.frames) for p in pieces] == [("clip.0", 62)]
     assert rejected[0]["kept"] is False
     assert rejected[0]["frames"] == 4
@@ -228,17 +228,17 @@ def test_collections_read_manifests(recording: SkeletonRecording, tmp_path: Path
         "path,subject,action,skeleton\n"
         "a.bvh,7,walk on uneven terrain,one common skeleton\nb.bvh,8,walk,\nc.bvh,8,walk,\n"
     )
-    ((a, b, c),) = collections(tmp_path)
+    ((a, b, c),) = clips_by_collection(tmp_path)
     assert (a.subject, a.flat, a.contacts) == ("7", False, False)
     assert (b.flat, b.contacts) == (True, True)
-    found = {content.clip.name: content for content in contents([a, b, c])}
+    found = {content.clip.name: content for content in contents_of_clips([a, b, c])}
     assert skeleton_key(found["a"].read()).startswith("pelvis,")
     with pytest.raises(ValueError, match="no line MOTION"):
         found["b"].read()
     with pytest.raises(ValueError, match="no such file"):
         found["c"].read()
     with pytest.raises(FileNotFoundError):
-        collections(tmp_path / "nowhere")
+        clips_by_collection(tmp_path / "nowhere")
 
 
 def test_a_corpus_is_resumed(recording: SkeletonRecording, tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_nominal_offsets_point_off_the_skin(bundled: BodyModel) -> None:
 
 @pytest.mark.parametrize("rate", [0.0, -30.0])
 def test_rates_are_checked(recording: SkeletonRecording, bundled: BodyModel, rate: float) -> None:
-    with pytest.raises(ValueError, match="positive frame rate"):
+    with pytest.raises(ValueError, match="expected a number above 0"):
         convert(recording, bundled, fps=rate)
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from priors.humor.mixture import Mixture
-from priors.humor.state import canonical, distinct_features, initial_features, states_of
+from priors.humor.state import canonical_state, distinct_features, initial_features, states_of
 from recon import cli
 from recon.body.model import BodyModel
 from recon.core.motion import Motion, MotionFile
@@ -26,7 +26,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prior = humor(body)
     states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
     known = distinct_features()
-    means = initial_features(canonical(states, prior.pelvis(motions().shape.float())))[:, known]
+    means = initial_features(canonical_state(states, prior.pelvis(motions().shape.float())))[
+        :, known
+    ]
     covariances = 1e-6 * torch.eye(len(known)).double().expand(2, len(known), len(known))
     initial = Mixture.create(torch.tensor([0.5, 0.5]), means.double(), covariances, known)
     path = tmp_path_factory.mktemp("weights") / "humor.safetensors"
@@ -145,7 +147,7 @@ def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, cap
     ("arguments", "words"),
     [
         (("sample", "--out", "a", "--shape", "tall"), "--prior humos"),
-        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "temperature: is"),
+        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "an option of HuMoR"),
         (("sample", "--out", "a", "--prior", "humos", "--fps", 0), "fps: expected"),
         (("sample", "--out", "a", "--prior", "humos", "--device", "cuda"), "device: HUMOS"),
         (("sample", "--out", "a", "--prior", "humos", "--shape", "blue"), "blue"),

@@ -9,7 +9,7 @@ import pytest
 
 from recon import cli
 from recon.cli import listing as verbs
-from recon.cli.places import declared
+from recon.cli.places import declared_outputs
 from recon.formats.outputs import OutputKind
 from training.__main__ import train
 
@@ -75,7 +75,7 @@ CASES = (
 
 def test_every_output_of_every_verb_is_tried():
     """A verb or an output added later is missed here until it has a case of its own."""
-    every = {name: declared(verbs.verb(name)) for name in verbs.names()}
+    every = {name: declared_outputs(verbs.function_of_verb(name)) for name in verbs.verb_names()}
     known = {(name, place.parameter) for name, places in every.items() for place in places}
     assert {(case.verb, case.output) for case in CASES} == known
     assert {name for name, places in every.items() if not places} == {"info", "stream"}

@@ -86,11 +86,11 @@ def test_the_fake_device_counts_and_refuses() -> None:
 
 
 def test_a_constant_is_made_once() -> None:
-    from recon.core.arrays import constant
+    from recon.core.arrays import cached_constant
 
     with torch.inference_mode():
-        first = constant((1.0, 2.0), torch.device("cpu"), torch.float32)
-    assert first is constant((1.0, 2.0), torch.device("cpu"), torch.float32)
+        first = cached_constant((1.0, 2.0), torch.device("cpu"), torch.float32)
+    assert first is cached_constant((1.0, 2.0), torch.device("cpu"), torch.float32)
     assert first.tolist() == [1.0, 2.0]
     x = torch.ones(2, requires_grad=True)
     (x * first).sum().backward()  # not possible with tensors of the inference mode

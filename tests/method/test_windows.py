@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.method.windows import Windows, join, smooth_ramp
+from recon.method.windows import Windows, joined_windows, smooth_ramp
 from tests import laws
 
 
@@ -43,7 +43,7 @@ def cut(motion, *spans):
 
 def test_a_motion_cut_and_joined_is_itself(toy_body):
     motion = laws.a_motion(toy_body, clips=1, frames=50)[0].replace(start_time=3.0)
-    whole = join(cut(motion, (0, 20), (12, 32), (26, 50)))
+    whole = joined_windows(cut(motion, (0, 20), (12, 32), (26, 50)))
     assert whole.start_time == 3.0
     assert torch.allclose(whole.translation, motion.translation, atol=1e-12)
     assert torch.allclose(whole.rotations, motion.rotations, atol=1e-7)
@@ -52,7 +52,7 @@ def test_a_motion_cut_and_joined_is_itself(toy_body):
 def test_windows_of_another_clock_are_brought_onto_the_first_ones(toy_body):
     fine = laws.a_motion(toy_body, clips=1, frames=501, fps=300.0)[0]
     first, second = fine.window(0, 300).resample(30.0), fine.window(203, 501).resample(30.0)
-    whole = join([first, second])
+    whole = joined_windows([first, second])
     truth = fine.at(whole.times, 30.0)
     assert whole.frames == 50
     assert (whole.translation - truth.translation).norm(dim=-1).max() < 1e-4  # metres
@@ -65,7 +65,7 @@ def test_different_motions_fade_into_each_other(toy_body):
     turn = so3.exp(torch.tensor([0.0, 0.0, 0.5], dtype=torch.float64))
     other = still.replace(translation=still.translation + 0.1, rotations=turn @ still.rotations)
     first, second = still.window(0, 40), other.window(20, 60)
-    whole = join([first, second])
+    whole = joined_windows([first, second])
     assert torch.allclose(whole.translation[:21], still.translation[:21])
     assert torch.allclose(whole.translation[39:], other.translation[39:])
     assert torch.allclose(whole.rotations[39:], other.rotations[39:], atol=1e-6)
@@ -80,9 +80,9 @@ def test_different_motions_fade_into_each_other(toy_body):
 def test_what_cannot_be_joined_is_refused(toy_body):
     motion = laws.a_motion(toy_body, clips=1, frames=50)[0]
     with pytest.raises(ValueError, match="no frame in common"):
-        join(cut(motion, (0, 20), (20, 50)))
+        joined_windows(cut(motion, (0, 20), (20, 50)))
     with pytest.raises(ValueError, match="one frame rate"):
-        join([motion, motion.resample(60.0)])
+        joined_windows([motion, motion.resample(60.0)])
 
 
 def test_a_fade_is_a_partition_and_bounded():

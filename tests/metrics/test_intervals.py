@@ -3,22 +3,24 @@
 import numpy as np
 import pytest
 
-from recon.benchmark.table import interval, paired
+from recon.benchmark.table import mean_with_interval, paired_difference
 
 
 def test_equal_values_leave_no_doubt() -> None:
-    found = interval([2.0] * 6, list("abcdef"), ["x"] * 3 + ["y"] * 3)
+    found = mean_with_interval([2.0] * 6, list("abcdef"), ["x"] * 3 + ["y"] * 3)
     assert (found.mean, found.low, found.high) == (2.0, 2.0, 2.0)
 
 
 def test_subjects_count_alike_however_many_windows_they_have() -> None:
-    found = interval([1.0] * 9 + [3.0], [f"a{i}" for i in range(9)] + ["b"], ["x"] * 9 + ["y"])
+    found = mean_with_interval(
+        [1.0] * 9 + [3.0], [f"a{i}" for i in range(9)] + ["b"], ["x"] * 9 + ["y"]
+    )
     assert found.mean == 2.0
 
 
 def test_many_clips_give_the_interval_of_the_central_limit_theorem() -> None:
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
-    found = interval(values.tolist(), [str(i) for i in range(400)], ["x"] * 400)
+    found = mean_with_interval(values.tolist(), [str(i) for i in range(400)], ["x"] * 400)
     half = 1.96 * values.std() / 20
     assert found.mean == pytest.approx(values.mean())
     assert found.low == pytest.approx(values.mean() - half, abs=0.03)
@@ -28,8 +30,8 @@ def test_many_clips_give_the_interval_of_the_central_limit_theorem() -> None:
 def test_windows_of_one_clip_are_drawn_together() -> None:
     """Ten copies of each clip are no more knowledge than one."""
     values = np.random.default_rng(2).normal(0.0, 1.0, 30)
-    once = interval(values.tolist(), [str(i) for i in range(30)], ["x"] * 30)
-    tenfold = interval(
+    once = mean_with_interval(values.tolist(), [str(i) for i in range(30)], ["x"] * 30)
+    tenfold = mean_with_interval(
         np.repeat(values, 10).tolist(), np.repeat(range(30), 10).astype(str).tolist(), ["x"] * 300
     )
     assert tenfold.low == pytest.approx(once.low)
@@ -41,7 +43,7 @@ def test_intervals_cover_the_true_mean_about_as_often_as_they_say() -> None:
     clips, subjects = [str(i) for i in range(40)], ["x"] * 20 + ["y"] * 20
     hits = 0
     for _ in range(100):
-        found = interval(random.normal(1.0, 1.0, 40).tolist(), clips, subjects)
+        found = mean_with_interval(random.normal(1.0, 1.0, 40).tolist(), clips, subjects)
         hits += found.low <= 1.0 <= found.high
     assert 86 <= hits <= 100
 
@@ -50,25 +52,25 @@ def test_paired_differences_see_what_separate_intervals_do_not() -> None:
     random = np.random.default_rng(4)
     easy = random.uniform(1.0, 10.0, 30)
     better, clips, subjects = easy - 0.2, [str(i) for i in range(30)], ["x"] * 30
-    one, other = (interval(v.tolist(), clips, subjects) for v in (easy, better))
+    one, other = (mean_with_interval(v.tolist(), clips, subjects) for v in (easy, better))
     assert one.low < other.high  # the separate intervals overlap
-    found = paired(better.tolist(), easy.tolist(), clips, subjects)
+    found = paired_difference(better.tolist(), easy.tolist(), clips, subjects)
     assert found.mean == pytest.approx(-0.2)
     assert found.sure
     noise = random.normal(0.0, 1.0, 30)
-    assert not paired(noise.tolist(), (-noise).tolist(), clips, subjects).sure
+    assert not paired_difference(noise.tolist(), (-noise).tolist(), clips, subjects).sure
 
 
 def test_windows_without_a_value_are_left_out() -> None:
-    found = interval([1.0, None, 3.0], ["a", "b", "c"], ["x", "x", "x"])
+    found = mean_with_interval([1.0, None, 3.0], ["a", "b", "c"], ["x", "x", "x"])
     assert found.mean == 2.0
-    assert paired([1.0, None], [0.5, 7.0], ["a", "b"], ["x", "x"]).mean == 0.5
+    assert paired_difference([1.0, None], [0.5, 7.0], ["a", "b"], ["x", "x"]).mean == 0.5
 
 
 def test_what_cannot_be_averaged_is_refused() -> None:
     with pytest.raises(ValueError, match="no window has a value"):
-        interval([None], ["a"], ["x"])
+        mean_with_interval([None], ["a"], ["x"])
     with pytest.raises(ValueError, match="one clip and one subject per value"):
-        interval([1.0, 2.0], ["a"], ["x"])
+        mean_with_interval([1.0, 2.0], ["a"], ["x"])
     with pytest.raises(ValueError, match="same windows"):
-        paired([1.0], [1.0, 2.0], ["a"], ["x"])
+        paired_difference([1.0], [1.0, 2.0], ["a"], ["x"])

@@ -11,7 +11,7 @@ from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from observations.surfels import Surfels
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, looking
+from recon.core.camera import Camera, pose_looking_at
 from recon.core.motion import Motion
 from recon.method.protocols import Estimate
 
@@ -28,7 +28,7 @@ def _motion(frames: int = 6) -> Motion:
 
 
 def _camera() -> Camera:
-    pose = looking(torch.tensor([0.0, -4.0, 1.0]), torch.tensor([0.0, 0.0, 0.0]))
+    pose = pose_looking_at(torch.tensor([0.0, -4.0, 1.0]), torch.tensor([0.0, 0.0, 0.0]))
     return Camera.create(torch.from_numpy(MATRIX).float(), (1000, 800), None, pose)
 
 

@@ -15,7 +15,7 @@ from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.coordinates import settled_up, unit_of_path
 from recon.core.errors import ObservationError, UnitsError
-from recon.core.hands import facing, right_handed
+from recon.core.hands import facing_agreement, right_handed
 from recon.core.layouts import keypoint_names
 from recon.core.skeleton import FEET, JOINTS
 from recon.core.units import METRES, Up, to_z_up
@@ -86,7 +86,7 @@ def test_keypoints_of_any_axes_and_unit_are_settled(up: Up, unit: str) -> None:
         true = np.linalg.norm(file.positions[:, :, None] - file.positions[:, None], axis=-1)
         assert np.allclose(apart, true, atol=1e-6)
         assert np.allclose(found.positions[..., 2], file.positions[..., 2], atol=1e-6) or flip < 0
-        assert facing(found.names, found.positions, found.visible).mean() > 0.3
+        assert facing_agreement(found.names, found.positions, found.visible).mean() > 0.3
 
 
 def test_an_axis_that_a_lying_person_may_have_is_asked_for_and_a_wrong_one_put_right() -> None:

@@ -7,7 +7,7 @@ import torch
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
-from recon.core.camera import Camera, full_hd_camera, looking
+from recon.core.camera import Camera, full_hd_camera, pose_looking_at
 from recon.simulation.images import orbiting
 from tests import laws
 from tests.conftest import GOLDEN
@@ -197,7 +197,7 @@ def test_every_clip_of_a_batch_has_its_own_camera(toy_body):
     motion = laws.a_motion(toy_body)
     two = a_camera()
     shifted = two.T_camera_world.clone()
-    shifted[1] = looking(PLACE + 1.0, TARGET)
+    shifted[1] = pose_looking_at(PLACE + 1.0, TARGET)
     seen = seen_exactly(toy_body, motion, two.replace(T_camera_world=shifted))
     laws.check_energy(seen, toy_body, pushed(motion), None)
     torch.testing.assert_close(seen[torch.tensor([1])].camera.T_camera_world[0], shifted[1])

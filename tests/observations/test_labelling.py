@@ -5,7 +5,7 @@ import torch
 
 from observations import depth
 from observations.depth import PointCloud
-from observations.first_guess import labelled
+from observations.first_guess import with_labelled_clouds
 from observations.joints3d import Joints3D
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
@@ -39,12 +39,12 @@ def looked(monkeypatch):
 
 def test_a_cloud_alone_is_looked_at(looked):
     one = cloud()
-    (found,) = labelled([one])
+    (found,) = with_labelled_clouds([one])
     assert isinstance(found, PointCloud)
     assert found.labels is not None
     assert found.labels.present.shape == one.present.shape
     unknown = one.replace(ground_known=False, camera=None)
-    labelled([unknown])
+    with_labelled_clouds([unknown])
     assert looked == [(one.points.shape, True, True), (one.points.shape, False, False)]
 
 
@@ -52,7 +52,7 @@ def test_a_cloud_beside_keypoints_is_looked_at(looked):
     """Its first guess tried every heading and took four times as long, three times as far off."""
     one, motion = cloud(), walk(3)
     seen = view(motion, cameras(motion)[0])
-    same, found = labelled([seen, one])
+    same, found = with_labelled_clouds([seen, one])
     assert same is seen
     assert isinstance(found, PointCloud)
     assert found.labels is not None
@@ -63,8 +63,8 @@ def test_labels_that_are_given_stay_and_points_with_names_need_none(looked):
     one = cloud()
     given = one.replace(labels=PointLabels.known(bundled(), torch.zeros_like(one.present).long(),
                                                  one.present))  # fmt: skip
-    assert labelled([given]) == (given,)
+    assert with_labelled_clouds([given]) == (given,)
     places = bundled().pose(walk(3)[None]).joints
     seen = Joints3D(places, torch.ones_like(places[..., 0]).bool(), tuple(range(22)), 30.0)
-    assert labelled([seen, one]) == (seen, one)
+    assert with_labelled_clouds([seen, one]) == (seen, one)
     assert looked == []

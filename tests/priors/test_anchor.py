@@ -8,7 +8,7 @@ from priors.anchor.prior import AnchorFrames
 from priors.checkpoints import load_checkpoint
 from priors.cosines import cosines
 from recon.body.model import BodyModel
-from recon.core.motion import pad
+from recon.core.motion import padded_batch
 from recon.method.priors import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
 from training.anchor.train import fitted_basis
@@ -75,7 +75,7 @@ def test_it_is_a_prior():
 
 
 def test_encoding_and_decoding_gives_walks_back():
-    motion = pad(walks(BODY, 3, seed=5))
+    motion = padded_batch(walks(BODY, 3, seed=5))
     variables = PRIOR.encode(motion)
     decoded = PRIOR.decode(variables)
     error = (_joints(decoded.motion) - _joints(motion)).norm(dim=-1)
@@ -87,7 +87,7 @@ def test_encoding_and_decoding_gives_walks_back():
 
 
 def test_decoding_starts_where_the_motion_was():
-    motion = pad(walks(BODY, 1))
+    motion = padded_batch(walks(BODY, 1))
     moved = motion.replace(translation=motion.translation + torch.tensor([3.0, -2.0, 0.0]))
     here, there = (PRIOR.decode(PRIOR.encode(m)).motion for m in (motion, moved))
     shift = there.translation - here.translation
@@ -95,7 +95,7 @@ def test_decoding_starts_where_the_motion_was():
 
 
 def test_moments_outside_the_cycle_hold_its_ends():
-    motion = pad(walks(BODY, 1))
+    motion = padded_batch(walks(BODY, 1))
     variables = PRIOR.encode(motion)
     early = variables.replace(begin=variables.begin + 4.0)  # 0.2 s later
     decoded = PRIOR.decode(early).motion
@@ -104,7 +104,7 @@ def test_moments_outside_the_cycle_hold_its_ends():
 
 
 def test_carried_variables_are_the_carried_motion():
-    motion = pad(walks(BODY, 2))
+    motion = padded_batch(walks(BODY, 2))
     variables = PRIOR.encode(motion).replace(place=torch.tensor([[0.3, 0.1, 0.2]] * 2))
     T = torch.eye(4).repeat(2, 1, 1)
     T[:, :2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
@@ -116,7 +116,7 @@ def test_carried_variables_are_the_carried_motion():
 
 
 def test_gradients_are_right():
-    motion = pad(walks(BODY, 1))
+    motion = padded_batch(walks(BODY, 1))
     weights = tiny_weights(BODY)
     double = AnchorFrames(
         weights=type(weights)(weights.networks.double(), weights.spread.to(dtype=torch.float64)),

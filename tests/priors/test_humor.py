@@ -14,7 +14,7 @@ from priors.humor.prior import Humor
 from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
-    canonical,
+    canonical_state,
     distinct_features,
     initial_features,
     rest_pelvis,
@@ -22,7 +22,7 @@ from priors.humor.state import (
 )
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion, pad
+from recon.core.motion import Motion, padded_batch
 from recon.method.priors import Prior
 from tests.laws import check_heading_invariance, check_prior
 from tests.priors.test_pose import swinging
@@ -44,7 +44,7 @@ def humor(body: BodyModel, still: bool = False, width: int = 64) -> Humor:
 
 
 def motions(frames: int = 8) -> Motion:
-    return pad([swinging(frames, 20), swinging(frames, 21)])
+    return padded_batch([swinging(frames, 20), swinging(frames, 21)])
 
 
 def test_it_keeps_the_laws_of_priors(body: BodyModel) -> None:
@@ -73,7 +73,7 @@ def test_latents_of_its_own_motions_are_what_moved_it(body: BodyModel) -> None:
     assert torch.equal(decoded.contacts[:, 0], decoded.contacts[:, 1])
     assert (decoded.contacts[..., [1, 2, 3, 6, 9]] == 0).all()
     states = states_of(motions(), body)[:, 0]
-    start = canonical(states, rest_pelvis(states))
+    start = canonical_state(states, rest_pelvis(states))
     torch.testing.assert_close(
         decoded.energies["initial"], prior.initial.energy(initial_features(start))
     )
@@ -105,7 +105,7 @@ def test_latents_are_posterior_means_along_the_roll_out(body: BodyModel) -> None
 def test_padding_changes_nothing(body: BodyModel) -> None:
     prior = humor(body)
     alone = prior.decode(prior.encode(swinging(6, 20)[None]))
-    padded = prior.decode(prior.encode(pad([swinging(6, 20), swinging(9, 21)])))
+    padded = prior.decode(prior.encode(padded_batch([swinging(6, 20), swinging(9, 21)])))
     torch.testing.assert_close(padded.motion.rotations[:1, :6], alone.motion.rotations)
     for name, energy in alone.energies.items():
         torch.testing.assert_close(padded.energies[name][:1], energy)

@@ -11,7 +11,7 @@ from priors.humor.steps import posterior_outputs
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion, pad
+from recon.core.motion import Motion, padded_batch
 from recon.method.priors import Prior
 from recon.method.reconstruction import solve
 from recon.method.terms import Term
@@ -49,7 +49,7 @@ def test_it_is_a_prior_whose_energies_do_not_depend_on_place_or_heading(body: Bo
 
 def test_padding_changes_nothing(body: BodyModel) -> None:
     prior = collocated(body)
-    both = prior.decode(prior.encode(pad([swinging(8, 1), swinging(5, 2)])))
+    both = prior.decode(prior.encode(padded_batch([swinging(8, 1), swinging(5, 2)])))
     short = prior.decode(prior.encode(swinging(5, 2)[None]))
     for name, energy in short.energies.items():
         torch.testing.assert_close(both.energies[name][1:], energy)
@@ -74,7 +74,7 @@ def test_steps_agree_with_the_rollout(body: BodyModel) -> None:
 
 def test_whitened_errors_have_about_unit_variance(body: BodyModel) -> None:
     prior = humor(body)
-    states = states_of(pad([swinging(60, k) for k in range(8)]), body)
+    states = states_of(padded_batch([swinging(60, k) for k in range(8)]), body)
     pelvis = prior.pelvis(torch.zeros(8, body.shape_size, dtype=torch.float64))
     whitening = error_whitening(prior.networks, states, pelvis)
     errors = posterior_outputs(prior.networks, states, pelvis).error.flatten(0, 1) @ whitening

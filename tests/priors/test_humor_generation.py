@@ -17,14 +17,14 @@ from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     State,
-    canonical,
+    canonical_state,
     distinct_features,
     initial_features,
     rest_pelvis,
     states_of,
 )
 from recon.body.model import BodyModel
-from recon.core.motion import pad
+from recon.core.motion import padded_batch
 from recon.core.skeleton import CONTACT_JOINTS
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
@@ -86,7 +86,7 @@ def test_latents_have_the_priors_spread(body: BodyModel, monkeypatch: pytest.Mon
     # the step's height is one number of the latent, past what layers before it make of it
     decoder.net[9].weight[2, -48] = 1.0
     first = states_of(motions(), body)[:1, 0]
-    mean, log_variance = prior.networks.prior(canonical(first, rest_pelvis(first)).pack())
+    mean, log_variance = prior.networks.prior(canonical_state(first, rest_pelvis(first)).pack())
     many = first.map(lambda t: t.expand(4000, *t.shape[1:]))
     shape = motions().shape[:1].expand(4000, -1)
     random = torch.Generator().manual_seed(0)
@@ -113,7 +113,7 @@ def test_predictions_start_where_the_motion_ends(body: BodyModel) -> None:
     mean = predict(prior, motion, 5, 2, None).motion
     assert torch.equal(mean.translation[:2], mean.translation[2:])
     with pytest.raises(ValueError, match="last frame"):
-        predict(prior, pad([swinging(6, 20), swinging(9, 21)]), 5, 1, None)
+        predict(prior, padded_batch([swinging(6, 20), swinging(9, 21)]), 5, 1, None)
 
 
 def test_a_prediction_goes_on_from_the_last_frame_at_any_rate(body: BodyModel) -> None:
@@ -130,7 +130,7 @@ def test_samples_have_the_first_joints_that_were_drawn() -> None:
     body = BodyModel.load()
     prior = humor(body, still=True)
     states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
-    wanted = initial_features(canonical(states, rest_pelvis(states)))[:, distinct_features()]
+    wanted = initial_features(canonical_state(states, rest_pelvis(states)))[:, distinct_features()]
     size = wanted.shape[1]
     covariances = 1e-6 * torch.eye(size, dtype=torch.float64).expand(2, size, size)
     mixture = Mixture.create(

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from priors.humor.networks import GroupNorm, HumorNetworks, Perceptron, width_of
-from priors.humor.state import State, compose
+from priors.humor.state import State, state_after_step
 from tests.conftest import GOLDEN
 
 
@@ -76,7 +76,7 @@ def test_single_calls_equal_the_reference(networks: HumorNetworks) -> None:
     torch.testing.assert_close(log_variance.exp(), g["encoder_var"], rtol=0, atol=1e-10)
     raw = networks.decode(g["x"], g["z"])
     torch.testing.assert_close(raw, g["decoder_raw"], rtol=0, atol=1e-10)
-    state, contacts = compose(State.unpack(g["x"]), raw)
+    state, contacts = state_after_step(State.unpack(g["x"]), raw)
     decoded = torch.cat((state.pack(), contacts), -1)
     torch.testing.assert_close(decoded, g["decoded"], rtol=0, atol=1e-8)
 

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from priors.humor.networks import HumorNetworks
 from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
-from priors.humor.state import Frame, State, canonical, compose, rest_pelvis
+from priors.humor.state import Frame, State, canonical_state, rest_pelvis, state_after_step
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden, made_up_networks
 
@@ -135,10 +135,10 @@ def test_the_loop_is_the_plain_recursion() -> None:
     state = start
     for k in range(5):
         torch.testing.assert_close(rollout.inputs[:, k], state.pack(), rtol=0, atol=1e-9)
-        after, contacts = compose(state, networks.decode(state.pack(), z[:, k]))
+        after, contacts = state_after_step(state, networks.decode(state.pack(), z[:, k]))
         torch.testing.assert_close(rollout.states[:, k].pack(), after.pack(), rtol=0, atol=1e-9)
         torch.testing.assert_close(rollout.contacts[:, k], contacts, rtol=0, atol=1e-9)
-        state = canonical(after, pelvis)
+        state = canonical_state(after, pelvis)
 
 
 def test_a_body_on_its_side_rolls_on_without_nan() -> None:

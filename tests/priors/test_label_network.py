@@ -8,7 +8,13 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from priors.labels.looking import CloudLabeller, in_network_frame, neighbouring_moments
-from priors.labels.networks import LabelNetwork, kernel, patches, spread_points, squared_distances
+from priors.labels.networks import (
+    LabelNetwork,
+    kernel_weights,
+    local_patches,
+    spread_points,
+    squared_distances,
+)
 from priors.labels.regions import MIRRORED_REGIONS
 from recon.body.model import BodyModel
 from recon.formats.motions import save_motion
@@ -80,8 +86,8 @@ def test_patches_of_a_plane_have_its_normal():
     flat = torch.rand(1, 300, 3) * torch.tensor([1.0, 1.0, 0.0])
     turn = torch.from_numpy(Rotation.from_euler("xyz", [0.3, 0.5, 0.1]).as_matrix()).float()
     points = flat @ turn.T
-    weights = kernel(squared_distances(points[:, :20], points), 0.2)
-    found = patches(points, weights)
+    weights = kernel_weights(squared_distances(points[:, :20], points), 0.2)
+    found = local_patches(points, weights)
     along = (found.normal @ turn[:, 2]).abs()
     assert (along / found.normal.norm(dim=-1)).min() > 0.9999
     assert along.min() > 0.99
@@ -93,7 +99,7 @@ def test_points_on_a_line_have_no_normal():
     """Rounding once decided where such normals pointed, so that labels hung on the processor."""
     points = torch.zeros(1, 20, 3)
     points[0, :, 0] = torch.linspace(0.1, 0.9, 20)
-    found = patches(points, kernel(squared_distances(points[:, :5], points), 0.05))
+    found = local_patches(points, kernel_weights(squared_distances(points[:, :5], points), 0.05))
     assert found.normal.norm(dim=-1).max() < 0.05
 
 

@@ -12,7 +12,7 @@ from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion, pad
+from recon.core.motion import Motion, padded_batch
 from recon.formats.motions import save_motion
 from recon.method.priors import Prior
 from recon.method.reconstruction import solve
@@ -57,14 +57,14 @@ def test_it_is_a_prior(prior: PosePrior) -> None:
 
 
 def test_it_keeps_the_laws_of_priors(prior: PosePrior) -> None:
-    motion = pad([swinging(6, 10), swinging(6, 11)])
+    motion = padded_batch([swinging(6, 10), swinging(6, 11)])
     check_prior(prior, motion, tolerance=1e-6)  # radians, metres
     shift = torch.tensor([1.0, -2.0, 0.0], dtype=torch.float64)
     check_heading_invariance(prior, motion, 0.7, shift)
 
 
 def test_every_motion_has_exact_variables(prior: PosePrior) -> None:
-    motion = pad([swinging(20, 0), swinging(12, 1)])
+    motion = padded_batch([swinging(20, 0), swinging(12, 1)])
     again = prior.decode(prior.encode(motion)).motion
     torch.testing.assert_close(again.rotations, motion.rotations, rtol=0, atol=1e-12)
     torch.testing.assert_close(again.translation, motion.translation, rtol=0, atol=0)
@@ -93,7 +93,7 @@ def test_the_mean_pose_is_the_likeliest(prior: PosePrior) -> None:
 def test_the_energy_is_a_sum_at_30_hz_over_frames_that_exist(prior: PosePrior) -> None:
     motion = swinging(10, 4)
     single = prior.decode(prior.encode(motion[None])).energies["pose"]
-    padded = pad([motion, swinging(16, 5)])
+    padded = padded_batch([motion, swinging(16, 5)])
     torch.testing.assert_close(prior.decode(prior.encode(padded)).energies["pose"][:1], single)
     double_rate = motion[None].replace(fps=60.0)
     torch.testing.assert_close(
@@ -102,8 +102,8 @@ def test_the_energy_is_a_sum_at_30_hz_over_frames_that_exist(prior: PosePrior) -
 
 
 def test_padding_leaves_the_variables_of_a_clip_alone(prior: PosePrior) -> None:
-    alone = prior.encode(pad([swinging(10, 4)])).synthesis[0]
-    padded = prior.encode(pad([swinging(10, 4), swinging(16, 5)])).synthesis[0]
+    alone = prior.encode(padded_batch([swinging(10, 4)])).synthesis[0]
+    padded = prior.encode(padded_batch([swinging(10, 4), swinging(16, 5)])).synthesis[0]
     torch.testing.assert_close(padded[:10, :10], alone)
     torch.testing.assert_close(padded[10:, 10:], torch.eye(6).double())
 
@@ -124,7 +124,7 @@ def test_decoding_has_the_right_derivative(prior: PosePrior) -> None:
 
 
 def test_a_planted_motion_is_recovered_and_noise_goes(prior: PosePrior, body: BodyModel) -> None:
-    truth = pad([swinging(30, 7), swinging(30, 8)])
+    truth = padded_batch([swinging(30, 7), swinging(30, 8)])
     joints = body.pose(truth).joints
     for noise, weights, limit in (
         (0.0, PoseWeights(pose=1e-7, shape=1e-7, acceleration=1e-4), 0.005),

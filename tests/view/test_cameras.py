@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, Ground, looking
+from recon.core.camera import Camera, Ground, pose_looking_at
 from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS, joint_index
 from recon.formats.motions import load_motion, save_motion
@@ -35,7 +35,7 @@ def camera(lens: torch.Tensor | None = LENS, angle: float = 0.4) -> Camera:
     """Four metres from where the walk begins, which is off the image's middle."""
     matrix = torch.tensor([[420.0, 0, 330], [0, 430, 170], [0, 0, 1]]).double()
     place = torch.tensor([4 * math.sin(angle), 4 * math.cos(angle), 1.4]).double()
-    pose = looking(place, torch.tensor([0.5, 0.0, 1.0]).double())
+    pose = pose_looking_at(place, torch.tensor([0.5, 0.0, 1.0]).double())
     return Camera.create(matrix, (WIDTH, HEIGHT), lens, pose)
 
 

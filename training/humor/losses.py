@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from priors.humor.state import Frame, State, canonical, compose
-from priors.humor.steps import divergence
+from priors.humor.state import Frame, State, canonical_state, state_after_step
+from priors.humor.steps import kl_divergence
 from recon.body.model import forward_kinematics
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.struct import TensorStruct, stack
@@ -87,7 +87,7 @@ def unroll(
     for k, given in enumerate(true_input.tolist()):
         state = start[:, k]
         if k > 0 and not given:
-            state = canonical(steps[-1].after.detach(), pelvis)
+            state = canonical_state(steps[-1].after.detach(), pelvis)
         steps.append(transition(networks, state, target[:, k], random, half))
     return stack(steps).map(lambda tensor: tensor.transpose(0, 1)), target
 
@@ -106,7 +106,7 @@ def transition(
         latent = drawn_code(mean.float(), log_variance.float(), random)
         raw = networks.decode(packed, latent).float()
         prior = networks.prior(packed)
-    after, contacts = compose(state, raw)
+    after, contacts = state_after_step(state, raw)
     return Transition(after, contacts, *(t.float() for t in (mean, log_variance, *prior)))
 
 
@@ -122,7 +122,7 @@ def loss_terms(found: Transition, target: State, windows: StateWindows) -> dict[
     losses["posed_joints"] = functional.mse_loss(posed, target.joints)
     losses["consistency"] = functional.mse_loss(posed, after.joints)
 
-    losses["kl"] = divergence(
+    losses["kl"] = kl_divergence(
         found.posterior_mean, found.posterior_log_variance,
         found.prior_mean, found.prior_log_variance,
     ).mean()  # fmt: skip

@@ -21,7 +21,13 @@ from torch import Tensor
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import networks_from, read_weights
-from priors.humor.state import State, canonical, distinct_features, initial_features, rest_pelvis
+from priors.humor.state import (
+    State,
+    canonical_state,
+    distinct_features,
+    initial_features,
+    rest_pelvis,
+)
 from priors.humor.steps import posterior_outputs
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
@@ -184,7 +190,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     whitening = error_whitening(networks, varied, rest_pelvis(varied[:, 0]))
     # initial states come from unedited windows only: edited ones float or stand on one leg
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
-    features = initial_features(canonical(states, rest_pelvis(states)))
+    features = initial_features(canonical_state(states, rest_pelvis(states)))
     initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
 
     about = settings_to_store(settings) | {"step": found["step"]}

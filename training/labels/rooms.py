@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from recon.core.camera import Camera, looking
+from recon.core.camera import Camera, pose_looking_at
 from recon.core.raster import rasterise
 from recon.simulation.depth import DepthSensor, PixelSurface, measured_depth
 from recon.simulation.points import sampled_on_surface
@@ -66,7 +66,9 @@ def drawn_room(
     zoom = random.uniform(0.8, 1.15) * min(away / 2.2, 1.6)
     matrix = [[zoom * _FOCAL, 0, SIZE[0] / 2], [0, zoom * _FOCAL, SIZE[1] / 2], [0, 0, 1]]
     camera = Camera.create(
-        np.array(matrix), SIZE, T_camera_world=looking(torch.tensor(eye), torch.tensor(target))
+        np.array(matrix),
+        SIZE,
+        T_camera_world=pose_looking_at(torch.tensor(eye), torch.tensor(target)),
     )
     sensor = DepthSensor(
         constant=random.uniform(0.0005, 0.005),
