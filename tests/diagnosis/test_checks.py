@@ -11,7 +11,7 @@ from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
 from recon.diagnosis.examination import ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
 from recon.simulation.points import Corruption, joints3d
-from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed
+from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed, screened
 from tests.filmed import bundled, walk
 
 WITHOUT = """
@@ -71,3 +71,14 @@ def test_a_fit_screens_its_views_unless_told_not_to() -> None:
     for how in ({"repair": False}, {"checks": AFTER}):
         result = recon.fit(spoilt, "pose", body=bundled(), **how)
         assert result.repairs == ()
+
+
+def test_somebody_upside_down_throughout_is_told_of_one_view():
+    """The warnings spoke of lens, unit and ground; one view does not tell a turned film apart."""
+    (seen,) = filmed(1)
+    height = seen.camera.image_size[1]
+    over = seen.replace(
+        pixels=seen.pixels * torch.tensor([1.0, -1.0]) + torch.tensor([0.0, height])
+    )
+    assert not any("upside down" in one.message for one in screened((seen,))[2])
+    assert any("upside down" in one.message for one in screened((over,))[2])

@@ -398,14 +398,3 @@ def test_views_in_which_nothing_is_seen_say_nothing() -> None:
         _, repairs, warnings = screened(some)
         assert repairs == []
         assert warnings == []
-
-
-def test_somebody_upside_down_throughout_is_told_of_one_view():
-    """The warnings spoke of lens, unit and ground; one view does not tell a turned film apart."""
-    (seen,) = filmed(1)
-    height = seen.camera.image_size[1]
-    over = seen.replace(
-        pixels=seen.pixels * torch.tensor([1.0, -1.0]) + torch.tensor([0.0, height])
-    )
-    assert not any("upside down" in one.message for one in screened((seen,))[2])
-    assert any("upside down" in one.message for one in screened((over,))[2])
