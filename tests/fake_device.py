@@ -82,7 +82,9 @@ class _Numbers(TorchFunctionMode):
             return row.squeeze(-2) if args[1].ndim > 1 else row[0]
         if func in (Tensor.__getitem__, Tensor.__setitem__) and isinstance(args[0], FakeTensor):
             places = args[1] if isinstance(args[1], tuple) else (args[1],)
-            own = tuple(torch.tensor(k).to(FAKE) if isinstance(k, list) else k for k in places)
+            own = tuple(
+                torch.tensor(k).to(FAKE) if isinstance(k, list | tuple) else k for k in places
+            )
             args = (args[0], own, *args[2:])
         return func(*args, **kwargs)
 
