@@ -13,9 +13,8 @@ sensor's own image, with one pixel of noise; joints have 3 cm. `walks` are 2.5 s
 of six people, 2 to 8 m from a sensor of known pose: across its view, towards it, away from it and
 askew; every other person without the ground.
 
-Errors of joints about the pelvis and of vertices in the world (by way of the true sensor) are in
-centimetres; a window is lost where joints are off by more than 15 cm in the mean. Windows whose
-files are refused are counted, and why is printed.
+Errors of joints about the pelvis and of vertices in the world (by the true sensor) are in cm;
+a window is lost where joints are off by 15 cm in the mean. Refused windows are counted and told.
 """
 
 import functools

@@ -26,7 +26,7 @@ def test_it_is_one_of_the_methods_of_humor():
     def priors(options: FitOptions) -> list[type]:
         return [type(one.prior) for one in prior_stages(options, 0.02, bundled())(data)]
 
-    begun = [FreeMotion, PosePrior, Collocation, Collocation]
+    begun = [FreeMotion, PosePrior, Collocation]
     assert priors(FitOptions(method="collocation")) == begun
     assert priors(FitOptions(method="rollout")) == [*begun, Humor]
     assert priors(FitOptions(prior=Humor.load(), method="rollout")) == [*begun, Humor]

@@ -229,7 +229,7 @@ def slow(out: Path, overwrite: Overwrite = False) -> None:
             time.sleep(0.1)
 
 verbs.CORE = {"slow": None}
-verbs.verb = {"slow": slow}.__getitem__
+verbs.function_of_verb = {"slow": slow}.__getitem__
 main()
 """
 
