@@ -234,7 +234,8 @@ class MatchedCloud(TensorStruct):
         bones, covered = self._at_own_times(_bones(estimate).flatten(-3, -2), estimate.motion)
         unposed = covered.discs.unposed(estimate.body.shape)
         if estimate.body.model.pose_directions is not None:
-            every, _ = self._at_own_times(_corrections(estimate, self.surfels), estimate.motion)
+            vertices = torch.from_numpy(self.surfels.vertices).to(bones.device)
+            every, _ = self._at_own_times(estimate.body.pose_offsets(vertices), estimate.motion)
             pick = covered.pairs[..., None].expand(*covered.pairs.shape, 3)
             unposed = unposed + every.gather(-2, pick).mT
         return covered, bones.unflatten(-2, (-1, 4)), unposed
@@ -345,13 +346,3 @@ def _bones(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
     turns = scene.to_recording_directions(bones[..., :3, :].flatten(-3, -2))
     shift = scene.to_recording(bones[..., 3, :])
     return torch.cat((turns.unflatten(-2, (-1, 3)), shift[..., None, :]), -2)
-
-
-def _corrections(estimate: Estimate, surfels: Surfels) -> Float[Tensor, "*batch time surfels 3"]:
-    """Offsets of all unposed discs that follow the pose (SMPL), metres."""
-    local, model = estimate.body.local, estimate.body.model
-    assert model.pose_directions is not None
-    directions = model.pose_directions[:, torch.from_numpy(surfels.vertices).to(local.device)]
-    identity = torch.eye(3, dtype=local.dtype, device=local.device)
-    features = (local[..., 1:, :, :] - identity).flatten(-3)
-    return (features @ directions.flatten(1)).unflatten(-1, (-1, 3))

@@ -7,7 +7,7 @@ what they lose on a batch, and how wrong they are about held-out people.
 import logging
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
@@ -262,3 +262,32 @@ def trained_state(path: Path) -> dict[str, Any]:
     if found is None:
         raise FileNotFoundError(f"{path}: no networks there yet; train first")
     return found
+
+
+def run_by_options(
+    kind: type[S], train: Callable[[S], Path], export_weights: Callable[[S, Path], Path]
+) -> None:
+    """Train with settings from the command line, or with `--export` write the best weights so far.
+
+    Args:
+        kind: class of the settings, each of whose fields is an option.
+        train: trains, or resumes training.
+        export_weights: writes the best networks of a run to a file.
+    """
+    import tyro
+
+    def main(settings: Any, export: Path | None = None) -> None:
+        """Train; or write the best weights so far.
+
+        Args:
+            settings: of the run.
+            export: weights to write (.safetensors) instead of training.
+        """
+        if export is None:
+            train(settings)
+        else:
+            export_weights(settings, export)
+
+    main.__annotations__["settings"] = kind
+    logging.basicConfig(level=logging.INFO)
+    tyro.cli(main, config=(tyro.conf.OmitArgPrefixes,))

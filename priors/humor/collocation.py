@@ -201,29 +201,24 @@ class Collocation(Prior[PoseVariables]):
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         in_images = all(getattr(term.energy, "unit", "pixels") == "pixels" for term in data)
         early, late = (2e-2, 3e-4) if in_images else (2e-3, 3e-5)
-        slow = LBFGS(max_iterations=200, tolerance_decrease=early)
-        steps = Stage("steps", self, terms, free, slow)
+        compared = LBFGS(max_iterations=_COMPARED, tolerance_decrease=early)
+        limbs = Stage("limbs", self, terms, free, compared, kept=1)
         held = Term("contact velocity", contact_velocity, w.contact_velocity)
         last = LBFGS(max_iterations=400, tolerance_decrease=late, scale=_FITTED, history=40)
-        feet = replace(
-            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
-            second_order=preconditioned,
-        )  # fmt: skip
+        feet = Stage("contacts", self, (*terms, held), free, last, second_order=preconditioned)
         rough = replace(poses.minimiser, tolerance_decrease=1e-2)
         ended = replace(last, tolerance_decrease=3e-4)
         whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         if all_joints_located(data, self.humor.body):
             return whole
-        # imported here: most fits see every limb
+        # imported here: fits in which every joint is located propose no limbs
         from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)
         if unseen is None:
             return whole
-        compared = replace(slow, max_iterations=_COMPARED)
         network = load_network(device=self.humor.body.template.device)
-        proposals = LookedLimbs(network, unseen)
-        limbs = replace(steps, name="limbs", minimiser=compared, proposals=proposals, kept=1)
+        limbs = replace(limbs, proposals=LookedLimbs(network, unseen))
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
         # imported here: seldom is a limb never seen
@@ -233,12 +228,10 @@ class Collocation(Prior[PoseVariables]):
         carried = Term("support", SupportEnergy(unseen.never[:, KNEES].any(-1)), w.support)
         likely = Term("state", LikelyStates(self.humor, unseen.never), w.state)
         read = replace(self, tempo=time_factor(data))
-        limbs = replace(feet, name="limbs", minimiser=compared, proposals=proposals, kept=1)
-        feet = replace(feet, minimiser=replace(last, tolerance_decrease=1e-4))
-        limbs, feet = (
-            replace(stage, prior=read, terms=(*stage.terms, carried, likely))
-            for stage in (limbs, feet)
-        )
+        all_terms = (*feet.terms, carried, likely)
+        limbs = replace(limbs, prior=read, terms=all_terms, second_order=preconditioned)
+        longer = replace(last, tolerance_decrease=1e-4)
+        feet = replace(feet, prior=read, terms=all_terms, minimiser=longer)
         return root, poses, limbs, feet
 
 

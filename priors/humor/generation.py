@@ -194,7 +194,7 @@ def roll_from(
     contacts = contact_probabilities(torch.stack(logits, 1))
     motion = Motion.create(
         translation=found.translation,
-        rotations=torch.cat((found.root[:, :, None], found.pose), 2),
+        rotations=found.rotations,
         shape=shape,
         fps=REFERENCE_FPS,
         start_time=start_time,

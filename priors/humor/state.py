@@ -40,6 +40,11 @@ class State(TensorStruct):
     joints: Float[Tensor, "*batch 22 3"]
     joint_velocities: Float[Tensor, "*batch 22 3"]
 
+    @property
+    def rotations(self) -> Float[Tensor, "*batch 22 3 3"]:
+        """Rotations of all joints relative to their parents, the root's first."""
+        return torch.cat((self.root[..., None, :, :], self.pose), -3)
+
     def pack(self) -> Float[Tensor, "*batch 339"]:
         """The networks' input: all parts in their order, matrices by rows."""
         batch = self.translation.shape[:-1]
@@ -257,5 +262,4 @@ def distinct_features() -> Int[Tensor, " features"]:
 
 def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tensor, "clips 22 3"]:
     """Joints of the posed body by its translation and rotations, metres."""
-    rotations = torch.cat((state.root[:, None], state.pose), 1)[:, None]
-    return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]
+    return forward_kinematics(state.rotations[:, None], rest)[1][:, 0] + state.translation[:, None]

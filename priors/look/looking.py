@@ -66,9 +66,10 @@ class UnseenLimbs(TensorStruct):
 
     @classmethod
     def of(cls, data: Sequence[Term], body: BodyModel) -> "UnseenLimbs | None":
-        """Those of all sensors; None where limbs are never unseen, or a sensor does not know.
+        """The limbs that no sensor of the data sees, and when.
 
-        A joint at the end of a limb, whose rotation moves no other joint, counts as its parent
+        None where every limb is seen, or where a sensor does not know which joints it locates. A
+        joint at the end of a limb, whose rotation moves no other joint, counts as its parent
         does. A sensor on another clock counts by its nearest moment.
         """
         sensors = [term.energy for term in data if isinstance(term.energy, Sensor)]

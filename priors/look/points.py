@@ -90,9 +90,10 @@ class WalkingFrames(TensorStruct):
         return (points - self.origin[:, :, None]) @ self.turn
 
     def steps(self, exists: Bool[Tensor, "clips time"]) -> Float[Tensor, "clips time 4"]:
-        """Steps to the next frame: metres along both axes, sine and cosine of the rotation.
+        """How each walking frame moves to that of the next moment.
 
-        Seen from the frame that they begin in; zero where there is no next frame.
+        Its horizontal shift along its own two axes, metres, then sine and cosine of its rotation
+        about the vertical; zeros where the next moment does not exist.
         """
         moved = (self.origin[:, 1:] - self.origin[:, :-1])[:, :, None] @ self.turn[:, :-1]
         turned = self.turn[:, :-1].mT @ self.turn[:, 1:]

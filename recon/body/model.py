@@ -168,13 +168,16 @@ class PosedBody:
 
     def _pose_corrections(self, vertices: Tensor, weights: Tensor) -> Tensor:
         """Pose-dependent offsets (SMPL), turned by the blended rotation of each vertex."""
+        turns = torch.einsum("vj,...jab->...vab", weights, self.orientations)
+        return (turns @ self.pose_offsets(vertices)[..., None])[..., 0]
+
+    def pose_offsets(self, vertices: Int[Tensor, " points"]) -> Tensor:
+        """Offsets (*batch, time, points, 3) that SMPL's pose adds to unposed vertices, metres."""
         directions = self.model.pose_directions
         assert directions is not None
         identity = torch.eye(3, dtype=self.local.dtype, device=self.local.device)
         features = (self.local[..., 1:, :, :] - identity).flatten(-3)
-        offsets = torch.einsum("fvd,...f->...vd", directions[:, vertices], features)
-        turns = torch.einsum("vj,...jab->...vab", weights, self.orientations)
-        return (turns @ offsets[..., None])[..., 0]
+        return (features @ directions[:, vertices].flatten(1)).unflatten(-1, (-1, 3))
 
 
 @lru_cache(maxsize=1)

@@ -111,7 +111,10 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
 
 
 def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments"]:
-    """In which frames of some views to exchange sides at least cost; false where uncertain."""
+    """Frames of the views `free` in which left and right names are exchanged, at the least cost.
+
+    False in all frames unless that saves `_MIN_SAVED_COST`.
+    """
     views = len(images.confidence)
     states = np.stack([
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])

@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
-else:  # imported for type checkers only: the shape of most people is unknown
+else:  # not imported when run: only fits of people whose shape is known need it
     from typing import Any as ShapePrior
 
 

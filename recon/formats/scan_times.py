@@ -118,7 +118,7 @@ def frame_numbers_of_times(
         )
     off = _largest_deviation(times, count)
     sharp = off * span / count <= _SHARP or span > _LONGEST
-    if off <= _EVEN and sharp and _have_own_steps(times, count):
+    if off <= _EVEN and sharp and _nearest_steps_differ(times, count):
         return _nearest_steps(times, count), count / span, float(times[0])
     if span > _LONGEST:
         raise FormatError(
@@ -132,7 +132,7 @@ def frame_numbers_of_times(
         )
     finest = math.ceil(span * _FINEST)
     for count in range(len(times) - 1, finest):
-        if _largest_deviation(times, count) * span / count <= _NEAR and _have_own_steps(
+        if _largest_deviation(times, count) * span / count <= _NEAR and _nearest_steps_differ(
             times, count
         ):
             return _nearest_steps(times, count), count / span, float(times[0])
@@ -162,8 +162,8 @@ def _nearest_steps(times: Float[np.ndarray, " files"], count: int) -> Int[np.nda
     return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
 
 
-def _have_own_steps(times: Float[np.ndarray, " files"], count: int) -> bool:
-    """Whether no two times have the same nearest step."""
+def _nearest_steps_differ(times: Float[np.ndarray, " files"], count: int) -> bool:
+    """Whether each time has a nearest step of its own among `count` evenly spaced ones."""
     return bool((np.diff(_nearest_steps(times, count)) > 0).all())
 
 

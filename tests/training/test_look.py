@@ -35,7 +35,7 @@ def test_clear_joints_are_the_true_ones(folder: Path) -> None:
 
 def test_points_on_the_skin_move_with_their_bones(folder: Path) -> None:
     corpus, windows = windows_of(folder)
-    skin = replace(EXACT, joints=0.0)
+    skin = replace(EXACT, as_joints=0.0)
     seen = seen_of(windows, skin, corpus.body, torch.Generator().manual_seed(0))
     rotations = torch.cat((windows.states.root[..., None, :, :], windows.states.pose), -3)
     turns, _ = forward_kinematics(rotations, windows.rest)
@@ -47,7 +47,7 @@ def test_points_on_the_skin_move_with_their_bones(folder: Path) -> None:
         assert 6 <= int(seen.visible[window, 0].sum()) <= SLOTS
 
 
-@pytest.mark.parametrize("kind", ["below", "limbs", "gap", "points", "frames"])
+@pytest.mark.parametrize("kind", ["below", "limbs", "gap", "single_points", "single_frames"])
 def test_each_kind_hides_something_and_leaves_something(folder: Path, kind: str) -> None:
     corpus, windows = windows_of(folder)
     seeing = replace(CLEAR, **{kind: 1.0})

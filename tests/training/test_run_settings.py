@@ -1,6 +1,8 @@
 """A run is continued only as what it is: its settings, and the contents it learns from."""
 
 import dataclasses
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,3 +120,14 @@ def test_weights_do_not_tell_where_they_were_trained(tmp_path):
     told = settings_to_store(settings_of(HumorTraining, tmp_path))
     assert str(tmp_path) not in str(told)
     assert told["rate"] == 1e-3
+
+
+@pytest.mark.parametrize("module", ["training.humor.train", "training.look.train"])
+def test_every_setting_of_a_run_is_an_option(module: str) -> None:
+    """Two groups of settings had fields of one name, and no option could be parsed."""
+    told = subprocess.run(
+        [sys.executable, "-m", module, "--help"], capture_output=True, text=True, check=False
+    )
+    assert told.returncode == 0, told.stderr
+    assert "--export" in told.stdout
+    assert "--validate-every" in told.stdout

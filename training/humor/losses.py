@@ -117,8 +117,7 @@ def loss_terms(found: Transition, target: State, windows: StateWindows) -> dict[
     losses = {
         name: functional.mse_loss(getattr(after, name), getattr(target, name)) for name in names
     }
-    rotations = torch.cat((after.root[..., None, :, :], after.pose), -3)
-    posed = forward_kinematics(rotations, windows.rest)[1] + after.translation[..., None, :]
+    posed = forward_kinematics(after.rotations, windows.rest)[1] + after.translation[..., None, :]
     losses["posed_joints"] = functional.mse_loss(posed, target.joints)
     losses["consistency"] = functional.mse_loss(posed, after.joints)
 

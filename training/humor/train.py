@@ -8,7 +8,6 @@ optimiser. What differs: an average of the weights over time as the result, and 
 fixed weights, so that losses of all times compare.
 """
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +33,7 @@ from training.humor.corpus import Corpus, StateWindows
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
-from training.run import BEST, LOG, Run, in_folder, trained_state
+from training.run import BEST, LOG, Run, in_folder, run_by_options, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humor
 
@@ -247,21 +246,5 @@ def error_whitening(
     return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()
 
 
-def _main(settings: HumorTraining, export: Path | None = None) -> None:
-    """Train; or write the best weights so far.
-
-    Args:
-        settings: of the run.
-        export: weights to write (.safetensors) instead of training.
-    """
-    if export is None:
-        train(settings)
-    else:
-        export_weights(settings, export)
-
-
 if __name__ == "__main__":
-    import tyro
-
-    logging.basicConfig(level=logging.INFO)
-    tyro.cli(_main, config=(tyro.conf.OmitArgPrefixes,))
+    run_by_options(HumorTraining, train, export_weights)

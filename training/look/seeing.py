@@ -23,7 +23,7 @@ _LIMBS = tuple(
 class Seeing:
     """Settings of what is seen of windows; each share is the probability that a window has it."""
 
-    joints: float = 0.55
+    as_joints: float = 0.55
     """The 22 joints; else 6 to 32 points on the skin."""
     fewer: float = 0.4
     """Some joints are never measured, as in other skeletons."""
@@ -37,9 +37,9 @@ class Seeing:
     """Some limbs are hidden, all the time or for a while."""
     gap: float = 0.35
     """Nothing, or some limbs, is seen for a while."""
-    points: float = 0.3
+    single_points: float = 0.3
     """Single points are missing in single frames."""
-    frames: float = 0.15
+    single_frames: float = 0.15
     """Nothing is seen in single frames."""
     outliers: float = 0.2
     """Some points are up to half a metre away."""
@@ -68,7 +68,7 @@ class Seeing:
         skin_bone = body.weights.argmax(-1)[vertex]
         skin_offset = body.template[vertex] - body.joint_template[skin_bone]
         slot = torch.arange(SLOTS, device=joints.device).expand(count, -1)
-        of_joints = draw.happens(self.joints, count)[:, None]
+        of_joints = draw.happens(self.as_joints, count)[:, None]
         bone = slot.clamp(max=len(JOINTS) - 1).where(of_joints, skin_bone)
         offset = skin_offset.where(~of_joints[..., None], 0.0)
         shown = (slot < len(JOINTS)).where(of_joints, slot < draw.integers(27, count, 1) + 6)
@@ -103,9 +103,9 @@ class Seeing:
             own = self._some_limbs(draw, bone, whole)
             when = draw.happens(usual, count, 1) | draw.spells(count, time, 0.2, 2.0)
             hidden |= own[:, None] & when[..., None] & draw.happens(share, count, 1, 1)
-        rate = 0.7 * draw.uniform(count, 1, 1) * draw.happens(self.points, count, 1, 1)
+        rate = 0.7 * draw.uniform(count, 1, 1) * draw.happens(self.single_points, count, 1, 1)
         hidden |= draw.uniform(*true.shape[:3]) < rate
-        rate = 0.6 * draw.uniform(count, 1, 1) * draw.happens(self.frames, count, 1, 1)
+        rate = 0.6 * draw.uniform(count, 1, 1) * draw.happens(self.single_frames, count, 1, 1)
         hidden |= draw.uniform(count, time, 1) < rate
         return ~hidden
 
@@ -124,8 +124,8 @@ class Seeing:
 
 
 CLEAR = Seeing(
-    joints=1.0, fewer=0.0, noise=(0.01, 0.0101), placed=0.0, below=0.0, limbs=0.0, gap=0.0,
-    points=0.0, frames=0.0, outliers=0.0, shorter=0.0,
+    as_joints=1.0, fewer=0.0, noise=(0.01, 0.0101), placed=0.0, below=0.0, limbs=0.0, gap=0.0,
+    single_points=0.0, single_frames=0.0, outliers=0.0, shorter=0.0,
 )  # fmt: skip
 """All joints of whole windows with 1 cm of noise, to which checks add one difficulty each."""
 

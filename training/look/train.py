@@ -8,7 +8,6 @@ The loss is that of a mixture: every hypothesis costs its errors, the weights sa
 is the nearest, and the nearest learns most.
 """
 
-import logging
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from recon.body.model import BodyModel, forward_kinematics
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.variation import Variation
 from training.look.seeing import CLEAR, Seeing
-from training.run import BEST, LOG, Run, in_folder, trained_state
+from training.run import BEST, LOG, Run, in_folder, run_by_options, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
 
@@ -55,7 +54,7 @@ class LookWeights:
     """Cross entropy of contacts."""
     choice: float = 0.2
     """Cross entropy of which hypothesis is the nearest."""
-    shape: float = 0.003
+    coefficients: float = 0.003
     """Squared coefficients of the body."""
     others: float = 0.05
     """Share of the loss that all hypotheses learn from, so that none stays unused."""
@@ -138,8 +137,7 @@ def seen_of(
     windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
     """What simulated sensors see of windows."""
-    rotations = torch.cat((windows.states.root[..., None, :, :], windows.states.pose), -3)
-    orientations, _ = forward_kinematics(rotations, windows.rest)
+    orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
     return seeing.points_of(windows.states.joints, orientations, body, random)
 
 
@@ -152,7 +150,7 @@ def losses_of(
 ) -> dict[str, Tensor]:
     """Losses of a batch by name, each of the likely nearest hypothesis; and `total`."""
     found = network(seen, body, half=True)
-    true = torch.cat((windows.states.root[..., None, :, :], windows.states.pose), -3)[:, None]
+    true = windows.states.rotations[:, None]
     target = windows.states.joints[:, None]
     exists = seen.exists.to(target)
     joints = found.joints(body)
@@ -171,7 +169,7 @@ def losses_of(
     total = (near * cost).sum(-1) + weights.others * cost.mean(-1)
     choice = -(near * found.log_weight).sum(-1)
     shape = found.shape.square().sum(-1)
-    total = (total + weights.choice * choice + weights.shape * shape).mean()
+    total = (total + weights.choice * choice + weights.coefficients * shape).mean()
     rows = {name: (near * value).sum(-1).mean() for name, value in parts.items()}
     return rows | {"choice": choice.mean(), "total": total}
 
@@ -226,9 +224,8 @@ def validate(network: LookNetwork, windows: StateWindows, body: BodyModel) -> di
             away = (joints - target[:, None]).norm(dim=-1).mean(-1)
             away = _over_time(away, seen.exists.to(away))
             heaviest = away.gather(1, found.log_weight.argmax(-1, keepdim=True))[:, 0]
-            within = (joint_mean(found, joints) - target).abs() < 1.645 * joint_std(found, joints)[
-                ..., None
-            ]
+            middle, std = joint_mean_and_std(found, joints)
+            within = (middle - target).abs() < 1.645 * std[..., None]
             right = within.float()[seen.exists].mean()
             sums += torch.stack((heaviest.sum(), away.amin(-1).sum(), right * len(away)))
             total += len(away)
@@ -241,20 +238,15 @@ def validate(network: LookNetwork, windows: StateWindows, body: BodyModel) -> di
     return row | {"score": score}
 
 
-def joint_mean(
+def joint_mean_and_std(
     found: Proposed, joints: Float[Tensor, "clips hypotheses time 22 3"]
-) -> Float[Tensor, "clips time 22 3"]:
-    """Mean position of every joint over the hypotheses."""
-    return torch.einsum("ch,chtjd->ctjd", found.log_weight.exp(), joints)
-
-
-def joint_std(
-    found: Proposed, joints: Float[Tensor, "clips hypotheses time 22 3"]
-) -> Float[Tensor, "clips time 22"]:
-    """Standard deviation of a coordinate over the mixture of the hypotheses, metres."""
-    apart = (joints - joint_mean(found, joints)[:, None]).square().mean(-1)
+) -> tuple[Float[Tensor, "clips time 22 3"], Float[Tensor, "clips time 22"]]:
+    """Mean of every joint over the hypotheses, and standard deviation of a coordinate, metres."""
+    weight = found.log_weight.exp()
+    mean = torch.einsum("ch,chtjd->ctjd", weight, joints)
+    apart = (joints - mean[:, None]).square().mean(-1)
     variance = (2 * found.log_std).exp() + apart
-    return torch.einsum("ch,chtj->ctj", found.log_weight.exp(), variance).sqrt()
+    return mean, torch.einsum("ch,chtj->ctj", weight, variance).sqrt()
 
 
 def train(settings: LookTraining) -> Path:
@@ -287,21 +279,5 @@ def export_weights(settings: LookTraining, path: Path) -> Path:
     return path
 
 
-def _main(settings: LookTraining, export: Path | None = None) -> None:
-    """Train; or write the best weights so far.
-
-    Args:
-        settings: of the run.
-        export: weights to write (.safetensors) instead of training.
-    """
-    if export is None:
-        train(settings)
-    else:
-        export_weights(settings, export)
-
-
 if __name__ == "__main__":
-    import tyro
-
-    logging.basicConfig(level=logging.INFO)
-    tyro.cli(_main, config=(tyro.conf.OmitArgPrefixes,))
+    run_by_options(LookTraining, train, export_weights)
