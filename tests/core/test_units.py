@@ -150,6 +150,20 @@ def test_a_slanted_body_leaves_the_axis_to_what_the_file_says() -> None:
     assert surely_up("z", names, positions @ turn, visible) is None
 
 
+def test_somebody_who_bends_with_hidden_legs_tells_nothing_of_the_up_axis() -> None:
+    """Such files were refused: "z is up by the file, but the body stands along x-down"."""
+    names, upright, visible = dancer(raised=False)
+    angle = np.radians([20.0, 80.0, 95.0, 95.0, 95.0])
+    turn = np.zeros((5, 3, 3))
+    turn[:, 0, 0], turn[:, 0, 2], turn[:, 1, 1] = np.cos(angle), np.sin(angle), 1.0
+    turn[:, 2, 0], turn[:, 2, 2] = -np.sin(angle), np.cos(angle)
+    pelvis = upright[:, [names.index("pelvis")]]
+    bent = (upright - pelvis) @ turn.swapaxes(1, 2) + pelvis
+    assert surely_up("z", names, bent, visible.repeat(5, 0)) is None
+    lying = bent[[-1] * 5]
+    assert surely_up("z", names, lying, visible.repeat(5, 0)) == "x"
+
+
 def test_rates_hidden_by_rounding_are_whole() -> None:
     assert snapped_rate(1 / 0.0083333) == 120
     assert snapped_rate(29.97) == 29.97
