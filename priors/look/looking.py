@@ -144,7 +144,7 @@ class LookedLimbs:
             found.rotations[0, likely].to(motion.rotations), motion.rotations[0], ~unseen
         )
         place = found.pelvis[0, likely].to(joints) - body.rest_joints(motion.shape)[:, :1]
-        away = _between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
+        away = between_seen((motion.translation - place)[:, :, None], ~unseen[:, :1])
         many = motion.map(lambda tensor: tensor.expand(len(rotations), *tensor.shape[1:]))
         return many.replace(rotations=rotations, translation=place + away[:, :, 0])
 
@@ -179,12 +179,12 @@ def with_seen_rotations(
     The result is R exp(δ), with δ = log(Rᵀ K) where a rotation is seen, and interpolated
     elsewhere; so it is K where that is known.
     """
-    return proposed @ so3.exp(_between_seen(so3.log(proposed.mT @ known), seen))
+    return proposed @ so3.exp(between_seen(so3.log(proposed.mT @ known), seen))
 
 
-def _between_seen(
-    away: Float[Tensor, "hypotheses time joints 3"], seen: Bool[Tensor, "time joints"]
-) -> Float[Tensor, "hypotheses time joints 3"]:
+def between_seen(
+    away: Float[Tensor, "hypotheses time joints n"], seen: Bool[Tensor, "time joints"]
+) -> Float[Tensor, "hypotheses time joints n"]:
     """Vectors where they are seen, elsewhere interpolated linearly in time between these.
 
     They are constant beyond the first and the last, and zero where they are never seen.

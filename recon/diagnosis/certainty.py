@@ -58,6 +58,8 @@ def certainty(found: ClipFit) -> Deviations | None:
 
     Clouds are thinned first: neighbouring points err alike.
     """
+    if not found.result.reports:  # a preview: no stage has an objective
+        return None
     estimate = found.result.estimate
     least = min(noise.metres for noise in found.noises)
     density = found.result.reports[-1].stage.prior.belief(least)
@@ -135,6 +137,6 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     heights = rest_heights(posed.model, motion.shape)
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
-    held = fit.result.reports[-1].stage.prior.knows_gravity
+    held = not fit.result.reports or fit.result.reports[-1].stage.prior.knows_gravity
     std = (_HEIGHT_STD_RATIO if held else _FREE) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))

@@ -98,7 +98,9 @@ class FitSettings(ReadOptions):
     file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
-    itself is moved; default) or `rollout` (a first state and latents are, as published)."""
+    itself is moved; default) or `rollout` (a first state and latents are, as published). Or
+    `look`, which fits nothing: a preview of points in space, in milliseconds, by a network; or one
+    of another package, package.module:Class."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     shape: str | None = None
