@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from observations.markers3d import Markers3D as Markers3D
     from recon.api.convert import convert as convert
     from recon.api.convert import to_body as to_body
+    from recon.api.detect import detect as detect
     from recon.api.evaluate import evaluate as evaluate
     from recon.api.fit import complete as complete
     from recon.api.fit import fit as fit
@@ -63,6 +64,7 @@ _HOMES = {
     "joint_angles": "recon.gait.angles",
     "bench": "recon.benchmark.judged",
     "complete": "recon.api.fit",
+    "detect": "recon.api.detect",
     "refine": "recon.api.fit",
     "retarget": "recon.api.retarget",
     "sample": "recon.api.generate",

@@ -27,6 +27,7 @@ def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
 CORE = {
     "demo": Verb("recon.api.demo:demo", (Place("out", folder_output),)),
+    "detect": Verb("recon.api.detect:detect", out="file of 2D keypoints to write (.npz)."),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),

@@ -24,12 +24,6 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
-FILM_SUFFIXES = frozenset((
-    ".mp4", ".m4v", ".mov", ".3gp", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".ts", ".mpg",
-    ".mpeg", ".wmv", ".flv", ".mxf", ".gif",
-))  # fmt: skip
-"""Endings, in small letters, of the files that `open_film` is meant for."""
-
 _FORMATS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,mxf,gif,ogg"
 """FFmpeg's names of formats that hold films; it would open texts, pictures and playlists, too."""
 _MAX_SIDE = 4096
