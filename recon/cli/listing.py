@@ -26,7 +26,7 @@ def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
 
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
 CORE = {
-    "demo": Verb("recon.demo:demo", (Place("out", folder_output),)),
+    "demo": Verb("recon.api.demo:demo", (Place("out", folder_output),)),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),

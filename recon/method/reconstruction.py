@@ -75,7 +75,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 
 
 def _covers_observation(start: Motion, seen: Sensor) -> bool:
-    """Whether a motion lasts from an observation's start to its end, to a frame of it or the fit."""
+    """Whether a motion covers an observation, to within a frame of its own or of the fit."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps
     spare, frame = length - (start.frames - 1), max(1.0, start.fps / REFERENCE_FPS)
