@@ -88,6 +88,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon register left/ right/ --camera lens.npz --frame-rate 30 --out rig",
         "recon register front.npz side.npz back.npz --out rig",
     ),
+    "calibrate": (
+        "recon calibrate left.mp4 right.mp4 --height 1.80 --out rig.toml",
+        "recon calibrate cam1_json/ cam2_json/ cam3_json/ --frame-rate 60 --out rig.toml",
+    ),
     "info": (
         "recon info motion.npz",
         "recon info walk.c3d --json",

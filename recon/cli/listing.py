@@ -48,6 +48,10 @@ CORE = {
         (Place("out", folder_output),),
         "folder for a file per camera.",
     ),
+    "calibrate": Verb(
+        "recon.api.calibrate:calibrate",
+        out="calibration to write (.toml), which `--camera` reads; OUT.json tells what was found.",
+    ),
     "evaluate": Verb(
         "recon.api.evaluate:evaluate",
         (Place("json", report_output),),

@@ -49,8 +49,7 @@ class FilmFrame:
     time: float
     """Seconds of the recording since the first picture."""
     number: int
-    """Frame of the film's even clock, from 0; there is none where the camera dropped a frame or
-    a picture repeats the one before."""
+    """Frame of the film's even clock, from 0; numbers of dropped frames are left out."""
     shot: int
     """Number of the shot, from 0, which rises by one at every cut."""
 
@@ -98,18 +97,10 @@ class Film:
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
         """Upright images and times as they are decoded; what is damaged goes into `losses`."""
-        last, repeated = None, 0
         with _opened(self.path) as container:
             stream = _video_stream(container, self.path)
             for frame, stamp in _decoded(container, stream, losses):
-                image = self._image(frame)
-                if last is not None and _same(image, last):
-                    repeated += 1
-                    continue
-                last = image
-                yield image, self.clock.time(stamp)
-        if repeated:
-            losses.append(f"{repeated} pictures that repeat the one before were left out")
+                yield self._image(frame), self.clock.time(stamp)
 
     def _image(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
         """The upright image of a decoded frame."""
@@ -223,23 +214,17 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         # the prefix keeps colons in names from being taken for protocols
         container = av.open(f"file:{path}", container_options=options, metadata_errors="replace")
     except (FFmpegError, ValueError) as error:
-        raise FormatError(f"{path}: expected a film, but {_reason(path)}") from error
-    with container:
-        yield container
-
-
-def _reason(path: Path) -> str:
-    """Why a file cannot be opened as a film, and what to do."""
-    with path.open("rb") as file:
-        unfinished = file.read(12)[4:8] == b"ftyp"
-    if unfinished:
-        return (
+        with path.open("rb") as file:
+            unfinished = file.read(12)[4:8] == b"ftyp"
+        reason = (
             "its index, which cameras write last, is missing: the recording or the copy was cut "
             "off; copy it again"
+            if unfinished
+            else "it is none, or damaged; check that a player shows it, or export it as .mp4"
         )
-    if cv2.haveImageReader(str(path)):
-        return "it is a single picture, which shows no motion"
-    return "it is none, or damaged; check that a player shows it, and export it as .mp4"
+        raise FormatError(f"{path}: expected a film, but {reason}") from error
+    with container:
+        yield container
 
 
 def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
@@ -258,10 +243,7 @@ def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
         raise FormatError(f"{path}: expected a film, but the file holds {kinds} without pictures")
     stream = streams[0]
     if stream.codec_context is None:
-        raise FormatError(
-            f"{path}: its pictures are of an unknown codec, or its index is damaged; check that a "
-            "player shows it, and export it as H.264"
-        )
+        raise FormatError(f"{path}: its pictures are of an unknown codec; export it as H.264")
     if stream.width * stream.height > _MAX_PIXELS:
         raise FormatError(
             f"{path}: expected pictures of up to 8K, got {stream.width} x {stream.height} "
@@ -337,11 +319,6 @@ def _recorded_rate(container: "InputContainer", stream: "VideoStream") -> float 
         return float(text) if FRAME_RATE.holds(float(text)) else None
     except ValueError:
         return None
-
-
-def _same(a: UInt8[np.ndarray, "..."], b: UInt8[np.ndarray, "..."]) -> bool:
-    """Whether two images are equal; quick, as most differ in a few pixels already."""
-    return np.array_equal(a[::16, ::16], b[::16, ::16]) and np.array_equal(a, b)
 
 
 def _tone_curve(transfer: int) -> UInt8[np.ndarray, " 256"] | None:
