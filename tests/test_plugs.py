@@ -17,7 +17,7 @@ VERBS = {
     "recon/api/interpolate.py", "recon/api/retarget.py",
     "recon/cli/making.py",
     "recon/fitting/recording.py", "recon/fitting/interpolation.py",
-    "recon/fitting/retargeting.py", "recon/demo.py",
+    "recon/fitting/retargeting.py", "recon/api/demo.py",
     "training/labels/shards.py",
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""

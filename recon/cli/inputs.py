@@ -18,6 +18,7 @@ EXPECTED = {
     "compare": _MOTION,
     "estimate": _MOTION,
     "corpus": "a folder that `recon convert --all` wrote",
+    "film": "a film (.mp4, .mov, .mkv, ...)",
     "file": "a file or folder that recon reads",
     "manifest": "a file with one JSON object per line",
     "mapping": "a TOML file that says which joints or markers are which",

@@ -136,6 +136,10 @@ class Detections:
     """The number the producer gave to a person, -1 for none."""
     decisions: tuple[str, ...] = ()
     """What was decided about the file and why."""
+    frame_rate: float | None = None
+    """Frames per second, where the file tells."""
+    image_size: tuple[int, int] | None = None
+    """Width and height of the images, pixels, where the file tells."""
 
 
 def detections_of_rows(

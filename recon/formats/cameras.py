@@ -11,6 +11,8 @@ from recon.core.camera import check_camera, check_pose
 from recon.core.errors import FormatError
 from recon.core.limits import IMAGE_SIZE
 
+ImageSize = tuple[int, int]
+"""Width and height, pixels."""
 _COEFFICIENTS = (4, 5, 8)
 """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
 FILM_DIAGONAL = 43.27

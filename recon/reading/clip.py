@@ -21,7 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.opening import files_of
-from recon.formats.producers import refuse_others
+from recon.formats.producers import is_film, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -111,6 +111,8 @@ def _read(
         )
     if (seen := read_by(plugin_readers, path, body)) is not None:
         return seen, ()
+    if is_film(path):
+        return None
     refuse_others(path, "fit")
     if path.is_file() and holds_markers(path):
         return _labelled_points(path, settings, body)
@@ -130,7 +132,7 @@ def _read(
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
     raise FormatError(
-        f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
+        f"{path}: expected a film, an observation (.npz), 2D keypoints (.json, .csv, folders of "
         "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder), "
         "markers (.c3d, .trc) or a folder of scans or depth images; `recon convert` takes "
         "skeletons of motion capture"

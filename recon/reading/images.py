@@ -49,6 +49,7 @@ def keypoints_of(
         focal_known=file.camera.focal_known,
         level=path is not None and path.level,
         unit_known=path is None or path.metric,
+        lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
     )
     return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
 

@@ -24,6 +24,7 @@ from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
+from recon.reading.stated import in_size_of, stated_rate, with_image_size
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -68,7 +69,8 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
             "file with --camera, or one view alone, whose camera is then guessed"
         )
-    fps = how.frame_rate
+    known = {path: one for path in folders if (one := with_image_size(path, how)) is not None}
+    fps = how.frame_rate or stated_rate(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
@@ -81,7 +83,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             "give one view"
         )
     if how.camera is None:
-        calibration = _camera_of_one_view(folders[0], track, how)
+        calibration = _camera_of_one_view(folders[0], known.get(folders[0]), track, how)
     else:
         calibration = load_cameras(
             how.camera, unit=how.camera_unit, up=how.camera_up, image_size=how.image_size
@@ -91,9 +93,11 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     )
     cameras = [calibration.cameras[name] for name in names]
     found = [
-        read_keypoints(path, layout=how.layout, image_size=camera.image_size)
+        known.get(path) or read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
+    sized = [in_size_of(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    found = [one for one, _ in sized]
     first, frames = _frame_range(found)
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
@@ -117,17 +121,30 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         frames=frames,
         fps=float(fps),
         up_given=how.camera_up is not None,
-        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts, *left_out),
+        decisions=(
+            *notes,
+            *calibration.decisions,
+            *carried,
+            *matching,
+            *layouts,
+            *(note for _, note in sized if note),
+            *left_out,
+        ),
     )
 
 
-def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions) -> Calibration:
+def _camera_of_one_view(
+    path: Path, known: Detections | None, track: CameraTrack | None, how: ReadOptions
+) -> Calibration:
     """The camera that a tracker states, else a phone's, for one view without calibration.
 
-    Its images are as large as the tracker or the caller says, else as the keypoints need.
+    Its images are as large as the tracker, the caller or the file says, else as the keypoints
+    need.
     """
     stated = None if track is None else track.camera
     size, reason = how.image_size, "given"
+    if size is None and known is not None and (stated is None or stated.size is None):
+        size, reason = known.image_size, f"of {known.name}"
     if size is None and (stated is None or stated.size is None):
         seen = read_keypoints(path, layout=how.layout)
         size = guessed_size(seen.pixels, seen.confidence)

@@ -81,8 +81,29 @@ def describe_detections(path: Path) -> dict[str, Any]:
         "people": [str(track) for track in people],
         "missing": float((found.confidence <= 0).mean()),
         "units": "pixels",
-        "fps": None,
+        "fps": found.frame_rate,
         "decisions": list(found.decisions),
+    }
+
+
+def describe_film(path: Path) -> dict[str, Any]:
+    """Describe a film, without looking for the people in it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `recon.films.decoding.open_film` does.
+    """
+    from recon.films.decoding import open_film  # loads a decoder
+
+    film = open_film(path)
+    width, height = film.image_size
+    return {
+        "format": "film",
+        "frames": film.frames,
+        "fps": film.frame_rate,
+        "seconds": film.frames / film.frame_rate,
+        "image_size": f"{width} x {height}",
+        "turned_by": film.turned_by,
+        "decisions": list(film.notes),
     }
 
 
