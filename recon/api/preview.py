@@ -50,7 +50,7 @@ def preview(
     """
     options = clip.options
     unheeded = {
-        "prior": options.prior != "humor", "terms": len(options.terms) > 0,
+        "prior": options.prior != FitOptions.prior, "terms": len(options.terms) > 0,
         "physics": options.physics != 0, "ground=None": not options.grounded,
         "start": start is not None,
     }  # fmt: skip
