@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from priors.look.looking import between_seen, load_network
+from priors.look.looking import FAMILIAR, between_seen, load_network, surprise
 from priors.look.networks import LookNetwork
 from priors.look.points import SeenPoints
 from recon.body.model import BodyModel, forward_kinematics
@@ -79,7 +79,13 @@ class LookAtPoints:
         translation = moved - body.rest_joints(shape)[0]
         shapes = shape.expand(len(moved), -1)
         motions = Motion.create(translation, rotations, shapes, fps, start_time)
-        return ProposedMotions(motions, log_weight, std)
+        away = (
+            seen.positions[0]
+            - placement.carried(rotations[first], moved[first], body.rest_joints(shape)[None])[0]
+        )
+        spread = (std[first][:, seen.bone[0]].square() + seen.std.square()).sqrt()
+        far = surprise(away, spread, seen.visible[0])
+        return ProposedMotions(motions, log_weight, std, _doubt(far) if far > FAMILIAR else None)
 
     def _over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:
         """What is proposed by overlapping windows, blended: each fades in and out.
@@ -109,6 +115,13 @@ class LookAtPoints:
         assert isinstance(shape, Tensor)
         assert isinstance(weight, Tensor)
         return rotations, pelvis, shape / len(firsts), log_std.exp(), weight.log_softmax(-1)
+
+
+def _doubt(far: float) -> str:
+    return (
+        f"on average the points are {far**0.5:.1f} standard deviations away from what the network "
+        "proposes, so they are far from what it knows; fit them, and check their unit and names"
+    )
 
 
 def seen_points(

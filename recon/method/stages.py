@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from recon.method.priors import Prior
 
 
-Proposals = Callable[[Estimate, int], Motion | None]
+Proposals = Callable[[Estimate, int], tuple[Motion | None, str]]
 """Finds motions to begin a stage from: called with what energies see of one row and with the
-number of its clip; gives motions of that clip in the world, or None to begin from the row."""
+number of its clip; gives motions of that clip in the world, or None to begin from the row, and a
+sentence for reports that says which; empty where there is nothing to tell."""
 
 
 SecondOrder = Callable[
@@ -121,6 +122,8 @@ class StageReport:
     seconds: float
     compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
+    began: tuple[str, ...] = ()
+    """Sentences on the motions that were proposed to begin from."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
         """The report of some clips of the batch; `compared` is not cut."""

@@ -7,6 +7,7 @@ import torch
 
 import recon
 from recon import cli
+from recon.core import rotations as so3
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS
@@ -171,3 +172,13 @@ def test_the_command_line_gives_previews(tmp_path):
     save_observation(given, file)
     assert cli.run(f"fit {given} --method look --out {out}".split()) == cli.OK
     assert joint_error(recon.load_motion(out).motion, walk(LENGTH)) < 0.06
+
+
+def test_points_far_from_what_the_network_knows_are_told():
+    truth = walk(LENGTH)
+    result, _ = previewed(seen(truth), truth)
+    assert "unfamiliar" not in [one.code for one in result.warnings]
+    down = truth.rotations.clone()
+    down[:, 0] = so3.exp(torch.tensor([2.6, 0.0, 0.0])) @ down[:, 0]
+    result, _ = previewed(seen(truth.replace(rotations=down)), truth)
+    assert "unfamiliar" in [one.code for one in result.warnings]
