@@ -89,8 +89,7 @@ def fit(
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
-        method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
-            `look` fits nothing: a preview in milliseconds, by a network (`recon.method.Look`).
+        method: how the prior is fitted, one of its `methods`; `look` gives a preview instead.
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
             (of a static trial, say); or the person's height in metres or a `recon.Shape`, which

@@ -98,8 +98,8 @@ def fitted(
     clip = CheckedClip(
         observations=tuple(observations), names=tuple(names), options=options, body=body
     )
-    if is_preview(options.method):
-        from recon.api.preview import preview  # imported here: fits need no preview
+    if is_preview(options.method):  # imported here: fits need no preview
+        from recon.api.preview import preview
 
         return preview(clip, start, checks)
     if options.completes and start is not None:

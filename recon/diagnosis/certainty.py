@@ -58,11 +58,9 @@ def certainty(found: ClipFit) -> Deviations | None:
 
     Clouds are thinned first: neighbouring points err alike.
     """
-    if not found.result.reports:  # a preview: no stage has an objective
-        return None
     estimate = found.result.estimate
     least = min(noise.metres for noise in found.noises)
-    density = found.result.reports[-1].stage.prior.belief(least)
+    density = reports[-1].stage.prior.belief(least) if (reports := found.result.reports) else None
     if density is None or found.result.failed[0]:
         return None
     seen, noises = [], []

@@ -100,7 +100,7 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
     if len(known) == 0:
         raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
-    ways = f"{' or '.join(known)}, or previewed by {' or '.join(registered_places(LOOKS))}"
+    ways = " or ".join((*known, *registered_places(LOOKS)))
     raise ReconError(f"method: {whose} is fitted by {ways}, got {name!r}")
 
 

@@ -106,9 +106,8 @@ class FitSettings(ReadOptions):
     file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
-    itself is moved; default) or `rollout` (a first state and latents are, as published). Or
-    `look`, which fits nothing: a preview of points in space, in milliseconds, by a network; or one
-    of another package, package.module:Class."""
+    itself is moved; default) or `rollout` (a first state and latents are, as published). Or fitted
+    not at all: `look`, or package.module:Class, previews points in space by a network."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     shape: str | None = None

@@ -88,8 +88,7 @@ class Hypotheses(Generic[S]):
                 parts.append(Unknowns.of_world(self.prior, motion, scene, body))
         rows = torch.tensor(origin)
         number = None if self.number is None else self.number[rows]
-        found = Hypotheses(self.prior, concatenate(parts), clips[rows], number)
-        return found, rows, tuple(told)
+        return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows, tuple(told)
 
     def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
         """The hypotheses in some rows."""
