@@ -13,7 +13,7 @@ _SEARCH_S = 0.25
 _LEAST_SCORE = 0.5
 """Score of a region from which on it holds a person."""
 _SAME_PLACE = 0.25
-"""Hips of two regions so near, in sides of the larger, are of one person."""
+"""Hips of two regions so near, in sides of the smaller, are of one person."""
 _SAME_BODY = 0.1
 """Two bodies whose landmarks are so near in the median, in sides of the region, are one."""
 _CUTOFF_HZ, _SPEED_CUTOFF, _RATE_CUTOFF_HZ = 0.01, 10.0, 1.0
@@ -144,11 +144,10 @@ class Tracker:
 
     def _looked(self, image: Image, frame: int) -> Iterator[Sight]:
         for one in self._tracks:
-            pose = self._networks.pose(image, one.region)
-            if pose.score < _LEAST_SCORE:
-                continue
-            mirrored = self._networks.pose(image, one.region, mirror=True)
-            if mirrored.score >= _LEAST_SCORE:
+            pose, mirrored = (
+                self._networks.pose(image, one.region, mirror=mirror) for mirror in (False, True)
+            )
+            if max(pose.score, mirrored.score) >= _LEAST_SCORE:
                 yield Sight(frame, one.number, pose, mirrored)
 
     def _distinct(self, seen: list[Sight]) -> list[Sight]:
@@ -162,7 +161,7 @@ class Tracker:
 
 def _same_place(one: Region, other: Region) -> bool:
     away = np.linalg.norm(one.centre - other.centre)
-    return bool(away < _SAME_PLACE * max(one.side, other.side))
+    return bool(away < _SAME_PLACE * min(one.side, other.side))
 
 
 def _same_body(one: Pose, other: Pose) -> bool:
