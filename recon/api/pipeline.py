@@ -50,7 +50,7 @@ def observed(
     paths, geometries = paths_given(given), geometries_given(given)
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
-        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane)
+        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane, between=between)
         # observations that are in memory need no reader
         if paths:
             from recon.reading.clip import load_clip as read

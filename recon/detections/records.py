@@ -140,6 +140,8 @@ class Detections:
     """Frames per second, where the file tells."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the file tells."""
+    shots: tuple[int, ...] = ()
+    """Frame numbers with which shots after the first begin, of a film with cuts."""
 
 
 def detections_of_rows(

@@ -199,10 +199,13 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     rate, size = (np.asarray(arrays.get(key, 0)).ravel() for key in ("frame_rate", "image_size"))
     told = rate.dtype.kind in "fiu" and len(rate) == 1 and FRAME_RATE.holds(float(rate[0]))
     sized = size.dtype.kind in "iu" and len(size) == 2 and (size > 0).all()
+    shots = np.asarray(arrays.get("shots", [])).ravel()
+    cut = shots.dtype.kind in "iu" and (np.diff(shots) > 0).all()
     return replace(
         found,
         frame_rate=float(rate[0]) if told else None,
         image_size=(int(size[0]), int(size[1])) if sized else None,
+        shots=tuple(shots.tolist()) if cut else (),
     )
 
 
@@ -250,7 +253,10 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
     out["keypoints"][frames, column] = found.pixels
     out["scores"][frames, column] = found.confidence
     out["identity"][frames, column] = found.identity
-    for key, value in (("frame_rate", found.frame_rate), ("image_size", found.image_size)):
+    for key, value in (
+        ("frame_rate", found.frame_rate), ("image_size", found.image_size),
+        ("shots", found.shots or None),
+    ):  # fmt: skip
         if value is not None:
             out[key] = np.array(value)
     return out

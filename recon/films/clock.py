@@ -1,12 +1,17 @@
 """The even clock of a film whose pictures were taken at any times."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from recon.detections.records import Row
+
 _EVEN = 0.2
 """Frames that the times of a film may be off an even clock; phones round theirs by less."""
+_GAP = 2.5
+"""Frames between two pictures across which keypoints are not interpolated."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +25,7 @@ class FilmClock:
     speed: float
     """Seconds of the film's time stamps per second of the recording; 8 for 240 Hz shown at 30."""
     off: float
-    """The largest distance of a picture from its frame of the clock, in frames."""
+    """The largest distance of a picture from the nearest frame of the clock, in frames."""
 
     @property
     def even(self) -> bool:
@@ -53,6 +58,40 @@ def clock_of_stamps(
     frames = np.rint(steps / np.median(steps))
     span, count = float(stamps[-1] - stamps[0]), max(int(frames.sum()), 1)
     played = count / span
-    off = np.abs((stamps - stamps[0]) * played - np.append(0.0, np.cumsum(frames))).max()
+    place = (stamps - stamps[0]) * played
+    off = np.abs(place - np.rint(place)).max()
     rate = played if recorded_rate is None else recorded_rate
     return FilmClock(rate=rate, frames=count + 1, speed=rate / played, off=float(off))
+
+
+def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:
+    """The keypoints of one person at the frames of an even clock, linearly between the pictures.
+
+    Args:
+        rows: of the person, by frame.
+        times: when the picture of every frame was taken, seconds.
+        rate: of the clock, Hz.
+    """
+    if len(rows) < 2:
+        return rows
+    taken = np.array([times[number] for number, _, _ in rows]) * rate
+    points = np.stack([keypoints for _, keypoints, _ in rows])
+    numbers = np.arange(np.ceil(taken[0] - _EVEN), np.floor(taken[-1] + _EVEN) + 1)
+    after = np.clip(np.searchsorted(taken, numbers), 1, len(taken) - 1)
+    step = taken[after] - taken[after - 1]
+    share = np.clip((numbers - taken[after - 1]) / step, 0.0, 1.0)
+    joined = step <= _GAP
+    kept = joined | (np.minimum(share, 1 - share) * step <= _EVEN)
+    share = np.where(joined, share, share.round())
+    weight = share[:, None, None]
+    mixed = (1 - weight) * points[after - 1] + weight * points[after]
+    sure = np.stack([points[after - 1, :, 2], points[after, :, 2]])
+    mixed[..., 2] = np.where(
+        weight[..., 0] == 0, sure[0], np.where(weight[..., 0] == 1, sure[1], sure.min(0))
+    )
+    person = rows[0][2]
+    return [
+        (int(number), keypoints, person)
+        for number, keypoints, found in zip(numbers, mixed, kept, strict=True)
+        if found
+    ]

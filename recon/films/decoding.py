@@ -36,6 +36,9 @@ _THREADS = 2
 """Threads of the decoder, which decode ahead while the caller looks at an image."""
 _CAPTURE_RATE = "com.android.capture.fps"
 """Metadata in which phones write the rate of recording."""
+_TURNS = {
+    90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE
+}  # fmt: skip
 _TRANSFER_PQ, _TRANSFER_HLG = 16, 18
 """ITU-T H.273's numbers of the transfer functions of films with a high dynamic range."""
 
@@ -49,7 +52,8 @@ class FilmFrame:
     time: float
     """Seconds of the recording since the first picture."""
     number: int
-    """Frame of the film's even clock, from 0; numbers of dropped frames are left out."""
+    """Frame of the film's even clock, from 0; there is none where the camera dropped a frame or
+    a picture repeats the one before."""
     shot: int
     """Number of the shot, from 0, which rises by one at every cut."""
 
@@ -67,7 +71,9 @@ class Film:
     """Degrees by which the stored pictures are turned clockwise to be upright."""
     clock: FilmClock
     notes: list[str] = field(default_factory=list)
-    """What was assumed; damage and cuts are added when a loop has come to the end."""
+    """What was assumed; what was damaged is added when a loop has come to the end."""
+    shots: tuple[int, ...] = ()
+    """Frames with which shots after the first begin, when a loop has come to the end."""
 
     @property
     def frame_rate(self) -> float:
@@ -82,25 +88,31 @@ class Film:
     def __iter__(self) -> Iterator[FilmFrame]:
         """Decode the film; damaged pictures are left out, and said in `notes`."""
         losses: list[str] = []
-        last, starts = -1, list[int]()
+        last, starts = -1, dict[int, int]()
         for (image, time), shot in with_shots(self._pictures(losses)):
             number = self.clock.number(time)
             if number <= last:
                 continue
             last = number
-            if shot == len(starts):
-                starts.append(number)
+            starts.setdefault(shot, number)
             yield FilmFrame(image, time, number, shot)
-        if len(starts) > 1:
-            losses.append(f"{len(starts)} shots, from frames {', '.join(map(str, starts))} on")
+        self.shots = tuple(starts.values())[1:]
         self.notes += [note for note in losses if note not in self.notes]
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
         """Upright images and times as they are decoded; what is damaged goes into `losses`."""
+        last, repeated = None, 0
         with _opened(self.path) as container:
             stream = _video_stream(container, self.path)
             for frame, stamp in _decoded(container, stream, losses):
-                yield self._image(frame), self.clock.time(stamp)
+                image = self._image(frame)
+                if last is not None and _same(image, last):
+                    repeated += 1
+                    continue
+                last = image
+                yield image, self.clock.time(stamp)
+        if repeated:
+            losses.append(f"{repeated} pictures that repeat the one before were left out")
 
     def _image(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
         """The upright image of a decoded frame."""
@@ -113,7 +125,7 @@ class Film:
         if frame.interlaced_frame:
             rows = image[: height - (height + 1) % 2]
             rows[1::2] = cv2.addWeighted(rows[:-2:2], 0.5, rows[2::2], 0.5, 0.0)
-        return np.ascontiguousarray(np.rot90(image, -self.turned_by // 90))
+        return image if self.turned_by == 0 else cv2.rotate(image, _TURNS[self.turned_by])
 
 
 def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
@@ -158,8 +170,8 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
         notes.append(f"the file ends early: {len(stamps)} of {promised} pictures are there")
     if not clock.even:
         notes.append(
-            f"pictures were taken unevenly, up to {clock.off / clock.rate * 1000:.0f} ms off "
-            f"an even clock of {clock.rate:.4g} Hz"
+            "pictures were taken unevenly: what is seen in them is interpolated at "
+            f"{clock.rate:.4g} Hz"
         )
     elif clock.frames > len(stamps):
         notes.append(f"{clock.frames - len(stamps)} of {clock.frames} frames were not recorded")
@@ -214,17 +226,23 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         # the prefix keeps colons in names from being taken for protocols
         container = av.open(f"file:{path}", container_options=options, metadata_errors="replace")
     except (FFmpegError, ValueError) as error:
-        with path.open("rb") as file:
-            unfinished = file.read(12)[4:8] == b"ftyp"
-        reason = (
-            "its index, which cameras write last, is missing: the recording or the copy was cut "
-            "off; copy it again"
-            if unfinished
-            else "it is none, or damaged; check that a player shows it, or export it as .mp4"
-        )
-        raise FormatError(f"{path}: expected a film, but {reason}") from error
+        raise FormatError(f"{path}: expected a film, but {_reason(path)}") from error
     with container:
         yield container
+
+
+def _reason(path: Path) -> str:
+    """Why a file cannot be opened as a film, and what to do."""
+    with path.open("rb") as file:
+        unfinished = file.read(12)[4:8] == b"ftyp"
+    if unfinished:
+        return (
+            "its index, which cameras write last, is missing: the recording or the copy was cut "
+            "off; copy it again"
+        )
+    if cv2.haveImageReader(str(path)):
+        return "it is a single picture, which shows no motion"
+    return "it is none, or damaged; check that a player shows it, and export it as .mp4"
 
 
 def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
@@ -243,7 +261,10 @@ def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
         raise FormatError(f"{path}: expected a film, but the file holds {kinds} without pictures")
     stream = streams[0]
     if stream.codec_context is None:
-        raise FormatError(f"{path}: its pictures are of an unknown codec; export it as H.264")
+        raise FormatError(
+            f"{path}: its pictures are of an unknown codec, or its index is damaged; check that a "
+            "player shows it, and export it as H.264"
+        )
     if stream.width * stream.height > _MAX_PIXELS:
         raise FormatError(
             f"{path}: expected pictures of up to 8K, got {stream.width} x {stream.height} "
@@ -319,6 +340,11 @@ def _recorded_rate(container: "InputContainer", stream: "VideoStream") -> float 
         return float(text) if FRAME_RATE.holds(float(text)) else None
     except ValueError:
         return None
+
+
+def _same(a: UInt8[np.ndarray, "..."], b: UInt8[np.ndarray, "..."]) -> bool:
+    """Whether two images are equal; quick, as most differ in a few pixels already."""
+    return np.array_equal(a[::16, ::16], b[::16, ::16]) and np.array_equal(a, b)
 
 
 def _tone_curve(transfer: int) -> UInt8[np.ndarray, " 256"] | None:

@@ -1,7 +1,8 @@
 """Reads films: people are detected in every frame, followed, and written down as 2D keypoints."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from recon.core.plugins import DETECTORS, imported_object, registered_places
 from recon.detections.records import Detections, Row, detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
 from recon.films.blazepose import BlazePose
+from recon.films.clock import at_even_times
 from recon.films.decoding import Film, FilmFrame, open_film
 from recon.films.sides import rows_of_sights
 from recon.films.tracking import Sight, Tracker
@@ -23,7 +25,7 @@ Watch = Callable[[int, int], None]
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 """Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
 of every keypoint, and the person's number or -1."""
-_VERSION = 1
+_VERSION = 2
 """Rises when the same film gives other detections, so that kept ones are made again."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
@@ -65,7 +67,8 @@ def read_film(
     key = "" if kept is None else _key(path, frame_rate, layout, detector)
     file = None if kept is None else _kept_file(path, kept, key)
     if file is not None and file.is_file() and str(load_arrays(file).get("made_of")) == key:
-        return replace(read_detection_arrays(file), name=path.name)
+        seen, notes = read_detection_arrays(file), load_arrays(file)["notes"].tolist()
+        return replace(seen, name=path.name, decisions=(*notes, *seen.decisions))
     film = open_film(path, frame_rate=frame_rate)
     frames = _Watched(film, watch)
     unfinished = None
@@ -73,14 +76,22 @@ def read_film(
         networks = BlazePose(None if detector is None else Path(detector))
         if file is not None:
             unfinished = Unfinished(file.with_name(f"{file.stem}-unfinished.npz"), key)
-        rows = rows_of_sights(_sights(frames, film.frame_rate, networks, unfinished))
+        sights = sorted(
+            _sights(frames, film.frame_rate, networks, unfinished), key=lambda one: one.track
+        )
+        people = [
+            rows_of_sights(list(seen)) for _, seen in groupby(sights, key=lambda one: one.track)
+        ]
         layout = "mediapipe33"
     else:
-        rows = list(_own_detector(detector)(frames))
-    found = _detections(film, frames.numbers, rows, layout)
+        rows = sorted(_own_detector(detector)(frames), key=lambda row: row[2])
+        people = [list(own) for _, own in groupby(rows, key=lambda row: row[2])]
+    found = _detections(film, frames.times, people, layout)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
-        save_arrays(file, {**detection_arrays(found), "made_of": np.array(key)})
+        save_arrays(file, {
+            **detection_arrays(found), "made_of": np.array(key), "notes": np.array(film.notes, str)
+        })  # fmt: skip
         if unfinished is not None:
             unfinished.path.unlink(missing_ok=True)
     return found
@@ -88,16 +99,16 @@ def read_film(
 
 @dataclass
 class _Watched:
-    """The frames of a film, which tells of the progress and notes their numbers."""
+    """The frames of a film, which tells of the progress and notes their times."""
 
     film: Film
     watch: Watch | None
-    numbers: list[int] = field(default_factory=list)
+    times: dict[int, float] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[FilmFrame]:
         for frame in self.film:
             yield frame
-            self.numbers.append(frame.number)
+            self.times[frame.number] = frame.time
             if self.watch is not None:
                 self.watch(frame.number + 1, self.film.frames)
 
@@ -127,14 +138,24 @@ def _sights(
     return sights
 
 
-def _detections(film: Film, numbers: list[int], rows: list[Row], layout: str | None) -> Detections:
-    """Detections in pixels of the film, whose frames may have been shrunk.
+def _detections(
+    film: Film, times: Mapping[int, float], people: list[list[Row]], layout: str | None
+) -> Detections:
+    """Detections in pixels of the film, whose frames may have been shrunk, at even times.
 
     What lies beyond the image's border is guessed, and is not seen.
     """
+    numbers = list(times)
+    if not film.clock.even:
+        numbers = list(range(film.frames))
+        people = [
+            at_even_times(own, times, film.frame_rate) if _is_one_person(own) else own
+            for own in people
+        ]
+    rows = sorted((row for own in people for row in own), key=lambda row: row[0])
     if not rows:
         raise FormatError(
-            f"{film.path}: nobody was found in any of its {len(numbers)} frames; a person should "
+            f"{film.path}: nobody was found in any of its {film.frames} frames; a person should "
             "be seen from head to foot and be at least a tenth of the image high"
         )
     shift = (film.shrunk - 1) / 2
@@ -147,7 +168,12 @@ def _detections(film: Film, numbers: list[int], rows: list[Row], layout: str | N
     found = detections_of_rows(
         film.path.name, numbers, scaled, layout=layout, decisions=tuple(film.notes)
     )
-    return replace(found, frame_rate=film.frame_rate, image_size=film.image_size)
+    return replace(found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots)
+
+
+def _is_one_person(rows: list[Row]) -> bool:
+    """Whether rows are of one person: none of a frame twice."""
+    return len({number for number, _, _ in rows}) == len(rows)
 
 
 def _own_detector(name: str) -> Detector:

@@ -82,7 +82,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "one clip is of one person; `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
-        views = read_views(detections, settings).person(settings.person)
+        views = read_views(detections, settings, settings.between).person(settings.person)
         shown = views.files
         if settings.masks is not None:
             if len(shown) != 1:
@@ -94,10 +94,13 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
         clip = _clip_of_one_person(files, [*notes, *views.decisions], settings, body)
-        if len(projects) != 1 or projects[0].frames is None:
+        span = views.shot
+        if len(projects) == 1 and projects[0].frames is not None:
+            span = (projects[0].frames[0], projects[0].frames[1] - 1)
+        if span is None:
             return clip
-        first, end = (k - views.first_frame for k in projects[0].frames)
-        return clip_between(clip, first / shown[0].fps, (end - 1) / shown[0].fps)
+        first, last = ((frame - views.first_frame) / shown[0].fps for frame in span)
+        return clip_between(clip, first, last)
 
 
 def _read(

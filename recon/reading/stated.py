@@ -76,3 +76,53 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.abs(ratio - 1).max() > _CUT:
         raise ObservationError(f"{said}; give the calibration of this film")
     return found, f"{said}: taken as cut at the right and below"
+
+
+_SHOTS_LISTED = 8
+
+
+def in_one_shot(
+    found: Detections, rate: float, between: tuple[float, float] | None
+) -> tuple[Detections, tuple[int, int] | None, str]:
+    """The people of the shot of a film in which they are seen longest.
+
+    Args:
+        found: of one film.
+        rate: frames per second.
+        between: seconds of the film to choose from; None for all.
+
+    Returns:
+        The detections, the first and last frame of the shot (None where the film has no cuts),
+        and a note.
+    """
+    if not found.shots:
+        return found, None, ""
+    starts = [int(found.frame_numbers[0]), *found.shots]
+    ends = [*(start - 1 for start in found.shots), int(found.frame_numbers[-1])]
+    shot = np.searchsorted(found.shots, found.frame, side="right")
+    counted = np.ones(len(shot), bool)
+    if between is not None:
+        seconds = found.frame / rate
+        counted = (seconds >= between[0]) & (seconds <= between[1])
+    seen = np.bincount(shot, weights=found.confidence.mean(1) * counted, minlength=len(starts))
+    best = int(seen.argmax())
+    mine = shot == best
+    others = [f"{a / rate:.2f}-{b / rate:.2f}" for a, b in zip(starts, ends, strict=True)]
+    del others[best]
+    more = "" if len(others) <= _SHOTS_LISTED else f" and {len(others) - _SHOTS_LISTED} more"
+    note = (
+        f"{found.name}: the film has {len(starts)} shots, and only the one from "
+        f"{starts[best] / rate:.2f} to {ends[best] / rate:.2f} s, in which people are seen "
+        f"longest, is taken; --between takes another: {', '.join(others[:_SHOTS_LISTED])}{more} s"
+    )
+    return (
+        replace(
+            found,
+            frame=found.frame[mine],
+            pixels=found.pixels[mine],
+            confidence=found.confidence[mine],
+            identity=found.identity[mine],
+        ),
+        (starts[best], ends[best]),
+        note,
+    )

@@ -24,7 +24,7 @@ from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
-from recon.reading.stated import in_size_of, stated_rate, with_image_size
+from recon.reading.stated import in_one_shot, in_size_of, stated_rate, with_image_size
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -47,9 +47,13 @@ class Views:
     """Frame number of the first frame."""
     decisions: tuple[str, ...]
     """What was decided about files, cameras and persons, and why."""
+    shot: tuple[int, int] | None = None
+    """First and last frame of the one shot that was taken of a film with cuts."""
 
 
-def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
+def read_views(
+    paths: Sequence[Path], how: ReadOptions, between: tuple[float, float] | None = None
+) -> "SeenViews":
     """The 2D keypoints of all people in one or more calibrated views.
 
     Args:
@@ -57,6 +61,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
         how: the options of reading. Without a calibration, the camera of one view is guessed, a
             phone's, from the size of its images.
+        between: seconds of a film with cuts in which to look for its longest shot; None for all.
 
     Raises:
         FileNotFoundError: when a file or folder is not there.
@@ -99,6 +104,10 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     sized = [in_size_of(one, camera) for one, camera in zip(found, cameras, strict=True)]
     found = [one for one, _ in sized]
     first, frames = _frame_range(found)
+    shot = None
+    if len(found) == 1:
+        found[0], shot, cut = in_one_shot(found[0], fps, between)
+        notes = [*notes, *([cut] if cut else [])]
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
     if track is not None:
@@ -121,6 +130,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         frames=frames,
         fps=float(fps),
         up_given=how.camera_up is not None,
+        shot=shot,
         decisions=(
             *notes,
             *calibration.decisions,
@@ -191,6 +201,8 @@ class SeenViews:
     """Whether the caller said which axis of the cameras' world points up."""
     decisions: tuple[str, ...]
     """What was decided about files and cameras, and why."""
+    shot: tuple[int, int] | None = None
+    """First and last frame of the one shot that was taken of a film with cuts."""
 
     def followed(self) -> tuple[TrackedView, ...]:
         """The tracks of all people in every view.
@@ -223,6 +235,7 @@ class SeenViews:
             names=tuple(self.names[v] for v, _ in kept),
             first_frame=self.first_frame,
             decisions=(*self.decisions, *who),
+            shot=self.shot,
         )
 
     def person(self, number: int | None) -> Views:
