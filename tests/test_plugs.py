@@ -22,7 +22,7 @@ VERBS = {
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
-    "recon/live/tracking.py", "recon/live/objective.py",
+    "recon/live/beginning.py", "recon/live/tracking.py", "recon/live/objective.py",
     "recon/live/stream.py", "recon/diagnosis/quick_fit.py", "recon/fitting/retargeting.py",
     "recon/ingest/marker_poses.py",
 }  # fmt: skip

@@ -73,18 +73,15 @@ class LookAtPoints:
         rotations, pelvis, shape, std, log_weight = self._over_windows(seen, body)
         rotations, pelvis, std = _over_gaps(rotations, pelvis, std, seen.visible[0].any(-1))
         placement, first = _Placement(seen, body), int(log_weight.argmax())
+        own = placement.carried(rotations[first], pelvis[first], body.rest_joints(shape)[None])[0]
         shape = placement.shape(rotations[first], pelvis[first], shape)
         every = zip(rotations, pelvis, strict=True)
         moved = torch.stack([placement.pelvis(*one, shape) for one in every])
         translation = moved - body.rest_joints(shape)[0]
         shapes = shape.expand(len(moved), -1)
         motions = Motion.create(translation, rotations, shapes, fps, start_time)
-        away = (
-            seen.positions[0]
-            - placement.carried(rotations[first], moved[first], body.rest_joints(shape)[None])[0]
-        )
         spread = (std[first][:, seen.bone[0]].square() + seen.std.square()).sqrt()
-        far = surprise(away, spread, seen.visible[0])
+        far = surprise(seen.positions[0] - own, spread, seen.visible[0])
         return ProposedMotions(motions, log_weight, std, _doubt(far) if far > FAMILIAR else None)
 
     def _over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:

@@ -85,9 +85,12 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
         FileNotFoundError: when there are no such weights.
         ReconError: when there is no such class or function.
     """
-    found = method
+    found, known = method, registered_places(LOOKS)
     if isinstance(method, str):
-        found = imported_object(registered_places(LOOKS).get(method, method), "method")
+        if method not in known and ":" not in method:
+            names = ", ".join(known)
+            raise ReconError(f"method: expected {names} or 'package.module:Class', got {method!r}")
+        found = imported_object(known.get(method, method), "method")
         if isinstance(found, type):
             load = getattr(found, "load", None)
             found = found() if load is None else load(weights, body)
@@ -129,7 +132,7 @@ def _previewed(
     assert options.method is not None
     look = loaded_look(options.method, options.weights, body)
     given = [options.noise_of(row) for row in range(len(observations))]
-    seen = _in_space(
+    seen = in_space(
         one.derived(rms_std=noise) if one.named and noise else one
         for one, noise in zip(observations, given, strict=True)
     )
@@ -143,7 +146,7 @@ def _previewed(
         T = ground.T_world_recording
     motion, found = likeliest(look, _carried(seen, ground), body)
     if (shape := options.starting_shape) is not None:
-        motion = _with_shape(motion, shape, body)
+        motion = with_shape(motion, shape, body)
     scene = Scene.create(1, like=motion.translation).replace(ground=ground)
     estimate = Estimate(Decoded(motion), body.pose(motion), scene)
     noises = (one.noise(motion, body, own) for one, own in zip(observations, given, strict=True))
@@ -159,7 +162,7 @@ def _carried(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[S
     return [one.transformed(ground.T_world_recording[0].numpy()) for one in seen]
 
 
-def _in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
+def in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     """The observations, with views of calibrated cameras as the points where their rays meet.
 
     What cannot be triangulated stays as it is.
@@ -177,7 +180,7 @@ def _in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     return (*(one for one in observations if not one.view), met)
 
 
-def _with_shape(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
+def with_shape(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
     """The motion of a body of another shape, with its middle where it was."""
     found = motion.replace(shape=shape.to(motion.shape).expand_as(motion.shape))
     away = (body.pose(motion).joints - body.pose(found).joints).mean(-2)

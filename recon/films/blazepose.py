@@ -6,6 +6,8 @@ square about this circle, turned so that the trunk is upright, is cut out for a 
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -186,10 +188,11 @@ class _Network:
         from ai_edge_litert.interpreter import Interpreter
 
         try:
-            self._run: Any = Interpreter(str(path), num_threads=min(os.cpu_count() or 1, 4))
+            with _without_stderr():
+                self._run: Any = Interpreter(str(path), num_threads=min(os.cpu_count() or 1, 4))
+                self._run.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             raise ReconError(f"{path}: expected a network (.tflite): {error}") from error
-        self._run.allocate_tensors()
         self._input = self._run.get_input_details()[0]["index"]
         self._outputs = {
             tuple(int(n) for n in one["shape"][1:]): one["index"]
@@ -207,6 +210,19 @@ class _Network:
         self._run.set_tensor(self._input, image[None].astype(np.float32))
         self._run.invoke()
         return [self._run.get_tensor(self._outputs[one])[0] for one in (self._first, *more)]
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Context in which libraries write nothing to stderr: LiteRT tells of every network."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _sigmoid(logits: np.ndarray) -> np.ndarray:

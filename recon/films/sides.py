@@ -31,7 +31,7 @@ _AGREEMENT = 0.1
 """Distance of two landmarks, in sizes of the body, up to which their mean is taken."""
 _USUAL, _HIDDEN, _PER_DISTANCE = 0.02, 0.06, 0.3
 """Error of a landmark that is surely seen, in sizes of the body, how much larger that of one is
-which is not, and its share of the distance between the image's and the mirror image's; told by the
+which is not, and its share of the distance from other places where it may be; told by the
 distances from OpenPose's keypoints in three films of one person (Pose2Sim, 100 frames each)."""
 _LEAST_SEEN = 0.05
 """Visibility times presence from which on a landmark counts as seen."""
@@ -53,7 +53,8 @@ def _rows_of_track(sights: list[Sight]) -> list[Row]:
     chosen, other = _named(seen, size, frames)
     apart = np.linalg.norm(chosen - other, axis=-1) / size[:, None]
     pixels = np.where((apart < _AGREEMENT)[..., None], (chosen + other) / 2, chosen)
-    points = np.concatenate((pixels, _confidence(sights, apart)[..., None]), -1)
+    off = np.linalg.norm(pixels - _median_in_time(pixels), axis=-1) / size[:, None]
+    points = np.concatenate((pixels, _confidence(sights, apart + off)[..., None]), -1)
     return [(sight.frame, row, -1) for sight, row in zip(sights, points, strict=True)]
 
 
@@ -111,6 +112,14 @@ def _cheapest_path(
     return path
 
 
+def _median_in_time(
+    pixels: Float[np.ndarray, "frames 33 2"],
+) -> Float[np.ndarray, "frames 33 2"]:
+    """The median of every coordinate over five frames: what passes within two is no movement."""
+    padded = np.pad(pixels, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    return np.median(np.stack([padded[k : k + len(pixels)] for k in range(5)]), axis=0)
+
+
 def _confidence(
     sights: list[Sight], apart: Float[np.ndarray, "frames 33"]
 ) -> Float[np.ndarray, "frames 33"]:
@@ -118,7 +127,8 @@ def _confidence(
 
     Args:
         sights: of one person.
-        apart: distance of the two places of every landmark, sizes of the body.
+        apart: distance of the two places of every landmark from each other, and of their mean from
+            the frames before and after, sizes of the body.
     """
     visible, present = (
         np.min([(getattr(one.pose, name), getattr(one.mirrored, name)) for one in sights], axis=1)

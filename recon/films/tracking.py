@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from recon.films.blazepose import BlazePose, Image, Pose, Region
+from recon.films.blazepose import MIRRORED, BlazePose, Image, Pose, Region
 
 _SEARCH_S = 0.25
 """Seconds between two looks for people who are not followed."""
@@ -15,7 +15,9 @@ _LEAST_SCORE = 0.5
 _SAME_PLACE = 0.25
 """Hips of two regions so near, in sides of the smaller, are of one person."""
 _SAME_BODY = 0.1
-"""Two bodies whose landmarks are so near in the median, in sides of the region, are one."""
+"""Two bodies so near to each other, in sides of the smaller region, are one."""
+_LARGE = [11, 12, *range(23, 29)]
+"""Landmarks of shoulders, hips, knees and ankles: faces and hands of two people may be near."""
 _CUTOFF_HZ, _SPEED_CUTOFF, _RATE_CUTOFF_HZ = 0.01, 10.0, 1.0
 """Of the filter of regions: its cut-off frequency at rest, how much it rises per region's side per
 second, and the cut-off of the speed."""
@@ -45,8 +47,9 @@ class TrackerState:
     """Number of the next track."""
     next_search: int
     """Frame of the next look for new people."""
-    tracks: Float[np.ndarray, "tracks 13"]
-    """Number, region (centre, side, angle), filtered points and their speed of every track."""
+    tracks: Float[np.ndarray, "tracks 79"]
+    """Number, region (centre, side, angle), filtered points, their speed and the landmarks of the
+    last frame of every track."""
 
 
 @dataclass
@@ -57,9 +60,17 @@ class _Track:
     """Filtered hips and rim; None before the first frame."""
     speed: Float[np.ndarray, "2 2"] = field(default_factory=lambda: np.zeros((2, 2)))
     """Filtered, in sides of the region per second."""
+    body: Float[np.ndarray, "33 2"] | None = None
+    """Landmarks of the last frame; None before the first."""
 
-    def follow(self, points: Float[np.ndarray, "2 2"], rate: float) -> None:
-        """Move the region to new points by a one-euro filter (Casiez et al. 2012)."""
+    def jump(self, pose: Pose) -> float:
+        """How far a body is from that of the last frame, sides of the region."""
+        return 0.0 if self.body is None else _gap(pose.pixels, self.body) / self.region.side
+
+    def follow(self, sight: Sight, rate: float) -> None:
+        """Move the region after the person by a one-euro filter (Casiez et al. 2012)."""
+        self.body = sight.pose.pixels
+        points = (sight.pose.next_points + sight.mirrored.next_points) / 2
         if self.points is None:
             self.points = points
         speed = (points - self.points) / self.region.side * rate
@@ -91,13 +102,13 @@ class Tracker:
         rows = [
             (
                 one.number, *one.region.centre, one.region.side, one.region.angle,
-                *one.points.ravel(), *one.speed.ravel(),
+                *one.points.ravel(), *one.speed.ravel(), *one.body.ravel(),
             )
             for one in self._tracks
-            if one.points is not None
+            if one.points is not None and one.body is not None
         ]  # fmt: skip
         return TrackerState(
-            self._frame, self._shot, self._fresh, self._next_search, np.reshape(rows, (-1, 13))
+            self._frame, self._shot, self._fresh, self._next_search, np.reshape(rows, (-1, 79))
         )
 
     def go_on(self, state: TrackerState) -> None:
@@ -107,7 +118,7 @@ class Tracker:
         self._tracks = [
             _Track(
                 int(row[0]), Region(row[1:3], float(row[3]), float(row[4])),
-                row[5:9].reshape(2, 2), row[9:].reshape(2, 2),
+                row[5:9].reshape(2, 2), row[9:13].reshape(2, 2), row[13:].reshape(33, 2),
             )
             for row in state.tracks
         ]  # fmt: skip
@@ -122,16 +133,13 @@ class Tracker:
             if frame >= self._next_search:
                 self._next_search = frame + max(round(_SEARCH_S * self._rate), 1)
         before = len(self._tracks)
-        seen = list(self._looked(image, frame))
-        seen = self._distinct(seen)
-        kept = {one.track: one for one in seen}
-        self._tracks = [one for one in self._tracks if one.number in kept]
-        for one in self._tracks:
-            sight = kept[one.number]
-            one.follow((sight.pose.next_points + sight.mirrored.next_points) / 2, self._rate)
+        kept = self._distinct(list(self._looked(image, frame)))
+        for one, sight in kept:
+            one.follow(sight, self._rate)
+        self._tracks = sorted((one for one, _ in kept), key=lambda one: one.number)
         if len(self._tracks) < before:
             self._next_search = min(self._next_search, frame + 1)
-        return seen
+        return [sight for _, sight in kept]
 
     def _search(self, image: Image, *, tiles: bool) -> None:
         found = self._networks.find(image)
@@ -142,20 +150,28 @@ class Tracker:
                 self._tracks.append(_Track(self._fresh, region))
                 self._fresh += 1
 
-    def _looked(self, image: Image, frame: int) -> Iterator[Sight]:
-        for one in self._tracks:
-            pose, mirrored = (
-                self._networks.pose(image, one.region, mirror=mirror) for mirror in (False, True)
-            )
-            if max(pose.score, mirrored.score) >= _LEAST_SCORE:
-                yield Sight(frame, one.number, pose, mirrored)
+    def _looked(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
+        """Everybody who is still in their region.
 
-    def _distinct(self, seen: list[Sight]) -> list[Sight]:
-        """Of two sights of one body that of the older track."""
-        kept: list[Sight] = []
-        for one in seen:
-            if all(not _same_body(one.pose, other.pose) for other in kept):
-                kept.append(one)
+        Where the image and its mirror image show different bodies, of two people who overlap, the
+        one counts that moved less since the last frame.
+        """
+        for one in self._tracks:
+            both = [self._networks.pose(image, one.region, mirror=it) for it in (False, True)]
+            sure = [pose for pose in both if pose.score >= _LEAST_SCORE]
+            if not sure:
+                continue
+            steady = min(sure, key=one.jump)
+            pose, mirrored = (it if _same_body(it, steady) else steady for it in both)
+            yield one, Sight(frame, one.number, pose, mirrored)
+
+    def _distinct(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
+        """Of tracks that are on one body the one that moved least to get there, if it is old."""
+        seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
+        kept: list[tuple[_Track, Sight]] = []
+        for track, sight in seen:
+            if all(not _same_body(sight.pose, other.pose) for _, other in kept):
+                kept.append((track, sight))
         return kept
 
 
@@ -165,8 +181,13 @@ def _same_place(one: Region, other: Region) -> bool:
 
 
 def _same_body(one: Pose, other: Pose) -> bool:
-    away = np.median(np.linalg.norm(one.pixels - other.pixels, axis=1))
-    return bool(away < _SAME_BODY * max(one.region.side, other.region.side))
+    return _gap(one.pixels, other.pixels) < _SAME_BODY * min(one.region.side, other.region.side)
+
+
+def _gap(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
+    """Median distance of trunk and legs of two bodies, whichever side is left, pixels."""
+    away = (np.linalg.norm((one - way)[_LARGE], axis=1) for way in (other, other[MIRRORED]))
+    return min(float(np.median(distances)) for distances in away)
 
 
 def _tiles(image: Image) -> Iterator[Region]:

@@ -94,7 +94,7 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     """
     if name is None or is_preview(name):
         return None
-    known = tuple(getattr(class_of(prior) if isinstance(prior, str) else prior, "methods", ()))
+    known = list(getattr(class_of(prior) if isinstance(prior, str) else prior, "methods", ()))
     if name in known:
         return name
     whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"

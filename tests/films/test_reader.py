@@ -102,10 +102,13 @@ def test_kept_detections_are_of_the_content_of_a_film(film, tmp_path, monkeypatc
             read_film(other, kept=tmp_path)
 
 
-def test_detect_writes_what_fit_reads(film, tmp_path, capsys):
+def test_detect_writes_what_fit_reads(film, tmp_path, capfd):
     out = tmp_path / "keypoints.npz"
     assert cli.run(["detect", str(film), "--out", str(out)]) == cli.OK
-    assert "person 0" in capsys.readouterr().err
+    assert "person 0" in capfd.readouterr().err
+    quietly = ["detect", str(film), "--out", str(tmp_path / "b.npz"), "--quiet"]
+    assert cli.run(quietly) == cli.OK
+    assert capfd.readouterr().err == f"{tmp_path / 'b.npz'}\n", "LiteRT wrote of its networks"
     assert load_arrays(out)["keypoints"].shape == (FRAMES, 1, 33, 2)
     view = recon.read(out)
     direct = recon.read(film)

@@ -63,7 +63,7 @@ def test_of_two_images_the_one_that_moves_on_is_believed():
     assert far.sum() > 5
     np.testing.assert_allclose(rows[30][1][far, :2], truth[30][far])
     assert (rows[30][1][far, 2] < 0.4).all()
-    assert (rows[29][1][:, 2] > 0.9).all()
+    assert (rows[29][1][:, 2] > 0.8).all()
 
 
 def test_confidence_falls_with_what_is_hidden_and_is_zero_beyond_the_crop():
@@ -75,6 +75,15 @@ def test_confidence_falls_with_what_is_hidden_and_is_zero_beyond_the_crop():
             for t, p in enumerate(truth)
         ]
         sure.append(float(np.mean([row[1][:, 2] for row in rows_of_sights(one)])))
-    assert sure[0] == 1.0
+    assert sure[0] > 0.99
     assert sure[0] > sure[1] > sure[2] > 0.1
     assert sure[3] == sure[4] == 0.0
+
+
+def test_a_landmark_that_leaves_its_place_for_a_frame_is_not_sure():
+    truth = body()
+    image = truth.copy()
+    image[30, 15] += 80
+    confidence = np.array([row[1][:, 2] for row in rows_of_sights(seen(image, image))])
+    assert confidence[30, 15] < 0.3
+    assert confidence[[29, 31], 15].min() > 0.8
