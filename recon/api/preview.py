@@ -85,9 +85,12 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
         FileNotFoundError: when there are no such weights.
         ReconError: when there is no such class or function.
     """
-    found = method
+    found, known = method, registered_places(LOOKS)
     if isinstance(method, str):
-        found = imported_object(registered_places(LOOKS).get(method, method), "method")
+        if method not in known and ":" not in method:
+            names = ", ".join(known)
+            raise ReconError(f"method: expected {names} or 'package.module:Class', got {method!r}")
+        found = imported_object(known.get(method, method), "method")
         if isinstance(found, type):
             load = getattr(found, "load", None)
             found = found() if load is None else load(weights, body)

@@ -140,6 +140,10 @@ class Detections:
     """Frames per second, where the file tells."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the file tells."""
+    lines: Float[np.ndarray, "lines 2 2"] | None = None
+    """Ends of straight segments in some images of a film, pixels."""
+    lines_frame: Int[np.ndarray, " lines"] | None = None
+    """The frame number of each."""
     shots: tuple[int, ...] = ()
     """Frame numbers with which shots after the first begin, of a film with cuts."""
 

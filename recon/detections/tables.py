@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, Shaped
 
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
-from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
+from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, PIXEL, SAMPLES
 from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import (
@@ -206,7 +206,29 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         frame_rate=float(rate[0]) if told else None,
         image_size=(int(size[0]), int(size[1])) if sized else None,
         shots=tuple(shots.tolist()) if cut else (),
+        **_straight_lines(arrays, path),
     )
+
+
+def _straight_lines(
+    arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path
+) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Straight segments of images, and the frame of each, where a file has them.
+
+    Raises:
+        ValueError: when they are not numbers of shapes that belong together.
+    """
+    if "lines" not in arrays:
+        return {}
+    lines, frame = np.asarray(arrays["lines"]), np.asarray(arrays.get("lines_frame"))
+    shaped = lines.shape[1:] == (2, 2) and frame.shape == lines.shape[:1]
+    if not shaped or lines.dtype.kind != "f" or frame.dtype.kind not in "iu":
+        raise FormatError(
+            f"{path}: expected lines (N, 2, 2) of decimal numbers and their whole lines_frame "
+            f"(N), got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
+        )
+    PIXEL.check(lines, path.name, "lines")
+    return {"lines": lines.astype(np.float64), "lines_frame": frame}
 
 
 def _numbers_of_rows(
@@ -255,7 +277,7 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
     out["identity"][frames, column] = found.identity
     for key, value in (
         ("frame_rate", found.frame_rate), ("image_size", found.image_size),
-        ("shots", found.shots or None),
+        ("shots", found.shots or None), ("lines", found.lines), ("lines_frame", found.lines_frame),
     ):  # fmt: skip
         if value is not None:
             out[key] = np.array(value)

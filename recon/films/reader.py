@@ -1,11 +1,13 @@
 """Reads films: people are detected in every frame, followed, and written down as 2D keypoints."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError, ReconError
 from recon.core.plugins import DETECTORS, imported_object, registered_places
@@ -17,6 +19,7 @@ from recon.films.decoding import Film, FilmFrame, open_film
 from recon.films.sides import rows_of_sights
 from recon.films.tracking import Sight, Tracker
 from recon.films.unfinished import Unfinished
+from recon.films.vertical import straight_segments
 from recon.formats.opening import existing_file, load_arrays
 from recon.formats.replacing import file_checksum, save_arrays, value_checksum
 
@@ -30,6 +33,8 @@ _VERSION = 3
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
 """Frames."""
+_IMAGES_WITH_LINES = 5
+"""Images of a film in which straight lines are looked for."""
 
 
 def _kept_file(path: Path, folder: Path, key: str) -> Path:
@@ -86,7 +91,10 @@ def read_film(
     else:
         rows = sorted(_own_detector(detector)(frames), key=lambda row: row[2])
         people = [list(own) for _, own in groupby(rows, key=lambda row: row[2])]
-    found = _detections(film, frames.times, people, layout)
+    lines, lines_frame = frames.lines()
+    found = replace(
+        _detections(film, frames.times, people, layout), lines=lines, lines_frame=lines_frame
+    )
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         save_arrays(file, {
@@ -104,13 +112,31 @@ class _Watched:
     film: Film
     watch: Watch | None
     times: dict[int, float] = field(default_factory=dict)
+    segments: dict[int, tuple[int, Float[np.ndarray, "segments 2 2"]]] = field(
+        default_factory=dict
+    )
+    """Shot and straight segments, pixels of the film, of some frames by their numbers."""
 
     def __iter__(self) -> Iterator[FilmFrame]:
+        every = max(1, self.film.frames // _IMAGES_WITH_LINES)
         for frame in self.film:
+            if frame.number % every == every // 2:
+                shift = (self.film.shrunk - 1) / 2
+                ends = straight_segments(frame.image) * self.film.shrunk + shift
+                self.segments[frame.number] = frame.shot, ends
             yield frame
             self.times[frame.number] = frame.time
             if self.watch is not None:
                 self.watch(frame.number + 1, self.film.frames)
+
+    def lines(self) -> tuple[Float[np.ndarray, "lines 2 2"], Int[np.ndarray, " lines"]]:
+        """The segments of the shot that has most of these images, and the frame of each."""
+        shots = Counter(shot for shot, _ in self.segments.values())
+        chosen = shots.most_common(1)[0][0] if shots else 0
+        own = {n: ends for n, (shot, ends) in self.segments.items() if shot == chosen}
+        count = [len(ends) for ends in own.values()]
+        ends = np.concatenate([np.zeros((0, 2, 2)), *own.values()])
+        return ends, np.repeat(np.array(list(own), dtype=np.int64), count)
 
 
 def _sights(
@@ -127,14 +153,15 @@ def _sights(
         for count, frame in enumerate(frames, start=1):
             if frame.number <= after:
                 continue
-            found = tracker.step(frame.image, frame.number, frame.shot)
-            sights, state = [*sights, *found], tracker.state()
+            sights += tracker.step(frame.image, frame.number, frame.shot)
+            state = tracker.state()
             if unfinished is not None and count % _SAVED_EVERY == 0:
                 unfinished.save(sights, state)
         done = True
     finally:
         if unfinished is not None and state is not None and not done:
-            unfinished.save(sights, state)
+            # an interruption between two statements may have left sights of a further frame
+            unfinished.save([one for one in sights if one.frame <= state.frame], state)
     return sights
 
 

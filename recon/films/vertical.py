@@ -53,7 +53,11 @@ class Vertical:
 
 
 def find_vertical(
-    images: Sequence[UInt8[np.ndarray, "height width 3"]], focal: float, *, known: bool
+    images: Sequence[Float[np.ndarray, "_ 2 2"]],
+    longer: int,
+    focal: float,
+    *,
+    known: bool,
 ) -> Vertical | None:
     """The vertical in images of one still camera; None where lines do not tell it.
 
@@ -61,16 +65,15 @@ def find_vertical(
     and where images disagree because the camera turns.
 
     Args:
-        images: colour images of one size, upright as they are looked at; five are enough.
+        images: ends of the straight segments of each image, pixels from the principal point; of
+            a film five images are enough.
+        longer: the longer side of the images, pixels.
         focal: focal length in pixels; its guess where it is not known.
         known: whether it is known. If not, it is looked for, and the guess is taken where lines
             do not tell it.
     """
-    longer = max(images[0].shape[:2])
-    found = [_segments(image) for image in images]
-    segments = np.concatenate(found)
-    steep = _steep(segments)
-    if len(segments) < _FEWEST_SEGMENTS or not steep.any():
+    segments = np.concatenate([np.zeros((0, 2, 2)), *images])
+    if len(segments) < _FEWEST_SEGMENTS or not _steep(segments).any():
         return None
     chance = np.random.default_rng(0)
     lengths = np.full(1, focal) if known else longer * _FOCAL_LENGTHS
@@ -84,16 +87,17 @@ def find_vertical(
         (up, share), focal = proposals[best], float(lengths[best])
     if share < _share_by_chance(segments, lengths[::4], chance) + _BEYOND_CHANCE:
         return None
-    own = [_explained(one, focal, up[None])[0] for one in found if len(one) > 0]
+    own = [_explained(one, focal, up[None])[0] for one in images if len(one) > 0]
     if min(own) < _EVERY_IMAGE * np.mean(own):
         return None
     return Vertical(up, focal if told else None)
 
 
-def _segments(image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "segments 2 2"]:
-    """Ends of the long straight segments of an image, pixels from its centre."""
-    height, width = image.shape[:2]
-    longer = max(height, width)
+def straight_segments(
+    image: UInt8[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "segments 2 2"]:
+    """Ends of the long straight segments of an image, pixels."""
+    longer = max(image.shape[:2])
     scale = min(1.0, _LONGEST_SIDE / longer)
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     if scale < 1:
@@ -102,8 +106,7 @@ def _segments(image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "
     if lines is None:
         return np.zeros((0, 2, 2))
     ends = lines.reshape(-1, 2, 2).astype(np.float64) / scale
-    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > _SHORTEST_SEGMENT * longer
-    return ends[long] - (width / 2, height / 2)
+    return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > _SHORTEST_SEGMENT * longer]
 
 
 def _steep(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:

@@ -175,6 +175,20 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
     return out
 
 
+def straightened(
+    pixels: Float[np.ndarray, "*points 2"], camera: CameraArrays
+) -> Float[np.ndarray, "*points 2"]:
+    """Pixels that the same camera with a perfect lens would see."""
+    if camera.distortion is None:
+        return pixels
+    import cv2
+
+    flat = cv2.undistortPoints(
+        pixels.reshape(-1, 1, 2), camera.camera_matrix, camera.distortion, P=camera.camera_matrix
+    )
+    return flat.reshape(pixels.shape)
+
+
 def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
     """A phone's camera for images of this size: 75 degrees across, principal point in the middle.
 

@@ -10,7 +10,7 @@ from recon.core.errors import ObservationError
 from recon.detections.reader import read_keypoints
 from recon.detections.records import Detections
 from recon.fitting.settings import ReadOptions
-from recon.formats.cameras import CameraArrays
+from recon.formats.cameras import CameraArrays, CameraPath, straightened
 from recon.formats.producers import is_film
 
 _DRIFT = 1.0
@@ -126,3 +126,40 @@ def in_one_shot(
         (starts[best], ends[best]),
         note,
     )
+
+
+def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str]:
+    """A still camera with the vertical, and the focal length, of straight lines in its film.
+
+    Unchanged, and without a note, where its pose is known or lines do not tell the vertical.
+    """
+    if camera.T_camera_world is not None or camera.path is not None or found.lines is None:
+        return camera, ""
+    from recon.films.vertical import find_vertical  # films only
+
+    matrix = camera.camera_matrix
+    ends = straightened(found.lines, camera) - matrix[:2, 2]
+    assert found.lines_frame is not None
+    images = [ends[found.lines_frame == one] for one in np.unique(found.lines_frame)]
+    focal = float(matrix[[0, 1], [0, 1]].mean())
+    told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
+    if told is None:
+        return camera, ""
+    ahead = np.array([0.0, 0.0, 1.0]) - told.up * told.up[2]
+    ahead /= np.linalg.norm(ahead)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = np.stack((np.cross(ahead, told.up), ahead, told.up))
+    down, roll = (
+        np.degrees(np.arcsin(-told.up[2])), np.degrees(np.arctan2(told.up[0], -told.up[1]))
+    )  # fmt: skip
+    said = (
+        f"{found.name}: straight lines tell that the camera looks {down:.0f} degrees down and is "
+        f"rolled by {roll:.0f}"
+    )
+    if told.focal is not None:
+        matrix = matrix * np.array([[told.focal / focal], [told.focal / focal], [1.0]])
+        matrix[:2, 2] = camera.camera_matrix[:2, 2]
+        said += f", and a focal length of {told.focal:.0f} pixels"
+    path = CameraPath(T_world_camera[None], metric=True, level=True)
+    known = camera.focal_known or told.focal is not None
+    return replace(camera, camera_matrix=matrix, focal_known=known, path=path), said

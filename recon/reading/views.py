@@ -24,7 +24,7 @@ from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
-from recon.reading.stated import in_one_shot, in_size_of, stated_rate, with_image_size
+from recon.reading.stated import in_one_shot, in_size_of, levelled, stated_rate, with_image_size
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -115,6 +115,10 @@ def read_views(
         carried = (_notes_of_views(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
+    level: list[str] = []
+    if how.ground is None:  # a plane that was given tells more
+        both = [levelled(*one) for one in zip(found, cameras, strict=True)]
+        cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
     inside = [
@@ -135,6 +139,7 @@ def read_views(
             *notes,
             *calibration.decisions,
             *carried,
+            *level,
             *matching,
             *layouts,
             *(note for _, note in sized if note),

@@ -43,3 +43,10 @@ def test_shots_are_kept_with_the_detections(tmp_path, shots):
     again = read_detection_arrays(tmp_path / "a.npz")
     assert again.shots == shots
     assert (in_one_shot(again, 10.0, None)[1] is None) == (shots == ())
+
+
+def test_nobody_is_followed_across_a_cut():
+    tracks = tracks_of_people(film(range(100)))
+    assert [(one.number, one.frame[0], one.frame[-1]) for one in tracks] == [
+        (0, 0, 29), (1, 30, 49), (2, 50, 99)
+    ]  # fmt: skip
