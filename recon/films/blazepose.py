@@ -136,14 +136,15 @@ class BlazePose:
             found.append((Region.of_points(hips, rim), float(scores[members[0]])))
         return found
 
-    def pose(self, image: Image, region: Region, *, mirror: bool = False) -> Pose:
-        """The landmarks of the person in a region, or of the region's mirror image.
+    def poses(self, image: Image, region: Region) -> tuple[Pose, Pose]:
+        """The landmarks of the person in a region, and those told by its mirror image.
 
         A mirror image gives the same person: places are mirrored back, left and right named anew.
         """
         cut = region.cut(image, _SIDE)
-        if mirror:
-            cut = cut[:, ::-1]
+        return self._pose(cut, region, mirror=False), self._pose(cut[:, ::-1], region, mirror=True)
+
+    def _pose(self, cut: Image, region: Region, *, mirror: bool) -> Pose:
         raw, score, heat = self._landmarks(cut / np.float32(255.0), (1,), (_HEAT, _HEAT, _POINTS))
         rows = raw.reshape(_POINTS, 5).astype(float)
         places = _refined(rows[:, :2], heat)
@@ -151,7 +152,7 @@ class BlazePose:
         if mirror:
             places = places * (-1, 1) + (_SIDE, 0)
             places[:LANDMARKS], sure = places[MIRRORED], sure[MIRRORED]
-        inside = ((places > 0) & (places < _SIDE)).all(-1)
+        inside = np.all((places > 0) & (places < _SIDE), axis=-1)
         pixels = _mapped(places - 0.5, region.to_image(_SIDE))
         return Pose(
             pixels=pixels[:LANDMARKS],

@@ -28,7 +28,7 @@ Watch = Callable[[int, int], None]
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 """Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
 of every keypoint, and the person's number or -1."""
-_VERSION = 2
+_VERSION = 3
 """Rises when the same film gives other detections, so that kept ones are made again."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from recon.films.blazepose import MIRRORED, BlazePose, Image, Pose, Region
 
-_SEARCH_S = 0.25
+_SEARCH_S = 0.5
 """Seconds between two looks for people who are not followed."""
 _LEAST_SCORE = 0.5
 """Score of a region from which on it holds a person."""
@@ -157,7 +157,7 @@ class Tracker:
         one counts that moved less since the last frame.
         """
         for one in self._tracks:
-            both = [self._networks.pose(image, one.region, mirror=it) for it in (False, True)]
+            both = self._networks.poses(image, one.region)
             sure = [pose for pose in both if pose.score >= _LEAST_SCORE]
             if not sure:
                 continue

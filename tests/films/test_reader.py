@@ -96,7 +96,7 @@ def test_kept_detections_are_of_the_content_of_a_film(film, tmp_path, monkeypatc
     (tmp_path / "other").mkdir()
     other = write(tmp_path / "other" / "cam.mp4", walker()[0][:8])
     with monkeypatch.context() as without:
-        without.setattr(BlazePose, "pose", None)
+        without.setattr(BlazePose, "poses", None)
         np.testing.assert_array_equal(read_film(same, kept=tmp_path).pixels, first.pixels)
         with pytest.raises(TypeError):
             read_film(other, kept=tmp_path)

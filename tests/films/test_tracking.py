@@ -21,7 +21,10 @@ class TwoPeople(BlazePose):
     def find(self, *_):
         return [(region_at(x), 0.9) for x in (200.0, 360.0)]
 
-    def pose(self, _, region, *, mirror=False):
+    def poses(self, _, region):
+        return self._at(region, mirror=False), self._at(region, mirror=True)
+
+    def _at(self, region, *, mirror):
         second = region.centre[0] > 280
         x = 360.0 if second and mirror not in self.mistaken else 200.0
         full = np.ones(33)
