@@ -82,7 +82,11 @@ def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> l
     share = np.clip((numbers - taken[after - 1]) / step, 0.0, 1.0)
     joined = step <= _GAP
     kept = joined | (np.minimum(share, 1 - share) * step <= _EVEN)
-    share = np.where(joined, share, share.round())
+    numbers, after, share = (
+        numbers[kept],
+        after[kept],
+        np.where(joined, share, share.round())[kept],
+    )
     weight = share[:, None, None]
     mixed = (1 - weight) * points[after - 1] + weight * points[after]
     sure = np.stack([points[after - 1, :, 2], points[after, :, 2]])
@@ -91,7 +95,5 @@ def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> l
     )
     person = rows[0][2]
     return [
-        (int(number), keypoints, person)
-        for number, keypoints, found in zip(numbers, mixed, kept, strict=True)
-        if found
+        (int(number), keypoints, person) for number, keypoints in zip(numbers, mixed, strict=True)
     ]

@@ -165,6 +165,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
         recorded = None
     clock = played if recorded is None else clock_of_stamps(stamps, recorded)
     FRAME_RATE.check(clock.rate, path)
+    FRAMES.check(clock.frames, path, "its time stamps")
     if recorded is not None:
         told = "given" if frame_rate is not None else f"the camera wrote {_CAPTURE_RATE}"
         notes.append(f"recorded at {recorded:g} Hz ({told}), played at {played.rate:.4g} Hz")

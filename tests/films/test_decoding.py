@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.core.errors import FormatError
+from recon.core.errors import FormatError, ReconError
 from recon.films.decoding import open_film
 
 WIDTH, HEIGHT = 64, 48
@@ -107,6 +107,14 @@ def test_rounded_time_stamps_do_not_add_up(tmp_path):
     )
     assert film.frames == 300
     assert film.clock.even
+
+
+def test_time_stamps_that_jump_for_weeks_are_refused(tmp_path):
+    stamps = [k / 30 + 500_000 * (k > 5) for k in range(10)]
+    path = write(tmp_path / "a.mkv", [picture(k) for k in range(10)], stamps=stamps)
+    with pytest.raises(ReconError, match="time stamps") as refusal:
+        open_film(path)
+    assert "number of frames" in str(refusal.value)
 
 
 @pytest.mark.parametrize("told", ["by the phone", "by the caller"])
