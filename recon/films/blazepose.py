@@ -152,7 +152,7 @@ class BlazePose:
         if mirror:
             places = places * (-1, 1) + (_SIDE, 0)
             places[:LANDMARKS], sure = places[MIRRORED], sure[MIRRORED]
-        inside = np.all((places > 0) & (places < _SIDE), axis=-1)
+        inside: Bool[np.ndarray, " points"] = np.all((places > 0) & (places < _SIDE), axis=-1)
         pixels = _mapped(places - 0.5, region.to_image(_SIDE))
         return Pose(
             pixels=pixels[:LANDMARKS],
