@@ -25,7 +25,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "depth": (*_CLOUDS, "depth"),
     "depth_mixed": (*_CLOUDS, *_MIXED, "--only", "12"),
     "depth_walks": (*_CLOUDS, "walks"),
-    "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
+    "films_real": ("films", "real", "OBSERVATIONS"),
+    "films_rendered": ("films", "rendered", "CORPUS", "--films", "FILMS"),
     "real": ("real", "OBSERVATIONS"),
     "strangers": ("strangers", "CORPUS", "FOLDS"),
     "generation": ("generation", "CORPUS", "--weights", "open", "nc"),
@@ -55,9 +56,6 @@ def main() -> None:
     places = {"CORPUS": out / "corpus", "OBSERVATIONS": data / "observations", "DATA": data}
     run("recon", "convert", "--all", str(data / "mocap"), str(places["CORPUS"]))
     run("benchmarks.free_recordings", str(data), str(places["CORPUS"]))
-    places["PEOPLE"] = out / "people.npz"
-    if "labels" in given.only and not places["PEOPLE"].is_file():
-        run("benchmarks.people", str(places["PEOPLE"]))
     for name in given.only:
         module, *arguments = (placed(word, places, out) for word in COMMANDS[name])
         run(f"benchmarks.{module}", *arguments, "--out", str(out))

@@ -78,6 +78,9 @@ class Keypoints2D(PointsOfBody):
     """Whether the z axis of the recording's frame points up where its ground is not known."""
     unit_known: bool = True
     """Whether a moving camera's translations are metres; if not, a fit corrects their unit."""
+    lens: tuple[float, ...] = ()
+    """Coefficients of the distortion that was taken out of the pixels, as in `Camera`; no fit
+    needs them, but who draws on the image does."""
 
     def __init__(
         self,
@@ -93,6 +96,7 @@ class Keypoints2D(PointsOfBody):
         focal_known: bool = True,
         level: bool = False,
         unit_known: bool = True,
+        lens: tuple[float, ...] = (),
     ) -> None:
         """Converts numpy arrays to float32 tensors and sets points that are not seen to zero.
 
@@ -109,6 +113,7 @@ class Keypoints2D(PointsOfBody):
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
             offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
+            lens=lens,
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":

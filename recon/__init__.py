@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D as Keypoints2D
     from observations.keypoints3d import Keypoints3D as Keypoints3D
     from observations.markers3d import Markers3D as Markers3D
+    from recon.api.calibrate import calibrate as calibrate
     from recon.api.convert import convert as convert
     from recon.api.convert import to_body as to_body
+    from recon.api.detect import detect as detect
     from recon.api.evaluate import evaluate as evaluate
     from recon.api.fit import complete as complete
     from recon.api.fit import fit as fit
@@ -63,6 +65,7 @@ _HOMES = {
     "joint_angles": "recon.gait.angles",
     "bench": "recon.benchmark.judged",
     "complete": "recon.api.fit",
+    "detect": "recon.api.detect",
     "refine": "recon.api.fit",
     "retarget": "recon.api.retarget",
     "sample": "recon.api.generate",
@@ -73,6 +76,7 @@ _HOMES = {
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",
     "register": "recon.api.register",
+    "calibrate": "recon.api.calibrate",
     "to_body": "recon.api.convert",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",

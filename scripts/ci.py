@@ -64,8 +64,8 @@ def install() -> None:
 
 
 def develop() -> None:
-    """Install what the other steps need beside the package."""
-    run(*PIP, "--group", "dev")
+    """Install what the other steps need beside the package, and the extra `film`."""
+    run(*PIP, "--group", "dev", "--editable", "film-models", "--editable", ".[film]")
 
 
 def demo() -> None:

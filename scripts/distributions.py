@@ -47,6 +47,7 @@ def main() -> None:
     parser.add_argument("--any-torch", action="store_true", help="install CUDA's libraries, too")
     arguments = parser.parse_args()
     wheel, sdist = build(ROOT, arguments.out.resolve())
+    build(ROOT / "film-models", arguments.out.resolve())
     for path in (wheel, sdist):
         print(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB", flush=True)
     if wheel.stat().st_size > LARGEST:

@@ -17,12 +17,12 @@ VERBS = {
     "recon/api/interpolate.py", "recon/api/retarget.py",
     "recon/cli/making.py",
     "recon/fitting/recording.py", "recon/fitting/interpolation.py",
-    "recon/fitting/retargeting.py", "recon/demo.py",
+    "recon/fitting/retargeting.py", "recon/api/demo.py",
     "training/labels/shards.py",
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
-    "recon/live/tracking.py", "recon/live/objective.py",
+    "recon/live/beginning.py", "recon/live/tracking.py", "recon/live/objective.py",
     "recon/live/stream.py", "recon/diagnosis/quick_fit.py", "recon/fitting/retargeting.py",
     "recon/ingest/marker_poses.py",
 }  # fmt: skip

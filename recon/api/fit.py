@@ -30,7 +30,7 @@ from recon.core.motion import Motion
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, trait_of
+from recon.fitting.methods import FitOptions, Method, trait_of
 from recon.fitting.records import Clip
 from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
@@ -45,7 +45,7 @@ def fit(
     prior: str | PriorLike = "humor",
     *,
     weights: str = "open",
-    method: str | None = None,
+    method: Method | None = None,
     body: BodyLike = None,
     shape: ShapeLike | Shape | float | None = None,
     terms: Sequence[Term] = (),
@@ -89,7 +89,7 @@ def fit(
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
-        method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
+        method: how the prior is fitted, one of its `methods`; `look` gives a preview instead.
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
             (of a static trial, say); or the person's height in metres or a `recon.Shape`, which
@@ -380,7 +380,7 @@ def _options_as_values(options: FitOptions) -> dict[str, Any]:
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,
         "weights": options.weights,
-        "method": options.method,
+        "method": options.method if options.method is None else str(options.method),
         "noise": list(options.noise),
         "physics": options.physics,
         "repair": options.repair,

@@ -17,7 +17,7 @@ from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion, MotionFile
 from recon.core.plugins import PRIORS, registered_places
-from recon.fitting.methods import checked_method, class_of, trait_of
+from recon.fitting.methods import Method, checked_method, class_of, trait_of
 from recon.method.priors import PriorLike, is_prior
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def shape_name(given: ShapeLike) -> str:
     return str(given) if isinstance(given, str | Path) else "shape"
 
 
-def prior_of(given: Any, weights: str, method: str | None = None) -> str | PriorLike:
+def prior_of(given: Any, weights: str, method: Method | None = None) -> str | PriorLike:
     """The prior that an argument names, checked: a name or place whose class exists, or an object.
 
     Args:

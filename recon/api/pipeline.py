@@ -16,7 +16,7 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.fitting.clip import posed
-from recon.fitting.methods import FitOptions, loaded_prior
+from recon.fitting.methods import FitOptions, is_preview, loaded_prior
 from recon.fitting.records import ClipFit, clip_between
 from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.pace import paced
@@ -50,7 +50,7 @@ def observed(
     paths, geometries = paths_given(given), geometries_given(given)
     if paths or geometries:
         plane = None if isinstance(ground, str) else ground
-        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane)
+        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane, between=between)
         # observations that are in memory need no reader
         if paths:
             from recon.reading.clip import load_clip as read
@@ -95,6 +95,13 @@ def fitted(
         ValueError: when observations contradict each other, or the start or the prior does not
             fit them; says what to do.
     """
+    clip = CheckedClip(
+        observations=tuple(observations), names=tuple(names), options=options, body=body
+    )
+    if is_preview(options.method):  # imported here: fits need no preview
+        from recon.api.preview import preview
+
+        return preview(clip, start, checks)
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")
     if checks is None:
@@ -105,9 +112,6 @@ def fitted(
     of_data = [one for one in checks if getattr(one, "comes_before_fit", False)]
     of_fit = [one for one in checks if one not in of_data]
     # check the data: repair faults that are certain, warn of the others
-    clip = CheckedClip(
-        observations=tuple(observations), names=tuple(names), options=options, body=body
-    )
     clip = checked(clip, of_data if options.repair else ())
     if options.completes:
         fit = _completed(clip.observations, options, body, watch)

@@ -13,7 +13,7 @@ from recon.api.results import MotionResult, described_residual, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion, MotionFile
+from recon.core.motion import FilmingCamera, Motion, MotionFile
 from recon.core.residuals import Noise
 from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import AlternativeMotion
@@ -22,7 +22,7 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.records import Clip, Stretch
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
-from recon.method.sensor import unposed_camera
+from recon.method.sensor import unposed_camera, views_of
 from recon.method.stages import StageReport, Watch
 from recon.solver.lbfgs import Progress, Termination
 
@@ -83,6 +83,7 @@ def motion_file_of(
     ground_std: Float[Tensor, "2"] | None = None,
     contact_probability: Float[Tensor, "time 22"] | None = None,
     angle_std: Float[Tensor, "time 42"] | None = None,
+    cameras: tuple[FilmingCamera, ...] = (),
 ) -> MotionFile:
     """A motion with its joints, contacts and ground, as a motion file.
 
@@ -102,6 +103,7 @@ def motion_file_of(
         ground_std: standard deviations of a ground that was found; see `MotionFile`.
         contact_probability: how likely each joint touches the ground.
         angle_std: standard deviations of joint angles; see `MotionFile`.
+        cameras: that filmed it.
     """
     joints = body.pose(motion).joints
     contacts = None
@@ -125,6 +127,7 @@ def motion_file_of(
         observed=observed,
         T_world_camera=None if T_world_camera is None else T_world_camera[None],
         in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
+        cameras=cameras,
     )
 
 
@@ -303,13 +306,14 @@ def result_of(
     # a few scans per second are too few for a result, so it has the frame rate of the fit
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
-    T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
+    T, ground = found.T_world_recording[0].double().clone(), 0.0 if found.grounded else None
     if found.grounded and clip.T_recording_camera is None and not found.ground_known:
         # 3D recordings with z up keep their frame; only the height of their ground differs
         ground = -float(T[2, 3])
         motion = motion.replace(
             translation=motion.translation + ground * motion.translation.new_tensor(_UP)
         )
+        T[2, 3] = 0.0
     T_world_camera = None
     T_recording_camera = clip.T_recording_camera
     if found.lens_found:  # with another focal length the camera has another position
@@ -322,7 +326,11 @@ def result_of(
         from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])
-    belt = None
+    belt, cameras = None, ()
+    if views_of(found.observations):
+        from recon.api.filming import filming_cameras  # few observations are images
+
+        cameras = filming_cameras(examined, clip, T, motion)
     if examined.belt is not None:
         from recon.diagnosis.movement import in_room, path_of_belt  # rarely needed
 
@@ -333,7 +341,9 @@ def result_of(
         # on a treadmill the prior's contacts are with the belt, not with the floor of the room
         known["contact_probability"] = None
     return Result(
-        file=motion_file_of(motion, body, ground, T_world_camera, belt=belt, **known),
+        file=motion_file_of(
+            motion, body, ground, T_world_camera, belt=belt, cameras=cameras, **known
+        ),
         body=body,
         examined=examined,
         warnings=(

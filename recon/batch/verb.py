@@ -33,7 +33,7 @@ def _batch_output(out: Path, _: Arguments) -> tuple[Output, ...]:
 def _observations_in_manifest(given: Arguments) -> Iterator[Path]:
     from recon.batch.worklog import read_manifest
 
-    if given["manifest"].is_file():
+    if given["manifest"].exists():
         for clip in read_manifest(given["manifest"]):
             yield from clip.observations
 
@@ -59,7 +59,7 @@ def batch(
     some clip has no result; see the log for why.
 
     Args:
-        manifest: JSON lines; paths are relative to it.
+        manifest: JSON lines, paths relative to them; or a folder, of which every film is fitted.
         out: folder for the results.
         settings: how to fit.
         processes: that work at a time, one thread each; default: 2, and with --ray as many as

@@ -6,12 +6,15 @@ import json
 import os
 import sys
 import unicodedata
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from recon.fitting.settings import FitSettings
+from recon.formats.opening import files_of
+from recon.formats.producers import FILMS
 
 _EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
 
@@ -30,11 +33,14 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     """Read a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
 
     Each may have a `subject`, whose clips share one shape. Paths are relative to the manifest.
+    Of a folder every film is a clip, named as the film without its ending.
 
     Raises:
         FileNotFoundError: when there is no such manifest.
         ValueError: when a line is not such an object or an id occurs twice; it is named.
     """
+    if path.is_dir():
+        return _films_in(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such manifest")
     try:
@@ -57,6 +63,21 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
             )
         clips[same] = number, clip
     return tuple(clip for _, clip in clips.values())
+
+
+def _films_in(folder: Path) -> tuple[BatchClip, ...]:
+    """The films of a folder, each a clip."""
+    films = files_of(folder, FILMS)
+    if not films:
+        raise ValueError(
+            f"{folder}: expected films in this folder ({', '.join(FILMS[:4])}, ...), or a file "
+            f"with a line {_EXPECTED} per clip"
+        )
+    same = Counter(film.stem.casefold() for film in films)
+    return tuple(
+        BatchClip(film.stem if same[film.stem.casefold()] == 1 else film.name, (film,))
+        for film in films
+    )
 
 
 def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:

@@ -6,9 +6,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon demo --out pages --overwrite",
     ),
     "fit": (
-        "recon fit seen.npz --out motion.npz",
+        "recon fit film.mp4 --out motion.npz",
         "recon fit views/ --camera calibration.toml --frame-rate 30 --out motion.npz",
         "recon fit keypoints.json --frame-rate 30 --person all --out people/",
+    ),
+    "detect": (
+        "recon detect film.mp4 --out keypoints.npz",
+        "recon detect film.mp4 --detector pose_landmark_heavy.tflite --out keypoints.npz",
     ),
     "complete": (
         "recon complete scans/ --frame-rate 5 --out motion.npz",
@@ -83,6 +87,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "register": (
         "recon register left/ right/ --camera lens.npz --frame-rate 30 --out rig",
         "recon register front.npz side.npz back.npz --out rig",
+    ),
+    "calibrate": (
+        "recon calibrate left.mp4 right.mp4 --height 1.80 --out rig.toml",
+        "recon calibrate cam1_json/ cam2_json/ cam3_json/ --frame-rate 60 --out rig.toml",
     ),
     "info": (
         "recon info motion.npz",

@@ -26,7 +26,8 @@ def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
 
 _SEVERAL = "motion file (.npz) for one motion, or a folder for several."
 CORE = {
-    "demo": Verb("recon.demo:demo", (Place("out", folder_output),)),
+    "demo": Verb("recon.api.demo:demo", (Place("out", folder_output),)),
+    "detect": Verb("recon.api.detect:detect", out="file of 2D keypoints to write (.npz)."),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),
@@ -46,6 +47,10 @@ CORE = {
         "recon.api.register:register",
         (Place("out", folder_output),),
         "folder for a file per camera.",
+    ),
+    "calibrate": Verb(
+        "recon.api.calibrate:calibrate",
+        out="calibration to write (.toml), which `--camera` reads; OUT.json tells what was found.",
     ),
     "evaluate": Verb(
         "recon.api.evaluate:evaluate",

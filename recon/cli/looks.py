@@ -12,9 +12,9 @@ from recon.core.plugins import PRIORS, registered_places
 
 _ENDINGS = (".c3d", ".trc")
 EXPECTED = (
-    "an observation (.npz), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session "
-    "folder), markers (.c3d, .trc), 2D keypoints (.json, .csv or folders of them, with --camera), "
-    "a folder of scans (.ply, .pcd, .obj, .xyz) or depth images (.png)"
+    "a film (.mp4, .mov, ...), an observation (.npz), 3D keypoints (.npy, .npz, .csv, .json, "
+    ".trc, .c3d or a session folder), markers (.c3d, .trc), 2D keypoints (.json, .csv or folders "
+    "of them, with --camera), a folder of scans (.ply, .pcd, .obj, .xyz) or depth images (.png)"
 )
 _HEAD = 1 << 16
 """Bytes at the start of a file that are looked at."""

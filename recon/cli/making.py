@@ -35,6 +35,7 @@ TYPES: dict[str, Any] = {
     "Up": Literal["x", "y", "z", "x-down", "y-down", "z-down"],
     "Unit": str,
     "Hand": Literal["left", "right"],
+    "ImageSize": tuple[int, int],
     "FurnitureName": FurnitureName,
     "LeftOver": LeftOver,
     "SensorKind": SensorKind,

@@ -8,6 +8,7 @@ from typing import Any
 
 from recon.cli import console
 from recon.cli.errors import Failed
+from recon.cli.films import with_films_detected
 from recon.cli.looks import look_at
 
 
@@ -25,6 +26,8 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         FileNotFoundError, ValueError: for bad input.
     """
     look_at(given)
+    if written and isinstance(out := given.get(written[0]), Path):
+        given = with_films_detected(given, out)
     module, _, name = place.partition(":")
     function = getattr(import_module(module), name)
     known = signature(function).parameters

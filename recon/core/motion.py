@@ -1,6 +1,7 @@
 """The records of a body's motion: `Motion` on a clock, and `MotionFile` with what a file adds."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,6 +10,11 @@ from torch import Tensor
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
+
+if TYPE_CHECKING:
+    from recon.core.camera import Camera
+else:  # imported for type checkers only: few motions have a camera
+    from typing import Any as Camera
 
 MOTION_FORMAT = 1
 """Version of the layout of motion files."""
@@ -170,6 +176,17 @@ def padded_batch(motions: list[Motion]) -> Motion:
 
 
 @dataclass(frozen=True)
+class FilmingCamera:
+    """A camera that filmed a motion, in the motion's world."""
+
+    name: str
+    camera: Camera
+    """With the distortion of its lens; poses (1, 4, 4), or one per frame of the motion."""
+    start_time: float = 0.0
+    """Time of the first picture, seconds of the motion's clock."""
+
+
+@dataclass(frozen=True)
 class MotionFile:
     """The contents of a motion file; optional ones are None where the file lacks them."""
 
@@ -204,5 +221,7 @@ class MotionFile:
     """Pose of the camera, metres: one for the clip, or one per frame."""
     in_camera: Float[Tensor, "time 6"] | None = None
     """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
+    cameras: tuple[FilmingCamera, ...] = ()
+    """The cameras that a fit to 2D keypoints took or found."""
     format_version: int = MOTION_FORMAT
     """Version of the layout; 0 for files that other programs wrote, such as those of AMASS."""

@@ -136,6 +136,16 @@ class Detections:
     """The number the producer gave to a person, -1 for none."""
     decisions: tuple[str, ...] = ()
     """What was decided about the file and why."""
+    frame_rate: float | None = None
+    """Frames per second, where the file tells."""
+    image_size: tuple[int, int] | None = None
+    """Width and height of the images, pixels, where the file tells."""
+    lines: Float[np.ndarray, "lines 2 2"] | None = None
+    """Ends of straight segments in some images of a film, pixels."""
+    lines_frame: Int[np.ndarray, " lines"] | None = None
+    """The frame number of each."""
+    shots: tuple[int, ...] = ()
+    """Frame numbers with which shots after the first begin, of a film with cuts."""
 
 
 def detections_of_rows(

@@ -1,14 +1,15 @@
 """Reads 2D keypoints from CSV tables of DeepLabCut and SLEAP, and from .npz files."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
-from recon.core.limits import FRAMES, JSON, KEYPOINTS, PEOPLE, SAMPLES
+from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, PIXEL, SAMPLES
 from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import (
@@ -169,6 +170,9 @@ def holds_detections(path: Path) -> bool:
 def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     """Read arrays (frames, points, 2 or 3) or (frames, people, points, 2 or 3), and scores.
 
+    Files that `recon detect` wrote have frame numbers, everybody's number, the layout, the frame
+    rate and the size of the images besides.
+
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds no 2D keypoints or nobody.
@@ -182,13 +186,102 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         )
     FRAMES.check(len(values), path.name)
     PEOPLE.check(values.shape[1], path.name, "people")
+    numbers, identity = _numbers_of_rows(arrays, values.shape[:2], path)
     rows: list[Row] = [
-        (frame, person, -1)
-        for frame, people in enumerate(values)
-        for person in people
-        if np.isfinite(person).all(-1).any() and (person[:, 2] > 0).any()
+        (int(numbers[frame]), values[frame, person], int(identity[frame, person]))
+        for frame, person in np.ndindex(values.shape[:2])
+        if np.isfinite(values[frame, person]).all(-1).any()
+        and (values[frame, person, :, 2] > 0).any()
     ]
-    return detections_of_rows(path.name, list(range(len(values))), rows, layout=layout)
+    if layout is None and "layout" in arrays and str(arrays["layout"]) in LAYOUTS:
+        layout = str(arrays["layout"])
+    found = detections_of_rows(path.name, numbers.tolist(), rows, layout=layout)
+    rate, size = (np.asarray(arrays.get(key, 0)).ravel() for key in ("frame_rate", "image_size"))
+    told = rate.dtype.kind in "fiu" and len(rate) == 1 and FRAME_RATE.holds(float(rate[0]))
+    sized = size.dtype.kind in "iu" and len(size) == 2 and (size > 0).all()
+    shots = np.asarray(arrays.get("shots", [])).ravel()
+    cut = shots.dtype.kind in "iu" and (np.diff(shots) > 0).all()
+    return replace(
+        found,
+        frame_rate=float(rate[0]) if told else None,
+        image_size=(int(size[0]), int(size[1])) if sized else None,
+        shots=tuple(shots.tolist()) if cut else (),
+        **_straight_lines(arrays, path),
+    )
+
+
+def _straight_lines(
+    arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path
+) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Straight segments of images, and the frame of each, where a file has them.
+
+    Raises:
+        ValueError: when they are not numbers of shapes that belong together.
+    """
+    if "lines" not in arrays:
+        return {}
+    lines, frame = np.asarray(arrays["lines"]), np.asarray(arrays.get("lines_frame"))
+    shaped = lines.shape[1:] == (2, 2) and frame.shape == lines.shape[:1]
+    if not shaped or lines.dtype.kind != "f" or frame.dtype.kind not in "iu":
+        raise FormatError(
+            f"{path}: expected lines (N, 2, 2) of decimal numbers and their whole lines_frame "
+            f"(N), got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
+        )
+    PIXEL.check(lines, path.name, "lines")
+    return {"lines": lines.astype(np.float64), "lines_frame": frame}
+
+
+def _numbers_of_rows(
+    arrays: dict[str, Shaped[np.ndarray, "..."]], shape: tuple[int, int], path: Path
+) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, "frames people"]]:
+    """Frame numbers and the number of everybody in them, from 0 on and -1 where none is given.
+
+    Raises:
+        ValueError: when there is not one for each, or frame numbers do not rise.
+    """
+    numbers = np.asarray(arrays.get("frame_numbers", np.arange(shape[0])))
+    identity = np.asarray(arrays.get("identity", np.full(shape, -1)))
+    whole = numbers.dtype.kind in "iu" and identity.dtype.kind in "iu"
+    if not whole or numbers.shape != shape[:1] or identity.shape != shape:
+        raise FormatError(
+            f"{path}: expected whole frame_numbers of {shape[:1]} and identity of {shape}, got "
+            f"{numbers.dtype} {numbers.shape} and {identity.dtype} {identity.shape}"
+        )
+    if (numbers < 0).any() or (np.diff(numbers.astype(np.int64)) <= 0).any():
+        raise FormatError(f"{path}: expected frame_numbers that rise from 0 or more")
+    return numbers, identity
+
+
+def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
+    """What `read_detection_arrays` reads: a column for every person, by their numbers.
+
+    People without a number stand in the order of their frame.
+    """
+    frames = np.searchsorted(found.frame_numbers, found.frame)
+    numbered = (found.identity >= 0).all()
+    column = (
+        np.unique(found.identity, return_inverse=True)[1]
+        if numbered
+        else np.arange(len(frames)) - np.searchsorted(frames, frames)
+    )
+    shape = (len(found.frame_numbers), int(column.max()) + 1, found.pixels.shape[1])
+    out = {
+        "keypoints": np.zeros((*shape, 2)),
+        "scores": np.zeros(shape),
+        "identity": np.full(shape[:2], -1),
+        "frame_numbers": found.frame_numbers,
+        "layout": np.array(found.layout),
+    }
+    out["keypoints"][frames, column] = found.pixels
+    out["scores"][frames, column] = found.confidence
+    out["identity"][frames, column] = found.identity
+    for key, value in (
+        ("frame_rate", found.frame_rate), ("image_size", found.image_size),
+        ("shots", found.shots or None), ("lines", found.lines), ("lines_frame", found.lines_frame),
+    ):  # fmt: skip
+        if value is not None:
+            out[key] = np.array(value)
+    return out
 
 
 def _pixels_and_confidence(

@@ -60,7 +60,7 @@ def certainty(found: ClipFit) -> Deviations | None:
     """
     estimate = found.result.estimate
     least = min(noise.metres for noise in found.noises)
-    density = found.result.reports[-1].stage.prior.belief(least)
+    density = reports[-1].stage.prior.belief(least) if (reports := found.result.reports) else None
     if density is None or found.result.failed[0]:
         return None
     seen, noises = [], []
@@ -135,6 +135,6 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     heights = rest_heights(posed.model, motion.shape)
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
-    held = fit.result.reports[-1].stage.prior.knows_gravity
+    held = not fit.result.reports or fit.result.reports[-1].stage.prior.knows_gravity
     std = (_HEIGHT_STD_RATIO if held else _FREE) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))

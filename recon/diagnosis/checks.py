@@ -326,6 +326,7 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
             f"({spans(frames)}); the motion there is inferred"
         )
         found.append(Finding("gap", said, (), frames, float(empty.mean())))
+    found += [Finding("proposed", said) for one in clip.fit.result.reports for said in one.began]
     return clip, Findings(diagnosis=found)
 
 

@@ -41,6 +41,9 @@ Code = Literal[
     "jump",  # the fitted body moves faster between two frames than the data
     "joint centres",  # points given as markers lie inside the body, as joints do
     "focal",  # the camera is not calibrated; its focal length was fitted with the motion
+    "proposed",  # how limbs began that were not seen
+    "preview",  # a network proposed the motion, which no fit has refined
+    "unfamiliar",  # the data are far from what a network has learned from
     "stopped",  # the caller ended the fit before it was done
 ]
 """The likeliest cause of a finding."""

@@ -233,7 +233,8 @@ def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
             f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
             "time. Number the frames of all cameras from the same moment"
         )
-        done = Finding("views out of step", text, value=timed.late / images.fps)
+        late, sensors = timed.late / images.fps, images.names[1:]
+        done = Finding("views out of step", text, value=late, sensors=sensors)
         return timed.images, Findings((done,))
     turned, both = best_agreement(images, ("pose",)), best_agreement(images, ("clock", "pose"))
     if both.remains < turned.remains / _SIMPLER:

@@ -276,6 +276,7 @@ def _finding_of_correction(images: Images, found: ViewCorrection) -> Finding:
         f"{images.names[found.view]} contradicts the other views: "
         f"{_error_in_words(found, images.fps)}. That was corrected. {text[0].upper()}{text[1:]}",
         value=found.late / images.fps if found.late else found.degrees,
+        sensors=(images.names[found.view],),
     )
 
 

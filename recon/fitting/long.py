@@ -205,4 +205,5 @@ def _merged_report(name: str, parts: Sequence[StageReport], order: Tensor) -> St
         trace=torch.cat(traces)[order],
     )
     stage = replace(parts[0].stage, name=f"{name}: {parts[0].stage.name}")
-    return StageReport(stage, solution, sum(part.seconds for part in parts))
+    began = tuple(dict.fromkeys(said for part in parts for said in part.began))
+    return StageReport(stage, solution, sum(part.seconds for part in parts), began=began)

@@ -1,5 +1,6 @@
 """Options of a fit, and loading of its prior by name."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError, WeightsError
-from recon.core.plugins import PRIORS, imported_object, registered_places
+from recon.core.plugins import LOOKS, PRIORS, imported_object, registered_places
 from recon.method.priors import PriorLike, as_prior, is_prior, trait
 from recon.method.terms import Term
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from recon.method.shape_prior import ShapePrior
 else:  # not imported when run: only fits of people whose shape is known need it
     from typing import Any as ShapePrior
+
+Method = str | Callable[..., Any]
+"""A way to fit a prior, or a network for previews: its name, "package.module:Class", or itself."""
 
 
 def class_of(prior: str) -> Any:
@@ -75,21 +79,29 @@ def trait_of(prior: str | PriorLike, name: str) -> bool:
     return trait(class_of(prior) if isinstance(prior, str) else prior, name)
 
 
-def checked_method(prior: str | PriorLike, name: str | None) -> str | None:
+def is_preview(method: Method | None) -> bool:
+    """Whether a method is a network that proposes motions, rather than a way to fit a prior."""
+    if isinstance(method, str):
+        return ":" in method or method in registered_places(LOOKS)
+    return method is not None
+
+
+def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     """The name of a way to fit a prior, one of its `methods`, or None for the usual one.
 
     Raises:
         ReconError: when the prior has no such method.
     """
-    if name is None:
+    if name is None or is_preview(name):
         return None
-    known = tuple(getattr(class_of(prior) if isinstance(prior, str) else prior, "methods", ()))
+    known = list(getattr(class_of(prior) if isinstance(prior, str) else prior, "methods", ()))
     if name in known:
         return name
     whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
     if len(known) == 0:
         raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
-    raise ReconError(f"method: {whose} is fitted by {' or '.join(known)}, got {name!r}")
+    ways = " or ".join((*known, *registered_places(LOOKS)))
+    raise ReconError(f"method: {whose} is fitted by {ways}, got {name!r}")
 
 
 @dataclass(frozen=True)
@@ -100,8 +112,8 @@ class FitOptions:
     """A registered name, the place of a class, or a loaded prior."""
     weights: str = "open"
     """Weights of a prior that is given by its name: `open`, `nc` or a file."""
-    method: str | None = None
-    """One of the prior's `methods`, the ways in which it can be fitted; None is the usual one."""
+    method: Method | None = None
+    """One of the prior's `methods`, or a network that gives a preview; None is the usual way."""
     noise: tuple[float | None, ...] = ()
     """Standard deviation of each observation's coordinates in its own unit (metres, or pixels of
     keypoints); None, and an empty tuple, estimate it from the data."""

@@ -26,6 +26,9 @@ class Clip:
     """Pose of the one camera whose pose is not known, if there is one; metres."""
     ground_given: bool = False
     """Whether the caller gave the plane that lies at z = 0 of the recording."""
+    starts: tuple[float, ...] = ()
+    """Times of the first frames of the observations before a part was cut out, seconds; none
+    where nothing was cut out."""
 
 
 def clip_between(clip: Clip, start: float, stop: float) -> Clip:
@@ -49,7 +52,12 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
             f"--between counts on the recording's clock, which shows something from "
             f"{every.min():.2f} to {every.max():.2f} s"
         )
-    return replace(clip, observations=cut)
+    return replace(clip, observations=cut, starts=start_times(clip))
+
+
+def start_times(clip: Clip) -> tuple[float, ...]:
+    """Times of the first frames of whole observations, seconds."""
+    return clip.starts or tuple(one.start_time for one in clip.observations)
 
 
 def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:

@@ -22,13 +22,21 @@ class ReadOptions:
     hand: Literal["left", "right"] | None = None
     """Handedness of the coordinates; default: told from the body, where points have names."""
     frame_rate: float | None = None
-    """Frames per second of detections, 3D keypoints, scans, estimates, where files do not tell."""
+    """Frames per second of detections, 3D keypoints, scans, estimates, where files do not tell; of
+    a film those that the camera took, where it is played slower or faster."""
     layout: str | None = None
     """Layout of the keypoints, in images or in space, where files do not tell: openpose25,
     coco17, h36m17, ..."""
     person: int | Literal["all"] | None = None
     """Whom to follow where detections or an estimate show several people: number as the message
     lists them, or `all`, each in a file of the folder OUT."""
+    detector: str | None = None
+    """Detector of people in films: the file of other landmarks of BlazePose
+    (pose_landmark_heavy.tflite), or a class of your own, package.module:Class. Default: BlazePose
+    with its landmarks `full`."""
+    detections: str | None = None
+    """Folder in which detections in films are kept, so that what was interrupted goes on; default:
+    beside OUT."""
     masks: Path | None = None
     """Silhouettes of the person (folder of images, one per frame, or .npz): keypoints outside
     are taken as occluded."""
@@ -98,7 +106,8 @@ class FitSettings(ReadOptions):
     file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
-    itself is moved; default) or `rollout` (a first state and latents are, as published)."""
+    itself is moved; default) or `rollout` (a first state and latents are, as published). Or fitted
+    not at all: `look`, or package.module:Class, previews points in space by a network."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     shape: str | None = None

@@ -5,6 +5,7 @@ Read are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap'
 in OpenCV's axes.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.core.camera import check_pose
 from recon.core.errors import FormatError
@@ -55,6 +57,20 @@ def toml_cameras(path: Path) -> dict[str, CameraFields]:
             f"{', '.join(tables) or 'none'}"
         )
     return cameras
+
+
+def camera_table(name: str, camera: CameraArrays) -> str:
+    """A still camera as a table of TOML, as Pose2Sim writes it and `--camera` reads it."""
+    assert camera.T_camera_world is not None
+    distortion = [0.0] * 4 if camera.distortion is None else camera.distortion.tolist()
+    turn = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
+    label, size = json.dumps(name), [float(one) for one in camera.image_size]
+    return (
+        f"[{label}]\nname = {label}\nsize = {size}\n"
+        f"matrix = {camera.camera_matrix.tolist()}\ndistortions = {distortion}\n"
+        f"rotation = {turn.tolist()}\ntranslation = {camera.T_camera_world[0, :3, 3].tolist()}\n"
+        "fisheye = false\n"
+    )
 
 
 CameraUnit = Literal["m", "mm"]

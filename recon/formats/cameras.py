@@ -11,6 +11,8 @@ from recon.core.camera import check_camera, check_pose
 from recon.core.errors import FormatError
 from recon.core.limits import IMAGE_SIZE
 
+ImageSize = tuple[int, int]
+"""Width and height, pixels."""
 _COEFFICIENTS = (4, 5, 8)
 """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
 FILM_DIAGONAL = 43.27
@@ -171,6 +173,20 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
     check_pose(out, where, "rotation from world to camera")
     out[:, :3, 3] = translation
     return out
+
+
+def straightened(
+    pixels: Float[np.ndarray, "*points 2"], camera: CameraArrays
+) -> Float[np.ndarray, "*points 2"]:
+    """Pixels that the same camera with a perfect lens would see."""
+    if camera.distortion is None:
+        return pixels
+    import cv2
+
+    flat = cv2.undistortPoints(
+        pixels.reshape(-1, 1, 2), camera.camera_matrix, camera.distortion, P=camera.camera_matrix
+    )
+    return flat.reshape(pixels.shape)
 
 
 def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:

@@ -6,6 +6,7 @@ eyes), which are left out; a file may give `root_orient` and `pose_body` instead
 
 from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ from recon.core.limits import Limit
 from recon.core.motion import MOTION_FORMAT, Motion, MotionFile
 from recon.core.units import snapped_rate
 from recon.formats.opening import load_arrays
+
+if TYPE_CHECKING:
+    from recon.core.motion import FilmingCamera
 
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _GENDERS = ("neutral", "male", "female")
@@ -37,6 +41,14 @@ _EXTRA = {
     "in_camera": ("time", 6),
 }
 """Optional arrays and their shapes."""
+_CAMERAS = {
+    "camera_matrix": ("views", 3, 3),
+    "camera_size": ("views", 2),
+    "camera_distortion": ("views", 8),
+    "camera_pose": ("views", "poses", 4, 4),
+    "camera_start": ("views",),
+}
+"""Arrays of the cameras that filmed the motion; `camera_names` has their names."""
 _FLAGS = ("observed", "truth_visible")
 """Optional arrays that hold true and false."""
 _RANGES: dict[str, Limit] = {
@@ -98,7 +110,7 @@ def motion_from(
     _check_keys(path, arrays)
     numeric = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub"}
     known = ("trans", "poses", "root_orient", "pose_body", "betas", "format_version", "start_time")
-    for key in (*known, *_RATES, *_EXTRA):
+    for key in (*known, *_RATES, *_EXTRA, *_CAMERAS):
         if key in arrays and key not in numeric:
             raise FormatError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
     translation = _array(path, numeric, "trans", ("time", 3))
@@ -136,6 +148,7 @@ def motion_from(
         body=_text(arrays, "body", "") or None,
         checksum=_text(arrays, "body_checksum", "") or None,
         gender=gender if gender in _GENDERS else "neutral",
+        cameras=_cameras(path, arrays, len(poses), dtype) if "camera_names" in arrays else (),
         format_version=version,
         **extra,
     )
@@ -183,9 +196,59 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
         if value is not None:
             per_frame = shape[0] == "time" or (shape[0] == "poses" and len(value) == motion.frames)
             arrays[key] = _numpy(value[:frames] if per_frame else value)
+    if file.cameras:
+        arrays |= _camera_arrays(file.cameras, frames)
     if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
         raise FormatError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
     save_arrays(path, arrays)
+
+
+def _camera_arrays(cameras: "tuple[FilmingCamera, ...]", frames: int) -> dict[str, np.ndarray]:
+    """The arrays of cameras; where one moves, the others repeat their poses."""
+    every = [one.camera for one in cameras]
+    count = max(len(one.T_camera_world) for one in every)
+    poses = [one.T_camera_world.expand(count, 4, 4)[:frames] for one in every]
+    lens = [torch.zeros(0) if one.distortion is None else one.distortion for one in every]
+    return {
+        "camera_names": np.array([one.name for one in cameras]),
+        "camera_matrix": _numpy(torch.stack([one.camera_matrix for one in every])),
+        "camera_size": np.array([one.image_size for one in every]),
+        "camera_distortion": np.stack([np.pad(_numpy(one), (0, 8 - len(one))) for one in lens]),
+        "camera_pose": _numpy(torch.stack(poses)),
+        "camera_start": np.array([one.start_time for one in cameras]),
+    }
+
+
+def _cameras(
+    path: Path, arrays: dict[str, np.ndarray], frames: int, dtype: torch.dtype
+) -> "tuple[FilmingCamera, ...]":
+    """The cameras of a file.
+
+    Raises:
+        ValueError: when arrays are missing or of the wrong shape, or no camera is such.
+    """
+    from recon.core.camera import Camera, check_camera, check_pose  # few motions have a camera
+    from recon.core.motion import FilmingCamera
+
+    names = np.atleast_1d(arrays["camera_names"]).astype(str).tolist()
+    if lost := [key for key in _CAMERAS if key not in arrays]:
+        raise FormatError(f"{path}: has camera_names, but lacks {', '.join(lost)}")
+    found = {key: _array(path, arrays, key, shape, frames) for key, shape in _CAMERAS.items()}
+    if counts := {key: len(one) for key, one in found.items() if len(one) != len(names)}:
+        raise FormatError(f"{path}: expected {len(names)} cameras in all arrays, got {counts}")
+    limits.TIME.check(found["camera_start"], path, "camera_start")
+    check_pose(found["camera_pose"], path, "camera_pose")
+    cameras: list[FilmingCamera] = []
+    for name, matrix, size, lens, pose, start in zip(names, *found.values(), strict=True):
+        width, height = size.astype(int).tolist()
+        distortion = lens if lens.any() else None
+        check_camera(matrix, (width, height), distortion, path, name)
+        camera = Camera(
+            _tensor(matrix, dtype), (width, height),
+            None if distortion is None else _tensor(distortion, dtype), _tensor(pose, dtype),
+        )  # fmt: skip
+        cameras.append(FilmingCamera(name, camera, float(start)))
+    return tuple(cameras)
 
 
 def _check_keys(path: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -276,7 +339,7 @@ def _array(
     value = arrays[key]
     if key == "T_world_camera" and value.shape == (4, 4):
         value = value[None]
-    allowed = {"time": (time,), "poses": (1, time)}
+    allowed = {"time": (time,), "poses": (1, time), "views": (len(value),) if value.ndim else ()}
     fits = value.ndim == len(shape) and all(
         got == want if isinstance(want, int) else time is None or got in allowed[want]
         for got, want in zip(value.shape, shape, strict=True)

@@ -49,7 +49,7 @@ SAM3D_POINTS = "pred_keypoints_3d"
 """The key of a person's keypoints in results of SAM 3D Body."""
 _FIT, _REFINE, _INFO = ("fit",), ("refine", "fit"), ("info",)
 POINTS_3D, POINTS_2D, BODIES = "3D keypoints", "2D keypoints", "body parameters"
-MARKERS, SCANS = "markers or joint centres", "scans"
+MARKERS, SCANS, FILM = "markers or joint centres", "scans", "a film"
 """What the files of most producers hold."""
 _NUMBER = rb"[-+\dN][\w.+-]*\s*"
 _XYZ = rb'x"?[,;\s]\s*"?y"?[,;\s]\s*"?z\b'
@@ -58,6 +58,11 @@ _ROWS = rb"(?:[ \t]*[-+.\de]+(?:[,; \t]+[-+.\de]+){2}(?:(?:[,; \t]+[-+.\de]+){3}
 _UNNAMED = rb"(?![^\n]*(?:point|mark|joint|part|name))"
 _MANY = rb"(?!543,)(?:[2-9]\d\d|\d{4,}), [3-9]\)"
 """Points of a cloud: more than models of bodies have, but MediaPipe's body, face and hands."""
+FILMS = (
+    ".mp4", ".m4v", ".mov", ".3gp", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".ts", ".mpg",
+    ".mpeg", ".wmv", ".flv", ".mxf", ".gif",
+)  # fmt: skip
+"""Endings of films."""
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -256,8 +261,8 @@ PRODUCERS = (
     ),
     Producer("", BODIES, "any other `.pt`, `.pkl`", (".pt", ".pth", ".pkl"), b"", _REFINE, ""),
     Producer(
-        "", "a video", "`.mp4`, `.mov`, `.avi`, `.mkv`", (".mp4", ".mov", ".avi", ".mkv"), b"",
-        (), "run a 2D detector on it, and give its keypoints",
+        "", FILM, "`.mp4`, `.mov`, `.avi`, `.mkv`, `.webm`, ...; people are detected in it",
+        FILMS, b"", ("fit", "detect"), "rate, size of the images",
     ),
     Producer(
         "Autodesk", "a scene", "`.fbx`", (".fbx",), b"", (), "export BVH, as Blender does",
@@ -339,6 +344,11 @@ def refuse_others(path: Path, verb: str) -> None:
         raise FormatError(f"{path}: {found.how_to_read()}")
     if path.is_dir() and not found.folder and "/" not in found.endings:
         raise FormatError(f"{path}: give one of its files; {found.how_to_read()}")
+
+
+def is_film(path: Path) -> bool:
+    """Whether a path is a file with the ending of a film."""
+    return path.suffix.lower() in FILMS and path.is_file()
 
 
 def holds_sam3d_body(path: Path) -> bool:

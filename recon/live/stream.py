@@ -3,20 +3,25 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 
 from observations.moments import Tracker
 from priors.pose.prior import PosePrior
 from recon.api.given import BodyLike, ShapeLike, body_given, shape_given
+from recon.api.preview import loaded_look
 from recon.core.arrays import positive_number
 from recon.core.errors import ObservationError, ReconError, WeightsError
+from recon.core.plugins import LOOKS, registered_places
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded_prior
+from recon.live.beginning import KnownShape
 from recon.live.moments import Moment, MomentLike, StreamSensors
-from recon.live.tracking import KnownShape, LiveEstimate, Tracking
-from recon.method.priors import USUAL_NOISE, Prior
+from recon.live.preview import PreviewTracking
+from recon.live.tracking import LiveEstimate, Tracking
+from recon.method.looks import Look
+from recon.method.priors import USUAL_NOISE, Prior, is_prior
 from recon.method.protocols import REFERENCE_FPS
 
 GONE_S = 0.5
@@ -42,7 +47,7 @@ class Stream:
 
     def __init__(
         self,
-        prior: str | Prior[Any] = "pose",
+        prior: str | Prior[Any] | Look = "pose",
         lag: int = 15,
         *,
         template: Tracker | Sequence[Tracker] | None = None,
@@ -54,7 +59,9 @@ class Stream:
 
         Args:
             prior: `pose`, or `humor`, which needs 30 moments a second, takes two to three times as
-                long and is nearer to the truth but in the fastest motions; or a loaded prior.
+                long and is nearer to the truth but in the fastest motions; or a loaded prior. Or
+                `look`, or a `recon.method.Look`: nothing is fitted, a network's first look is
+                given, for named points in space and calibrated views at any rate.
             lag: frames after which an estimate is final; 0 gives the newest.
             template: an observation, or one per sensor, of any moments: what arrays that are
                 pushed mean. None where observations are pushed.
@@ -72,16 +79,7 @@ class Stream:
             raise ReconError(f"lag: expected 0 to 120 frames, got {lag!r}")
         self._lag = lag
         self._body = body_given(body).to(dtype=torch.float32, device="cpu")
-        found = loaded_prior(prior, "open", self._body) if isinstance(prior, str) else prior
-        live = getattr(found, "live", None)
-        if not isinstance(found, PosePrior) and (live is None or live(USUAL_NOISE) is None):
-            raise WeightsError(
-                "prior: expected 'pose', 'humor' or a prior with a method live(noise), got "
-                f"{prior if isinstance(prior, str) else type(prior).__name__!r}"
-            )
-        poses = found if isinstance(found, PosePrior) else PosePrior.load()
-        self._poses = poses.to(dtype=torch.float32)
-        self._prior = None if isinstance(found, PosePrior) else found
+        self._set_prior(prior)
         rows = noise if isinstance(noise, Sequence) else (noise,)
         known = tuple(None if one is None else positive_number(one, "noise") for one in rows)
         self._noise = known if isinstance(noise, Sequence) else known[0]
@@ -90,11 +88,30 @@ class Stream:
         self._sensors = (
             None if template is None else self._checked_sensors(StreamSensors.of(template))
         )
-        self._tracking: Tracking | None = None
+        self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
         self._other_clock: float | None = None
         self._given: float | None = None
         self._findings: list[Finding] = []
+
+    def _set_prior(self, prior: str | Prior[Any] | Look) -> None:
+        """Load what is likely: a prior, or a network whose first look is given."""
+        self._look: Look | None = None
+        self._prior: Prior[Any] | None = None
+        named = prior in registered_places(LOOKS) if isinstance(prior, str) else callable(prior)
+        if named and not is_prior(prior):
+            self._look = loaded_look(cast(Any, prior), "open", self._body)
+            return
+        found: Any = loaded_prior(prior, "open", self._body) if isinstance(prior, str) else prior
+        live = getattr(found, "live", None)
+        if not isinstance(found, PosePrior) and (live is None or live(USUAL_NOISE) is None):
+            raise WeightsError(
+                "prior: expected 'pose', 'humor', 'look' or a prior with live(noise), got "
+                f"{prior if isinstance(prior, str) else type(prior).__name__!r}"
+            )
+        poses = found if isinstance(found, PosePrior) else PosePrior.load()
+        self._poses = poses.to(dtype=torch.float32)
+        self._prior = None if isinstance(found, PosePrior) else found
 
     @property
     def lag(self) -> int:
@@ -223,9 +240,11 @@ class Stream:
             )
         return sensors
 
-    def _new_tracking(self, sensors: StreamSensors) -> Tracking:
+    def _new_tracking(self, sensors: StreamSensors) -> Tracking | PreviewTracking:
         noise = self._noise
         rows = noise if isinstance(noise, tuple) else (noise,) * len(sensors.trackers)
+        if self._look is not None:
+            return PreviewTracking(sensors, self._lag, rows, self._person, self._body, self._look)
         return Tracking(
             sensors, self._lag, rows, self._person, self._body, self._poses, self._prior
         )

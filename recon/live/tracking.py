@@ -1,6 +1,5 @@
 """Tracking of one person: frames collected for a first motion, then smoothed one by one."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -13,28 +12,18 @@ from torch import Tensor
 from observations.moments import (
     Tracker,
     collapsed,
-    joined_in_time,
     with_moment,
     with_points_hidden,
 )
-from observations.noise import weights_of
-from priors.pose.prior import PosePrior, PoseWeights
+from priors.pose.prior import PosePrior
 from recon.body.contacts import contact_probabilities, rest_heights
-from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
-from recon.fitting.clip import fit_clip
-from recon.fitting.methods import FitOptions
+from recon.live.beginning import KnownShape, first_window
 from recon.live.moments import Moment, StreamSensors
-from recon.live.objective import Objective, Window
-from recon.live.smoother import ShapeKnowledge, SmoothedWindow
-from recon.method.priors import USUAL_NOISE, Prior
-from recon.method.stages import Stage
-from recon.method.terms import Term
-
-_ITERATIONS = 30
-"""Iterations over all poses; the Gauss-Newton steps that follow need a start that is near."""
+from recon.live.smoother import SmoothedWindow
+from recon.method.priors import Prior
 
 
 @dataclass(frozen=True)
@@ -69,85 +58,6 @@ class LiveEstimate:
         return (*self.earlier, self)
 
 
-class _FirstPoses(PosePrior):
-    """The pose prior with few iterations."""
-
-    def stages(
-        self,
-        data: tuple[Term, ...],
-        noise: float = USUAL_NOISE,
-        body: BodyModel | None = None,
-        method: str | None = None,
-    ) -> tuple[Stage[Any], ...]:
-        """Stages that move the root first, then all variables."""
-        return tuple(
-            replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
-            for stage in super().stages(data, noise, body, method)
-        )
-
-
-@dataclass(frozen=True)
-class KnownShape:
-    """What is known of the person's shape before tracking begins."""
-
-    shape: Float[Tensor, " shape"] | None = None
-    """Shape coefficients; None is anybody."""
-    knowledge: ShapeKnowledge | None = None
-    """What frames have told of the shape; None where it is held."""
-
-
-def first_window(
-    moments: Sequence[Moment],
-    noise: tuple[float | None, ...],
-    person: KnownShape,
-    body: BodyModel,
-    poses: PosePrior,
-    prior: Prior[Any] | None,
-) -> SmoothedWindow:
-    """Fit the pose prior to consecutive moments; the first window of a stream.
-
-    Raises:
-        ReconError: when nothing can be fitted to them.
-    """
-    seen = list(moments[0].seen)
-    for moment in moments[1:]:
-        seen = [joined_in_time(a, b) for a, b in zip(seen, moment.seen, strict=True)]
-    seen = [one.derived(start_time=0.0) for one in seen]
-    first = _FirstPoses(poses.density, poses.weighed)
-    options = FitOptions(prior=first, noise=noise, shape=person.shape)
-    batch: Any = [one[None] for one in seen]
-    with torch.enable_grad():
-        fit = fit_clip(batch, options, body)
-    motion, offsets = fit.result.motion[0].detach(), fit.result.estimate.scene.offsets[0].detach()
-    rows: Any = [vars(one)["offset_rows"] for one in fit.observations]
-    trackers: tuple[Tracker, ...] = tuple(
-        one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
-    )
-    metres = min(one.metres for one in fit.noises)
-    steps = None if prior is None else prior.live(metres)
-    shape, knowledge = motion.shape, person.knowledge
-    objective = Objective(
-        body=body,
-        density=poses.density,
-        weights=PoseWeights.for_noise(metres) if steps is None else steps.poses,
-        scales=tuple(weights_of(fit.noises)),
-        points=tuple(one.carried(body, shape, offsets) for one in trackers),
-        joints=CarriedPoints.joints(body, shape),
-        shape=shape,
-        rest=body.rest_joints(shape),
-        fps=seen[0].fps,
-        offsets=offsets,
-        steps=steps,
-    )
-    return SmoothedWindow(
-        Window.of(motion.translation, motion.rotations, poses.density),
-        objective,
-        trackers,
-        ShapeKnowledge.none(shape) if knowledge is None else knowledge,
-        learning=person.shape is None or knowledge is not None,
-    )
-
-
 BEGINNING = 15
 """Moments from which a first motion is fitted, at least: they tell noise and posture."""
 _BEYOND = 4
@@ -159,8 +69,6 @@ _PERSISTS = 0.3
 """Seconds after which points in an impossible place are taken for the person."""
 _MIN_MOMENTS = 5
 """Moments with points of which a motion is made when no more come."""
-_FIRST_STEPS = 4
-"""Gauss-Newton steps after the first motion."""
 _LEARNED = 300
 """Frames after which the shape is held."""
 
@@ -272,7 +180,7 @@ class Tracking:
             )
             self.gathered = []
             return False
-        self.smoothed = first.refined(_FIRST_STEPS)
+        self.smoothed = first
         self.times = [moment.time for moment in self.gathered]
         self.gathered = []
         return True

@@ -15,6 +15,7 @@ def stream(
     lag: int = 15,
     camera: Path | None = None,
     frame_rate: float | None = None,
+    method: str | None = None,
     noise: float | None = None,
     shape: str | None = None,
     body: Path | None = None,
@@ -34,6 +35,8 @@ def stream(
         observations: observation files of the sensors, of any length.
         prior: `pose`; `humor` is nearer to the truth but in the fastest motions, takes two to
             three times as long and needs 30 moments a second.
+        method: `look` gives what a network proposes at first sight, not refined, in the place of a
+            prior; or a network of your own, package.module:Class.
         lag: frames after which an estimate is final.
         camera: calibration of the cameras that 2D detections come from.
         frame_rate: frames per second, where files do not tell.
@@ -49,12 +52,15 @@ def stream(
     from recon.reading.door import load_observation
 
     check_inputs({"observations": observations, "camera": camera, "body": body})
+    from recon.api.given import body_given
+    from recon.api.preview import loaded_look
     from recon.live.lines import stream_lines
     from recon.live.stream import Stream
 
     many = observations[0] if len(observations) == 1 else list(observations)
     seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
-    live = Stream(prior, lag, template=seen, noise=noise, shape=shape, body=body)
+    likely = prior if method is None else loaded_look(method, "open", body_given(body))
+    live = Stream(likely, lag, template=seen, noise=noise, shape=shape, body=body)
     sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
     for line in stream_lines(lines, live, console.print_error):

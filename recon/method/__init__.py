@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from recon.body.model import PosedBody as PosedBody
     from recon.method.cycle_prior import CyclePrior as CyclePrior
     from recon.method.free import FreeMotion as FreeMotion
+    from recon.method.looks import Look as Look
+    from recon.method.looks import ProposedMotions as ProposedMotions
     from recon.method.priors import Density as Density
     from recon.method.priors import Prior as Prior
     from recon.method.protocols import Decoded as Decoded
@@ -31,9 +33,11 @@ _HOMES = {
     "Density": "recon.method.priors",
     "Estimate": "recon.method.protocols",
     "FreeMotion": "recon.method.free",
+    "Look": "recon.method.looks",
     "LBFGS": "recon.solver.lbfgs",
     "PosedBody": "recon.body.model",
     "Prior": "recon.method.priors",
+    "ProposedMotions": "recon.method.looks",
     "Sensor": "recon.method.sensor",
     "Stage": "recon.method.stages",
     "Term": "recon.method.terms",

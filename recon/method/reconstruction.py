@@ -16,7 +16,7 @@ from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.priors import PriorLike, stages_of
-from recon.method.protocols import Decoded, Estimate
+from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 from recon.method.running import Hypotheses, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import StageReport, Stages, Watch
@@ -75,11 +75,11 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 
 
 def _covers_observation(start: Motion, seen: Sensor) -> bool:
-    """Whether a motion begins with an observation and lasts as long, to within one frame."""
+    """Whether a motion covers an observation, to within a frame of its own or of the fit."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps
-    spare = length - (start.frames - 1)
-    return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
+    spare, frame = length - (start.frames - 1), max(1.0, start.fps / REFERENCE_FPS)
+    return abs(first) <= _SLACK and -_SLACK <= spare < frame - _SLACK
 
 
 @dataclass(frozen=True)

@@ -67,16 +67,17 @@ class Hypotheses(Generic[S]):
 
     def proposed(
         self, proposals: Proposals, body: BodyModel
-    ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"]]:
-        """Hypotheses proposed from each, in its place, and the row that each comes from.
+    ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"], tuple[str, ...]]:
+        """Hypotheses proposed from each, in its place, the row of each, and what is told of them.
 
         A row from which nothing is proposed stays.
         """
         clips = self.clips
-        parts, origin = list[Unknowns[S]](), list[int]()
+        parts, origin, told = list[Unknowns[S]](), list[int](), dict[str, None]()
         for row in range(len(self.unknowns.scene.offsets)):
             alone = self.rows(torch.tensor([row]))
-            motion = proposals(alone.estimate(body), int(clips[row]))
+            motion, said = proposals(alone.estimate(body), int(clips[row]))
+            told |= {said: None} if said else {}
             own = [row] * (1 if motion is None else len(motion.translation))
             origin += own
             if motion is None:
@@ -87,7 +88,7 @@ class Hypotheses(Generic[S]):
                 parts.append(Unknowns.of_world(self.prior, motion, scene, body))
         rows = torch.tensor(origin)
         number = None if self.number is None else self.number[rows]
-        return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows
+        return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows, tuple(told)
 
     def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
         """The hypotheses in some rows."""
@@ -141,16 +142,16 @@ def run_hypotheses(
     """
     held, reports = initial, list[StageReport]()
     for stage in stages:
-        started = perf_counter()
+        started, began = perf_counter(), ()
         if stage.prior is not held.prior:
             held = _encoded_anew(held, stage.prior, body)
         if stage.proposals is not None:
-            held, origin = held.proposed(stage.proposals, body)
+            held, origin, began = held.proposed(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
         stage = held.of(stage)
         unknowns, solution = _solved(stage, body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
-        reports.append(StageReport(stage, solution, perf_counter() - started))
+        reports.append(StageReport(stage, solution, perf_counter() - started, began=began))
         if stage.kept is not None:
             value = ranking_objective(stage, held, body) if stage.ranking else solution.value
             index = held.best(value, stage.kept)

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from recon.method.priors import Prior
 
 
-Proposals = Callable[[Estimate, int], Motion | None]
-"""Finds motions to begin a stage from: called with what energies see of one row and with the
-number of its clip; gives motions of that clip in the world, or None to begin from the row."""
+Proposals = Callable[[Estimate, int], tuple[Motion | None, str]]
+"""Finds motions to begin a stage from: called with what energies see of one row and its clip's
+number; gives motions of the clip in the world, or None to begin from the row, and what reports say
+of it, if anything."""
 
 
 SecondOrder = Callable[
@@ -46,11 +47,10 @@ class Stage(Generic[S]):
     """The part of the variables that is decoded and compared, such as the first frames or every
     other moment; None decodes them all."""
     rounds: int = 3
-    """Number of minimisations with correspondences found anew before each, a third of the
-    iterations each; only where an energy has a method `matched(estimate)`, which gives the energy
-    over the correspondences of an estimate, such as points and the nearest place of a surface.
-    Minimised while it looks for the nearest, it would jump where correspondences change, and line
-    searches end there (iterated closest points)."""
+    """Number of minimisations with correspondences found anew before each (iterated closest
+    points), a third of the iterations each; only where an energy has a method `matched(estimate)`,
+    which gives the energy over the correspondences of an estimate. Minimised while it looks for
+    the nearest, it would jump where these change, and line searches end there."""
     proposals: Proposals | None = None
     """Finds hypotheses, which are minimised in place of what the stage is handed; None finds
     none."""
@@ -121,6 +121,7 @@ class StageReport:
     seconds: float
     compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
+    began: tuple[str, ...] = ()  # what is told of the motions that were proposed
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
         """The report of some clips of the batch; `compared` is not cut."""

@@ -11,6 +11,7 @@ from recon.core.errors import FormatError, ObservationError
 from recon.detections.tables import holds_detections
 from recon.fitting.records import Clip, clip_between, seen_times
 from recon.fitting.settings import FitSettings
+from recon.formats.producers import is_film
 from recon.reading.clip import DETECTIONS, clip_of_files, files_of_projects, format_errors
 from recon.reading.same_person import everybody_across_views
 from recon.reading.tracks import Track
@@ -65,11 +66,11 @@ def people_in(
     with format_errors():
         paths, settings, projects = files_of_projects(paths, settings)
         for path in paths:
-            known = path.suffix.lower() in DETECTIONS or holds_detections(path)
+            known = path.suffix.lower() in DETECTIONS or is_film(path) or holds_detections(path)
             if path.is_file() and not known:
                 raise FormatError(
-                    f"{path}: several people are told apart in files of 2D detections (.json, "
-                    ".csv, .npz, or folders of them); give nothing else with --person all"
+                    f"{path}: several people are told apart in films and files of 2D detections "
+                    "(.json, .csv, .npz, or folders of them); give nothing else with --person all"
                 )
         if settings.masks is not None:
             raise ObservationError("--masks are of one person; leave them out with --person all")

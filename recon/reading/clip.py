@@ -21,7 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.opening import files_of
-from recon.formats.producers import refuse_others
+from recon.formats.producers import is_film, refuse_others
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import cloud_files, read_scans
 from recon.keypoints3d.labels import are_keypoints
@@ -82,7 +82,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "one clip is of one person; `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
-        views = read_views(detections, settings).person(settings.person)
+        views = read_views(detections, settings, settings.between).person(settings.person)
         shown = views.files
         if settings.masks is not None:
             if len(shown) != 1:
@@ -94,10 +94,13 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
         clip = _clip_of_one_person(files, [*notes, *views.decisions], settings, body)
-        if len(projects) != 1 or projects[0].frames is None:
+        span = views.shot
+        if len(projects) == 1 and projects[0].frames is not None:
+            span = (projects[0].frames[0], projects[0].frames[1] - 1)
+        if span is None:
             return clip
-        first, end = (k - views.first_frame for k in projects[0].frames)
-        return clip_between(clip, first / shown[0].fps, (end - 1) / shown[0].fps)
+        first, last = ((frame - views.first_frame) / shown[0].fps for frame in span)
+        return clip_between(clip, first, last)
 
 
 def _read(
@@ -111,6 +114,8 @@ def _read(
         )
     if (seen := read_by(plugin_readers, path, body)) is not None:
         return seen, ()
+    if is_film(path):
+        return None
     refuse_others(path, "fit")
     if path.is_file() and holds_markers(path):
         return _labelled_points(path, settings, body)
@@ -130,7 +135,7 @@ def _read(
     if path.is_dir() or path.suffix.lower() in DETECTIONS:
         return None
     raise FormatError(
-        f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
+        f"{path}: expected a film, an observation (.npz), 2D keypoints (.json, .csv, folders of "
         "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder), "
         "markers (.c3d, .trc) or a folder of scans or depth images; `recon convert` takes "
         "skeletons of motion capture"

@@ -11,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above
-from recon.formats.cameras import CameraArrays
+from recon.formats.cameras import CameraArrays, straightened
 from recon.formats.observations import KeypointsFile
 
 
@@ -49,6 +49,7 @@ def keypoints_of(
         focal_known=file.camera.focal_known,
         level=path is not None and path.level,
         unit_known=path is None or path.metric,
+        lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
     )
     return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
 
@@ -58,17 +59,10 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
 
     Exact zeros stay: nothing is ever seen just there, and diagnosis looks for them.
     """
-    camera = file.camera
-    if camera.distortion is None:
+    if file.camera.distortion is None:
         return file.pixels
-    import cv2
-
-    flat = file.pixels.reshape(-1, 1, 2)
-    straight = cv2.undistortPoints(
-        flat, camera.camera_matrix, camera.distortion, P=camera.camera_matrix
-    )
     written = (file.pixels == 0).all(-1, keepdims=True)
-    return np.where(written, 0.0, straight.reshape(file.pixels.shape))
+    return np.where(written, 0.0, straightened(file.pixels, file.camera))
 
 
 def pinhole(

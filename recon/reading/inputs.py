@@ -156,8 +156,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         OSError, ValueError: when a file is there and cannot be read.
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
-    if settings.shape is None:
-        del plain["shape"]  # results older than the option `shape` keep their checksums
+    del plain["detections"]  # where they are kept
+    for name in ("shape", "detector"):
+        if plain[name] is None:
+            del plain[name]  # results older than these options keep their checksums
     contents: dict[str, Any] = {
         "weights": _weights_checksums(settings),
         "tables": _bundled_checksums(
@@ -174,8 +176,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         place = getattr(settings, name)
         if place and ":" in place:
             contents[f"code of {name}"] = _code_checksum(place)
-    if settings.shape is not None and Path(settings.shape).is_file():
-        contents["shape"] = file_checksum(settings.shape)
+    for name in ("shape", "detector"):
+        value = getattr(settings, name)
+        if value is not None and Path(value).is_file():
+            contents[name] = file_checksum(value)
     return value_checksum({"version": version, "settings": plain, **contents})
 
 

@@ -79,14 +79,27 @@ def tracks_of_people(detections: Detections) -> tuple[Track, ...]:
     likeliest is taken, also where people pass each other. Where another way is about as likely,
     all tracks it concerns end there and new ones begin: a track that is short can be seen and
     said, two people mixed in one cannot. Of a body found in two pieces the better one is kept.
+    Nobody is followed across the cuts of a film.
     """
-    rows = np.flatnonzero((detections.confidence > 0).sum(1) >= FEWEST_KEYPOINTS)
+    shot = np.searchsorted(detections.shots, detections.frame, side="right")
+    found = [
+        track
+        for number in range(len(detections.shots) + 1)
+        for track in _tracks_of_shot(detections, shot == number)
+    ]
+    return tuple(replace(track, number=number) for number, track in enumerate(found))
+
+
+def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -> list[Track]:
+    """The tracks of some of the detections."""
+    seen = (detections.confidence > 0).sum(1) >= FEWEST_KEYPOINTS
+    rows = np.flatnonzero(seen & within)
     labels, ended = detections.identity[rows], {}
     if (labels < 0).any() or not _consistent(detections, rows, labels):
         found = linked(detections, rows)
         labels, ended = found.labels, found.ended
     order = dict.fromkeys(labels[labels >= 0].tolist())
-    return tuple(
+    return [
         Track(
             number=number,
             frame=detections.frame[rows[labels == label]],
@@ -95,7 +108,7 @@ def tracks_of_people(detections: Detections) -> tuple[Track, ...]:
             ended_by=ended.get(label),
         )
         for number, label in enumerate(order)
-    )
+    ]
 
 
 def chosen_track(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:

@@ -24,6 +24,7 @@ from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
+from recon.reading.stated import in_one_shot, in_size_of, levelled, stated_rate, with_image_size
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -46,9 +47,13 @@ class Views:
     """Frame number of the first frame."""
     decisions: tuple[str, ...]
     """What was decided about files, cameras and persons, and why."""
+    shot: tuple[int, int] | None = None
+    """First and last frame of the one shot that was taken of a film with cuts."""
 
 
-def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
+def read_views(
+    paths: Sequence[Path], how: ReadOptions, between: tuple[float, float] | None = None
+) -> "SeenViews":
     """The 2D keypoints of all people in one or more calibrated views.
 
     Args:
@@ -56,6 +61,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
         how: the options of reading. Without a calibration, the camera of one view is guessed, a
             phone's, from the size of its images.
+        between: seconds of a film with cuts in which to look for its longest shot; None for all.
 
     Raises:
         FileNotFoundError: when a file or folder is not there.
@@ -68,7 +74,8 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
             "file with --camera, or one view alone, whose camera is then guessed"
         )
-    fps = how.frame_rate
+    known = {path: one for path in folders if (one := with_image_size(path, how)) is not None}
+    fps = how.frame_rate or stated_rate(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
@@ -81,7 +88,7 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
             "give one view"
         )
     if how.camera is None:
-        calibration = _camera_of_one_view(folders[0], track, how)
+        calibration = _camera_of_one_view(folders[0], known.get(folders[0]), track, how)
     else:
         calibration = load_cameras(
             how.camera, unit=how.camera_unit, up=how.camera_up, image_size=how.image_size
@@ -91,10 +98,16 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
     )
     cameras = [calibration.cameras[name] for name in names]
     found = [
-        read_keypoints(path, layout=how.layout, image_size=camera.image_size)
+        known.get(path) or read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
+    sized = [in_size_of(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    found = [one for one, _ in sized]
     first, frames = _frame_range(found)
+    shot = None
+    if len(found) == 1:
+        found[0], shot, cut = in_one_shot(found[0], fps, between)
+        notes = [*notes, *([cut] if cut else [])]
     cameras = [_camera_at_frames(*one, first, frames) for one in zip(cameras, names, strict=True)]
     carried: tuple[str, ...] = ()
     if track is not None:
@@ -102,6 +115,10 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         carried = (_notes_of_views(track, reason),)
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
+    level: list[str] = []
+    if how.ground is None:  # a plane that was given tells more
+        both = [levelled(*one) for one in zip(found, cameras, strict=True)]
+        cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)
     inside = [
@@ -117,17 +134,32 @@ def read_views(paths: Sequence[Path], how: ReadOptions) -> "SeenViews":
         frames=frames,
         fps=float(fps),
         up_given=how.camera_up is not None,
-        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts, *left_out),
+        shot=shot,
+        decisions=(
+            *notes,
+            *calibration.decisions,
+            *carried,
+            *level,
+            *matching,
+            *layouts,
+            *(note for _, note in sized if note),
+            *left_out,
+        ),
     )
 
 
-def _camera_of_one_view(path: Path, track: CameraTrack | None, how: ReadOptions) -> Calibration:
+def _camera_of_one_view(
+    path: Path, known: Detections | None, track: CameraTrack | None, how: ReadOptions
+) -> Calibration:
     """The camera that a tracker states, else a phone's, for one view without calibration.
 
-    Its images are as large as the tracker or the caller says, else as the keypoints need.
+    Its images are as large as the tracker, the caller or the file says, else as the keypoints
+    need.
     """
     stated = None if track is None else track.camera
     size, reason = how.image_size, "given"
+    if size is None and known is not None and (stated is None or stated.size is None):
+        size, reason = known.image_size, f"of {known.name}"
     if size is None and (stated is None or stated.size is None):
         seen = read_keypoints(path, layout=how.layout)
         size = guessed_size(seen.pixels, seen.confidence)
@@ -174,6 +206,8 @@ class SeenViews:
     """Whether the caller said which axis of the cameras' world points up."""
     decisions: tuple[str, ...]
     """What was decided about files and cameras, and why."""
+    shot: tuple[int, int] | None = None
+    """First and last frame of the one shot that was taken of a film with cuts."""
 
     def followed(self) -> tuple[TrackedView, ...]:
         """The tracks of all people in every view.
@@ -206,6 +240,7 @@ class SeenViews:
             names=tuple(self.names[v] for v, _ in kept),
             first_frame=self.first_frame,
             decisions=(*self.decisions, *who),
+            shot=self.shot,
         )
 
     def person(self, number: int | None) -> Views:

@@ -40,6 +40,7 @@ from recon.reading.points import points_settled
 from recon.view.info_cameras import (
     describe_calibration,
     describe_detections,
+    describe_film,
     describe_folder,
 )
 
@@ -101,6 +102,8 @@ def _description(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
             return _describe_estimate(file, axes["up"])
         case "a calibration of cameras":
             return describe_calibration(file)
+        case producers.FILM:
+            return describe_film(file)
         case "silhouettes":
             return {"format": "masks", "frames": len(load_silhouettes(file).images)}
         case producers.MARKERS:

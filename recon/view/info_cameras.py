@@ -18,6 +18,8 @@ from recon.reading.places import expand, view_name
 from recon.reading.tracks import tracks_of_people
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
+_FRAMES_LOOKED_AT = 2_000
+"""Of a film; more would take longer than half a minute."""
 _LOOKED_AT = 5
 """Clouds of a folder that are read to tell their unit."""
 
@@ -81,8 +83,34 @@ def describe_detections(path: Path) -> dict[str, Any]:
         "people": [str(track) for track in people],
         "missing": float((found.confidence <= 0).mean()),
         "units": "pixels",
-        "fps": None,
+        "fps": found.frame_rate,
         "decisions": list(found.decisions),
+    }
+
+
+def describe_film(path: Path) -> dict[str, Any]:
+    """Describe a film, without looking for the people in it; its cuts where it is short.
+
+    Raises:
+        FileNotFoundError, ValueError: as `recon.films.decoding.open_film` does.
+    """
+    from recon.films.decoding import open_film  # loads a decoder
+
+    film = open_film(path)
+    shots = "not looked for in a film so long"
+    if film.frames <= _FRAMES_LOOKED_AT:
+        sum(1 for _ in film)
+        shots = ", ".join(f"{start / film.frame_rate:.2f} s" for start in (0, *film.shots))
+    width, height = film.image_size
+    return {
+        "format": "film",
+        "frames": film.frames,
+        "fps": film.frame_rate,
+        "seconds": film.frames / film.frame_rate,
+        "image_size": f"{width} x {height}",
+        "turned_by": film.turned_by,
+        "shots_from": shots,
+        "decisions": list(film.notes),
     }
 
 

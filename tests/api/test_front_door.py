@@ -222,7 +222,7 @@ def test_files_are_read(tmp_path):
     assert isinstance(both, list)
     assert len(both) == 2
     (tmp_path / "bad.txt").write_text("nothing")
-    with pytest.raises(recon.FormatError, match=r"expected an observation"):
+    with pytest.raises(recon.FormatError, match=r"expected a film, an observation"):
         recon.load_observation(tmp_path / "bad.txt")
     with pytest.raises(FileNotFoundError):
         recon.load_observation(tmp_path / "none.npz")

@@ -216,3 +216,18 @@ def test_shards_are_a_partition():
     assert sorted(c.name for part in parts for c in part) == sorted(c.name for c in clips)
     with pytest.raises(ValueError, match="I < N"):
         clips_of_shard(clips, 4, 4)
+
+
+def test_a_folder_is_a_manifest_of_its_films(tmp_path):
+    for name in ("b.mp4", "a.MOV", "a.gif", "notes.txt", ".hidden.mp4"):
+        (tmp_path / name).touch()
+    clips = read_manifest(tmp_path)
+    assert [clip.name for clip in clips] == ["a.MOV", "a.gif", "b"]
+    assert [clip.observations for clip in clips] == [
+        (tmp_path / name,) for name in ("a.MOV", "a.gif", "b.mp4")
+    ]
+
+
+def test_a_folder_without_films_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="expected films in this folder"):
+        read_manifest(tmp_path)

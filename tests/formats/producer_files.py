@@ -17,6 +17,7 @@ from recon.keypoints3d.layouts import MHR70, ZED38
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.recording import MarkerRecording
 from tests.filmed import bundled, walk
+from tests.films.painted import write as write_film
 from tests.formats import body_files
 from tests.formats.body_files import dumped, saved
 from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
@@ -351,7 +352,7 @@ SAMPLES: dict[tuple[str, str, str], Callable[[Path], Path]] = {
     ("SLAHMR", "body parameters", ".npz"): body_files.slahmr,
     ("SMPL, SMPL-X", "body parameters", ".npz"): body_files.smplx,
     ("", "body parameters", ".pt"): body_files.any_body,
-    ("", "a video", ".mp4"): _text("a.mp4", "film"),
+    ("", "a film", ".mp4"): lambda at: write_film(at / "a.mp4", np.zeros((3, 48, 64, 3), "u1")),
     ("Autodesk", "a scene", ".fbx"): _text("a.fbx", "Kaydara FBX Binary"),
 }  # fmt: skip
 """By name, what it holds and its first ending: writes a sample into a folder, gives its path."""

@@ -79,10 +79,13 @@ def test_the_verbs_that_are_named_take_it(tmp_path, producer):
             case "fit" if producer.name == "SAM 3D Body":
                 assert holds_points_3d(path)
                 assert len(read_points_3d(path).positions) > 0
+            case "fit" if producer.holds == "a film":
+                with pytest.raises(recon.FormatError, match="nobody was found"):
+                    load_clip([path], FitSettings(), bundled())
             case "fit" if not is_estimate([path]):
                 assert load_clip([path], FitSettings(frame_rate=30.0), bundled()).observations
             case _:
-                assert verb in ("info", "refine", "fit")
+                assert verb in ("info", "refine", "fit", "detect")
 
 
 @every

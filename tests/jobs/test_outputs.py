@@ -52,6 +52,7 @@ CASES = (
     Case("predict", "out", ("IN.npz", "--out", "OUT.npz")),
     Case("predict", "out", ("IN.npz", "--out", "OUT", "--samples", "2"), OutputKind.FOLDER),
     Case("register", "out", ("IN.npz", "other.npz", "--out", "OUT"), OutputKind.FOLDER),
+    Case("calibrate", "out", ("IN.npz", "other.npz", "--out", "OUT.toml")),
     Case("interpolate", "out", ("other.npz", "IN.npz", "--out", "OUT")),
     Case("refine", "out", ("IN.npz", "--out", "OUT", "--prior", "pose")),
     Case("retarget", "out", ("IN.npz", "--out", "OUT", "--shape", "0")),

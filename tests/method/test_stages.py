@@ -232,7 +232,9 @@ def test_a_stage_goes_on_from_the_best_of_what_is_proposed(toy_body):
     def propose(estimate, clip):
         asked.append(clip)
         assert len(estimate.motion.translation) == 1
-        return None if clip == 0 else concatenate([truth[[0]], truth[[1]]])
+        if clip == 0:
+            return None, "from the row"
+        return concatenate([truth[[0]], truth[[1]]]), "proposed"
 
     still = LBFGS(1)
     first = Stage("root", FreeMotion(), (data,), frozenset({"translation"}), still)
@@ -249,6 +251,7 @@ def test_a_stage_goes_on_from_the_best_of_what_is_proposed(toy_body):
     compared = reports[-1].compared
     assert compared is not None
     assert compared.clip.tolist() == [0, 1, 1]
+    assert [report.began for report in reports] == [(), ("from the row", "proposed")]
 
 
 def test_proposals_are_motions_in_the_world(toy_body):
@@ -259,7 +262,7 @@ def test_proposals_are_motions_in_the_world(toy_body):
     scene = replace(Scene.create(1, like=truth.translation), ground=ground)
     began = Hypotheses.of_motions(FreeMotion(), [truth], scene, toy_body)
     world = began.estimate(toy_body).motion
-    made, origin = began.proposed(lambda estimate, _: estimate.motion, toy_body)
+    made, origin, _ = began.proposed(lambda estimate, _: (estimate.motion, ""), toy_body)
     assert origin.tolist() == [0]
     motion = made.unknowns.motion(made.prior, toy_body)
     torch.testing.assert_close(motion.translation[0], truth.translation[0])

@@ -91,6 +91,15 @@ def test_a_start_that_does_not_fit_is_refused(change, said):
         solve([_seen(truth)], Quick(), start=change(truth))
 
 
+def test_a_result_of_an_even_number_of_frames_at_60_hz_is_a_start_again():
+    """Fits at 30 Hz end a frame earlier, and two people in one film of a phone were refused."""
+    truth = _truth().resample(60.0)
+    seen = _seen(truth.window(0, 14))
+    assert solve([seen], Quick(), start=truth.window(0, 13)).motion.frames == 13
+    with pytest.raises(ValueError, match="got 12 frames"):
+        solve([seen], Quick(), start=truth.window(0, 12))
+
+
 def test_a_start_of_another_rate_or_fewer_coefficients_is_taken():
     truth = _truth()
     fitted = solve([_seen(truth)], Quick(), start=truth.resample(15.0)).motion

@@ -81,14 +81,25 @@ def test_clips_without_unseen_limbs_get_no_proposals(body: BodyModel) -> None:
     assert unseen is not None
     propose = LookedLimbs(load_network(), unseen)
     estimate = Estimate.of_clip(clip, body)
-    assert propose(estimate, 0) is None
-    motions = propose(estimate, 1)
+    assert propose(estimate, 0) == (None, "")
+    motions, said = propose(estimate, 1)
     assert motions is not None
+    assert "2 motions" in said
     assert len(motions.translation) == 2
     torch.testing.assert_close(motions.translation, clip.translation.expand(2, -1, -1))
     given = clip.rotations.expand(2, -1, -1, -1, -1)
     torch.testing.assert_close(motions.rotations[:, :, ~BOTH_LEGS], given[:, :, ~BOTH_LEGS])
     assert (motions.rotations - given)[:, :, BOTH_LEGS].abs().amax() > 0.01
+
+
+def test_what_is_far_from_what_the_network_knows_gets_no_proposals(body: BodyModel) -> None:
+    """Its motions of people who float were believed as those of walkers were."""
+    clip, unseen = swinging(6, 4), UnseenLimbs.of([seen_data(list(LEGS), moments=6)], body)
+    assert unseen is not None
+    high = clip.replace(translation=clip.translation + torch.tensor([0.0, 0.0, 3.0]))
+    found, said = LookedLimbs(load_network(), unseen)(Estimate.of_clip(high, body), 0)
+    assert found is None
+    assert "far from" in said
 
 
 def test_the_stage_is_there_only_where_limbs_are_unseen(body: BodyModel) -> None:

@@ -1,0 +1,1 @@
+"""Films: real ones against calibrated views, and rendered ones against the truth."""

@@ -1,0 +1,35 @@
+"""How true is the motion of `recon fit film.mp4`?
+
+    python -m benchmarks.films real OBSERVATIONS --out FOLDER
+    python -m benchmarks.films real OBSERVATIONS --cases nothing --detections FOLDER
+    python -m benchmarks.films rendered CORPUS --films FOLDER --out FOLDER
+    python -m benchmarks.films places OBSERVATIONS CORPUS --films FOLDER --out FOLDER
+
+`real` is `benchmarks.films.real`: real films beside the fit of others' detections. `rendered` is
+`benchmarks.films.rendered`: rendered people, whose motion is known. `places` is
+`benchmarks.films.places`: where on the body the detector's points lie.
+"""
+
+import argparse
+
+from benchmarks.films import places, real, rendered
+from benchmarks.protocol import parser
+
+
+def main() -> None:
+    """Measure one part, print and write."""
+    arguments = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parts = arguments.add_subparsers(required=True)
+    for part, data in ((real, "observations"), (rendered, "corpus"), (places, "observations")):
+        name = part.__name__.rpartition(".")[2]
+        each = parts.add_parser(name, parents=[parser(None, data)], add_help=False)
+        part.add_arguments(each)
+        each.set_defaults(measure=part.measure)
+    given = arguments.parse_args()
+    given.measure(given)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""The trained network over all of a clip: any length, rate and gaps, several sensors of points."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from priors.look.looking import FAMILIAR, between_seen, load_network, surprise
+from priors.look.networks import LookNetwork
+from priors.look.points import SeenPoints
+from recon.body.model import BodyModel, forward_kinematics
+from recon.core import rotations as so3
+from recon.core.errors import ObservationError
+from recon.core.motion import Motion
+from recon.method.looks import ProposedMotions
+from recon.method.pace import paced
+from recon.method.protocols import REFERENCE_FPS
+from recon.method.sensor import Sensor, standing_motion
+
+_WINDOW, _OVERLAP = 90, 30
+"""Frames that the network sees together, the most that it was trained on, and those that two
+neighbouring windows share."""
+_TOGETHER = 16
+"""Windows that are looked at together."""
+_CLOSE_S = 0.05
+"""Seconds between two frames of the data up to which points are interpolated between them."""
+_NEAREST_S = 1 / 120
+"""Seconds from a frame of the data within which its points count as seen then."""
+_REACH_S = 1.0
+"""Seconds from the next moment with points from which on motions are interpolated: the network
+was trained on gaps of two seconds."""
+_DRIFT = 0.5
+"""Metres per second by which a standard deviation grows beyond that."""
+_MODEL_M = 0.15
+"""Metres: standard deviation of a point about the body of the proposed rotations when its shape is
+told. Their errors last, so that 60 frames are no 60 independent ones."""
+_USUAL_FRAMES = 60.0
+"""Frames that every clip counts as when its shape is told."""
+_MOST_FRAMES = 300
+"""Frames of a clip that tell its shape, at most."""
+_ASTRAY_M = 0.3
+"""Metres from the proposed motion at which a point counts by a quarter."""
+_NEAR = 4.0
+"""Frames within which points tell together where the body is."""
+
+
+@dataclass(frozen=True, eq=False)
+class LookAtPoints:
+    """The network for named points in space (`recon.method.looks.Look`)."""
+
+    network: LookNetwork
+
+    @classmethod
+    def load(cls, weights: str | Path = "open", body: BodyModel | None = None) -> "LookAtPoints":
+        """With its trained weights, or those of a file of `python -m training look`."""
+        del body
+        return cls(load_network(weights))
+
+    @torch.no_grad()
+    def __call__(self, observations: Sequence[Sensor], body: BodyModel) -> ProposedMotions:
+        """The proposed motions at 30 Hz.
+
+        Raises:
+            ObservationError: when an observation is no named points in space, or nothing is seen.
+        """
+        body = body.to(dtype=torch.float32)
+        seen, start_time, fps = seen_points(observations, body)
+        rotations, pelvis, shape, std, log_weight = self._over_windows(seen, body)
+        rotations, pelvis, std = _over_gaps(rotations, pelvis, std, seen.visible[0].any(-1))
+        placement, first = _Placement(seen, body), int(log_weight.argmax())
+        own = placement.carried(rotations[first], pelvis[first], body.rest_joints(shape)[None])[0]
+        shape = placement.shape(rotations[first], pelvis[first], shape)
+        every = zip(rotations, pelvis, strict=True)
+        moved = torch.stack([placement.pelvis(*one, shape) for one in every])
+        translation = moved - body.rest_joints(shape)[0]
+        shapes = shape.expand(len(moved), -1)
+        motions = Motion.create(translation, rotations, shapes, fps, start_time)
+        spread = (std[first][:, seen.bone[0]].square() + seen.std.square()).sqrt()
+        far = surprise(seen.positions[0] - own, spread, seen.visible[0])
+        return ProposedMotions(motions, log_weight, std, _doubt(far) if far > FAMILIAR else None)
+
+    def _over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:
+        """What is proposed by overlapping windows, blended: each fades in and out.
+
+        Rotations and positions of the pelvis of every hypothesis, one shape, standard deviations
+        and logarithms of the weights.
+        """
+        frames = seen.positions.shape[1]
+        length = min(_WINDOW, frames)
+        step = _WINDOW - _OVERLAP
+        firsts = [min(k, frames - length) for k in range(0, max(frames - _OVERLAP, 1), step)]
+        fade = torch.linspace(-1, 1, length + 2)[1:-1].abs().neg().add(1).clamp(max=0.5)
+        total, sums, shape, weight = torch.zeros(frames), list[Tensor](), 0.0, 0.0
+        for some in (firsts[k : k + _TOGETHER] for k in range(0, len(firsts), _TOGETHER)):
+            cuts = [slice(first, first + length) for first in some]
+            found = self.network(_windows(seen, cuts), body)
+            parts = [so3.to_6d(found.rotations).flatten(-2), found.pelvis, found.log_std]
+            if not sums:
+                sums = [one.new_zeros(one.shape[1], frames, one.shape[-1]) for one in parts]
+            for row, cut in enumerate(cuts):
+                total[cut] += fade
+                for into, one in zip(sums, parts, strict=True):
+                    into[:, cut] += fade[:, None] * one[row]
+            shape, weight = shape + found.shape.sum(0), weight + found.log_weight.sum(0)
+        six, pelvis, log_std = (one / total[:, None] for one in sums)
+        rotations = so3.from_6d(six.unflatten(-1, (-1, 6)))
+        assert isinstance(shape, Tensor)
+        assert isinstance(weight, Tensor)
+        return rotations, pelvis, shape / len(firsts), log_std.exp(), weight.log_softmax(-1)
+
+
+def _doubt(far: float) -> str:
+    return (
+        f"on average the points are {far**0.5:.1f} standard deviations away from what the network "
+        "proposes, so they are far from what it knows; fit them, and check their unit and names"
+    )
+
+
+def seen_points(
+    observations: Sequence[Sensor], body: BodyModel
+) -> tuple[SeenPoints, float, float]:
+    """Named points of all sensors in frames at 30 Hz, the time of the first, and their exact rate.
+
+    Raises:
+        ObservationError: when an observation is no named points in space, or nothing is seen.
+    """
+    named = [one.named for one in observations if one.named is not None and one.named.placed]
+    if len(named) < len(observations):
+        kinds = ", ".join(sorted({one.kind for one in observations}))
+        raise ObservationError(
+            "the method look sees named points in space (joints, markers, 3D keypoints, or "
+            f"keypoints of several views that share a clock and are calibrated), got {kinds}; "
+            "leave the method out to fit them, or give such points alone"
+        )
+    if not any(bool(one.shown.any()) for one in named):
+        raise ObservationError("the method look: no point is visible at any time; nothing to see")
+    start = min(one.start_time for one in named)
+    stop = max(one.start_time + (one.moments - 1) / one.fps for one in named)
+    # both ends are included, so that the rate may be a little above 30 Hz
+    steps = math.ceil((stop - start) * REFERENCE_FPS - 1e-3)
+    fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS
+    times = start + torch.arange(steps + 1, dtype=torch.float64) / fps
+    places, shown = zip(
+        *(_at_times(paced(one, REFERENCE_FPS), times) for one in named), strict=True
+    )
+    bone = torch.tensor([joint for one in named for joint in one.bones(body)])
+    rest = torch.cat([one.at_rest(body) for one in named]).float()
+    counts = [float(one.shown.sum()) for one in named]
+    anybody = standing_motion(body, (), 1, fps=REFERENCE_FPS, start_time=start)
+    noises = [one.noise(anybody, body).metres for one in named]
+    square = sum(n * noise**2 for n, noise in zip(counts, noises, strict=True)) / sum(counts)
+    seen = SeenPoints(
+        torch.cat(places, -2)[None].float(), torch.cat(shown, -1)[None], bone[None],
+        (rest - body.joint_template[bone])[None], torch.tensor([square**0.5]),
+        torch.ones(1, len(times), dtype=torch.bool),
+    )  # fmt: skip
+    return seen, start, fps
+
+
+def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions and visibility at other times, interpolated between frames that are close."""
+    frame = (times - one.start_time) * one.fps
+    last = one.moments - 1
+    before = frame.floor().long().clamp(0, max(last - 1, 0))
+    after = (before + 1).clamp(max=last)
+    nearest = frame.round().long().clamp(0, last)
+    exact = ((frame - nearest).abs() / one.fps <= _NEAREST_S)[:, None] & one.shown[nearest]
+    inside = (frame >= 0) & (frame <= last) & (1 / one.fps <= _CLOSE_S)
+    both = one.shown[before] & one.shown[after] & inside[:, None]
+    mixed = one.values[before].lerp(
+        one.values[after], (frame - before).to(one.values)[:, None, None]
+    )
+    return mixed.where(both[..., None], one.values[nearest]), exact | both
+
+
+def _windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
+    """Some windows of the only clip, as clips."""
+    count = len(cuts)
+    return SeenPoints(
+        torch.cat([seen.positions[:, cut] for cut in cuts]),
+        torch.cat([seen.visible[:, cut] for cut in cuts]),
+        seen.bone.expand(count, -1), seen.offset.expand(count, -1, -1), seen.std.expand(count),
+        torch.cat([seen.exists[:, cut] for cut in cuts]),
+    )  # fmt: skip
+
+
+def _over_gaps(
+    rotations: Float[Tensor, "hypotheses time 22 3 3"],
+    pelvis: Float[Tensor, "hypotheses time 3"],
+    std: Float[Tensor, "hypotheses time 22"],
+    filled: Bool[Tensor, " time"],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The motions, interpolated where nothing is seen for more than a second to either side."""
+    reach = round(_REACH_S * REFERENCE_FPS)
+    near = functional.max_pool1d(filled.float()[None], 2 * reach + 1, 1, reach)[0] > 0
+    if bool(near.all()):
+        return rotations, pelvis, std
+    known = near[:, None]
+    six = between_seen(so3.to_6d(rotations), known.expand(-1, rotations.shape[2]))
+    place = between_seen(pelvis[:, :, None], known)[:, :, 0]
+    frames = torch.arange(len(near), dtype=torch.float32)
+    away = (frames[:, None] - frames[near]).abs().amin(1) / REFERENCE_FPS
+    wide = (std.square() + (_DRIFT * away[:, None]).square()).sqrt()
+    return so3.from_6d(six).where(known[..., None, None], rotations), place, wide
+
+
+@dataclass(frozen=True, eq=False)
+class _Placement:
+    """Where points are seen, and where a body of proposed rotations carries them."""
+
+    seen: SeenPoints
+    body: BodyModel
+
+    def carried(
+        self,
+        rotations: Float[Tensor, "time 22 3 3"],
+        pelvis: Float[Tensor, "time 3"],
+        rest: Float[Tensor, "bodies 22 3"],
+    ) -> Float[Tensor, "bodies time points 3"]:
+        """The points on bodies with these joints at rest."""
+        bone = self.seen.bone[0]
+        many = rotations.expand(len(rest), *rotations.shape)
+        turns, joints = forward_kinematics(many, rest)
+        joints = joints[..., bone, :] - joints[..., :1, :] + pelvis[:, None]
+        return joints + (turns[..., bone, :, :] @ self.seen.offset[0, :, :, None])[..., 0]
+
+    def shape(
+        self,
+        rotations: Float[Tensor, "time 22 3 3"],
+        pelvis: Float[Tensor, "time 3"],
+        shape: Float[Tensor, " shape"],
+    ) -> Float[Tensor, " shape"]:
+        """The shape with which proposed rotations agree best with the points.
+
+        Joints are linear in the shape, so that it solves a small linear system: ridge regression
+        towards the average person, each frame about the mean of its points.
+        """
+        frames = self.seen.visible[0].any(-1).nonzero()[:, 0]
+        rows = frames[torch.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).long()]
+        one = torch.eye(len(shape))
+        rest = self.body.rest_joints(torch.cat((shape[None], shape + one)))
+        found = self.carried(rotations[rows], pelvis[rows], rest)
+        away, slope = self.seen.positions[0, rows] - found[0], found[1:] - found[0]
+        weight = _trust(away, self.seen.visible[0, rows])
+        share = weight / weight.sum(1, keepdim=True).clamp(min=1e-6)
+        away = away - (share * away).sum(1, keepdim=True)
+        slope = slope - (share * slope).sum(2, keepdim=True)
+        pulled = (weight * slope).flatten(1) * (_USUAL_FRAMES / len(rows) / _MODEL_M**2)
+        known = pulled @ slope.flatten(1).mT + one
+        return shape + torch.linalg.solve(known, pulled @ away.flatten() - shape)
+
+    def pelvis(
+        self,
+        rotations: Float[Tensor, "time 22 3 3"],
+        pelvis: Float[Tensor, "time 3"],
+        shape: Float[Tensor, " shape"],
+    ) -> Float[Tensor, "time 3"]:
+        """The pelvis, moved by what the points near in time are away on average."""
+        found = self.carried(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
+        away = self.seen.positions[0] - found
+        weight = _trust(away, self.seen.visible[0])
+        pull = torch.cat(((weight * away).sum(1), weight.sum(1)), -1)
+        reach = torch.arange(-30.0, 31.0)
+        near = (1 + (reach / _NEAR).square()) ** -2
+        sums = functional.conv1d(pull.mT[:, None], near[None, None], padding=30)[:, 0].mT
+        return pelvis + sums[:, :3] / sums[:, 3:].clamp(min=1e-6)
+
+
+def _trust(away: Tensor, visible: Tensor) -> Tensor:
+    """Weights (frames, points, 1) of points so far from where they are expected."""
+    near = (1 + (away.norm(dim=-1, keepdim=True) / _ASTRAY_M).square()) ** -2
+    return near * visible[..., None]

@@ -1,0 +1,289 @@
+"""`recon.calibrate`: poses and focal lengths of cameras that filmed one person."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.api.fit import fit
+from recon.api.given import paths_given
+from recon.api.observations import ObservationsLike
+from recon.api.results import Tables, closing_fields
+from recon.body.model import BodyModel
+from recon.core.arrays import finite_number
+from recon.core.errors import ObservationError
+from recon.core.layouts import keypoint_names
+from recon.core.skeleton import joint_index
+from recon.fitting.settings import ReadOptions
+from recon.formats.calibration import camera_table
+from recon.formats.cameras import CameraArrays, ImageSize
+from recon.formats.observations import KeypointsFile
+from recon.formats.outputs import Output, OutputKind
+from recon.formats.writing import writing
+from recon.reading.clip import format_errors
+from recon.reading.images import keypoints_of, undistorted
+from recon.reading.rig import FilmedPerson, Rig, rig_of_person
+from recon.reading.views import Views, read_views
+
+_LONGEST_SHIFT = 1.0
+"""Seconds by which one film may begin after another."""
+_LONGEST_FIT = 10.0
+"""Seconds that are fitted to find the ground and the person's size."""
+_LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_HEIGHTS = (0.5, 2.5)
+"""Metres."""
+
+
+@dataclass(frozen=True, repr=False)
+class CameraRig:
+    """Cameras in one world: metres, z up, the ground at z = 0."""
+
+    cameras: Mapping[str, CameraArrays]
+    """By the names of their films."""
+    late: Mapping[str, float]
+    """Frames by which each film begins after the first."""
+    error: float
+    """Median distance of a keypoint from where all views place it, as a share of the focal
+    length."""
+    person: float
+    """Height of the person, metres: as given, or as the fit of an average body says."""
+    decisions: tuple[str, ...]
+    """What was found, and what was assumed."""
+    tables: ClassVar[Tables] = {}
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """The JSON report saved beside the calibration; see `MotionResult.report`."""
+        found = {"late": dict(self.late), "error": self.error, "person": self.person}
+        return {**found, "decisions": list(self.decisions), **closing_fields(inputs, settings)}
+
+    def save(
+        self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
+    ) -> tuple[Path, ...]:
+        """Write a calibration (.toml, as Pose2Sim's) that `--camera` reads.
+
+        Raises:
+            FileExistsError: when something is there that recon did not write, unless `overwrite`.
+            ObservationError: when the name does not end in .toml.
+        """
+        if Path(out).suffix.lower() != ".toml":
+            raise ObservationError(f"{out}: a calibration is written as .toml; name it so")
+        said = self.report() if report is None else report
+        output = Output(Path(out), OutputKind.FILE)
+        with writing(output, report=said, overwrite=overwrite) as (staged,):
+            tables = (camera_table(name, one) for name, one in self.cameras.items())
+            staged.write_text("\n".join(tables))
+        return (Path(out),)
+
+    def __repr__(self) -> str:
+        """The cameras, where they stand and their focal lengths."""
+        lines = [f"{len(self.cameras)} cameras; the person is {self.person:.2f} m tall"]
+        for name, camera in self.cameras.items():
+            assert camera.T_camera_world is not None
+            place = np.linalg.inv(camera.T_camera_world[0])[:3, 3]
+            focal = camera.camera_matrix[0, 0]
+            lines.append(f"  {name}: at {place.round(2)} m, focal length {focal:.0f} pixels")
+        return "\n".join(lines)
+
+
+def calibrate(
+    observations: ObservationsLike,
+    *,
+    height: float | None = None,
+    frame_rate: float | None = None,
+    layout: str | None = None,
+    person: int | None = None,
+    camera: str | Path | None = None,
+    image_size: ImageSize | None = None,
+) -> CameraRig:
+    """Find the poses and focal lengths of still cameras from a person who was seen by all.
+
+    The person should walk about, so that keypoints fill the space where all cameras look. Films
+    may begin up to a second apart. Directions and focal lengths come from the keypoints, the unit
+    of length from the height of the person, and the ground from where the feet stand.
+
+    Args:
+        observations: films, or files or folders of 2D keypoints, one per camera.
+        height: of the person, metres, with bare feet; None takes an average body, so that all
+            lengths may be off by as much as the person differs from it.
+        frame_rate: frames per second, where files do not tell.
+        layout: which keypoints they are, where files do not tell.
+        person: number of the person to follow where films show several.
+        camera: calibration of the lenses, whose focal lengths are then kept and whose distortion
+            is taken away; default: phones, whose focal lengths are found.
+        image_size: width and height, pixels, where files do not tell.
+
+    Raises:
+        ReconError: when there are fewer than two views, or they do not tell how the cameras stand;
+            says what to do.
+        FileNotFoundError: when there is nothing there.
+    """
+    paths = paths_given(observations)
+    if len(paths) < 2:
+        raise ObservationError(
+            f"expected films or files of 2D keypoints of two or more cameras, got {len(paths)}"
+        )
+    if height is not None and not _HEIGHTS[0] <= finite_number(height, "height") <= _HEIGHTS[1]:
+        raise ObservationError(
+            f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
+        )
+    how = ReadOptions.of(
+        {
+            "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
+            "image_size": image_size,
+        }
+    )  # fmt: skip
+    with format_errors():
+        views = [read_views([path], how).person(person) for path in paths]
+    files = _on_one_clock(views)
+    body = BodyModel.load()
+    rig = rig_of_person(
+        [_filmed(name, one) for name, one in files.items()],
+        round(_LONGEST_SHIFT * next(iter(files.values())).fps),
+    )
+    cameras, tall = _on_ground(rig, _levelled(rig, files, body), files, body)
+    scale = 1.0 if height is None else height / tall
+    assumed = (
+        f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are off by as "
+        "much as that is"
+        if height is None
+        else f"height {height:.2f} m: given; an average body was fitted as {tall:.2f} m"
+    )
+    return CameraRig(
+        {name: _scaled(one, scale) for name, one in cameras.items()},
+        dict(zip(files, rig.late.tolist(), strict=True)),
+        rig.error,
+        tall * scale,
+        (*(said for view in views for said in view.decisions), assumed),
+    )
+
+
+def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
+    """What each camera saw, by its name, over the frames of all; unseen where a film has none.
+
+    Raises:
+        ObservationError: when names, layouts or frame rates are not what they should be.
+    """
+    names = [name for view in views for name in view.names]
+    files = [file for view in views for file in view.files]
+    if len(set(names)) < len(names):
+        raise ObservationError(
+            f"expected one name for each camera, got {', '.join(names)}; rename the files"
+        )
+    for what in ("layout", "fps"):
+        told = {getattr(file, what) for file in files}
+        if len(told) > 1:
+            raise ObservationError(
+                f"expected one {'frame rate' if what == 'fps' else what} for all views, got "
+                f"{', '.join(map(str, sorted(told)))}; detect, or film, all alike"
+            )
+    first = min(view.first_frame for view in views)
+    stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
+    found = {}
+    for name, view, file in zip(names, views, files, strict=True):
+        before = view.first_frame - first
+        after = stop - view.first_frame - len(file.pixels)
+        pixels = np.pad(undistorted(file), ((before, after), (0, 0), (0, 0)))
+        confidence = np.pad(file.confidence, ((before, after), (0, 0)))
+        lens = replace(file.camera, T_camera_world=None, distortion=None)
+        found[name] = replace(file, pixels=pixels, confidence=confidence, camera=lens)
+    return found
+
+
+def _filmed(name: str, file: KeypointsFile) -> FilmedPerson:
+    matrix, path = file.camera.camera_matrix, file.camera.path
+    up = None if path is None or not path.level else path.T_world_camera[0, 2, :3]
+    return FilmedPerson(
+        name, file.pixels, file.confidence, float(matrix[[0, 1], [0, 1]].mean()),
+        file.camera.focal_known, matrix[:2, 2], up,
+    )  # fmt: skip
+
+
+def _levelled(
+    rig: Rig, files: Mapping[str, KeypointsFile], body: BodyModel
+) -> Float[np.ndarray, "4 4"]:
+    """Maps the first camera's frame to a level world in which an average body has its size."""
+    names = keypoint_names(next(iter(files.values())).layout)
+    place = {name: rig.points[:, k] for k, name in enumerate(names)}
+    rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
+    ratios = []
+    for side in ("left", "right"):
+        for upper, lower in _LIMBS:
+            a, b = (place.get(f"{side}_{one}") for one in (upper, lower))
+            own = [rest[joint_index(f"{side}_{one}")] for one in (upper, lower)]
+            if a is not None and b is not None:
+                length = np.nanmedian(np.linalg.norm(a - b, axis=-1))
+                ratios.append(np.linalg.norm(own[0] - own[1]) / length)
+    ups = [
+        T[:3, :3].T @ one.camera.path.T_world_camera[0, 2, :3]
+        for T, one in zip(rig.T_camera_world, files.values(), strict=True)
+        if one.camera.path is not None
+    ]
+    if not ups:
+        rise = [place[f"{s}_shoulder"] - place[f"{s}_ankle"] for s in ("left", "right")]
+        ups = [np.nanmean(rise, axis=(0, 1))]
+    up = np.mean(ups, axis=0)
+    up /= np.linalg.norm(up)
+    ahead = np.array([0.0, 0.0, 1.0]) - up * up[2]
+    ahead /= np.linalg.norm(ahead)
+    T = np.eye(4)
+    T[:3, :3] = float(np.median(ratios)) * np.stack((np.cross(ahead, up), ahead, up))
+    return T
+
+
+def _on_ground(
+    rig: Rig, T: Float[np.ndarray, "4 4"], files: Mapping[str, KeypointsFile], body: BodyModel
+) -> tuple[dict[str, CameraArrays], float]:
+    """The cameras above the ground, where a fit of the person finds it, and the person's height.
+
+    Args:
+        rig: the cameras in the frame of the first.
+        T: maps that frame to a level world, in metres.
+        files: what each camera saw.
+        body: that is fitted.
+    """
+    scale = np.cbrt(np.linalg.det(T[:3, :3]))
+    turn = T[:3, :3] / scale
+    level = all(one.camera.path is not None for one in files.values())
+    posed = {}
+    for name, pose, focal in zip(files, rig.T_camera_world, rig.focal, strict=True):
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = pose[:3, :3] @ turn.T, scale * pose[:3, 3]
+        matrix = files[name].camera.camera_matrix.copy()
+        matrix[[0, 1], [0, 1]] = focal
+        posed[name] = CameraArrays(matrix, files[name].camera.image_size, None, moved[None])
+    fps = next(iter(files.values())).fps
+    seen = []
+    for name, late in zip(files, rig.late, strict=True):
+        file = replace(files[name], camera=posed[name], start_time=-late / fps)
+        seen.append(keypoints_of(file, body).derived(ground_known=False, level=level))
+    found = fit(seen, "pose", body=body, ground="unknown", between=_densest(files, fps))
+    assert found.T_world_camera is not None
+    lifted = found.T_world_camera.double().numpy() @ posed[next(iter(files))].T_camera_world[0]
+    cameras = {
+        name: replace(one, T_camera_world=one.T_camera_world @ np.linalg.inv(lifted))
+        for name, one in posed.items()
+    }
+    return cameras, float(body.height(found.motion.shape))
+
+
+def _densest(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
+    """Seconds in which all cameras together saw most; None for the whole of a short film."""
+    seen = np.stack([one.confidence.mean(-1) for one in files.values()]).min(0)
+    length = round(_LONGEST_FIT * fps)
+    if len(seen) <= length:
+        return None
+    first = int(np.convolve(seen, np.ones(length), mode="valid").argmax())
+    return first / fps, (first + length) / fps
+
+
+def _scaled(camera: CameraArrays, scale: float) -> CameraArrays:
+    """The camera in a world that is larger by a factor, about the origin."""
+    assert camera.T_camera_world is not None
+    moved = camera.T_camera_world.copy()
+    moved[:, :3, 3] *= scale
+    return replace(camera, T_camera_world=moved)

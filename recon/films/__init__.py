@@ -1,0 +1,1 @@
+"""Films: decoding of video files, and detection of people in their frames."""

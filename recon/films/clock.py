@@ -1,0 +1,99 @@
+"""The even clock of a film whose pictures were taken at any times."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.detections.records import Row
+
+_EVEN = 0.2
+"""Frames that the times of a film may be off an even clock; phones round theirs by less."""
+_GAP = 2.5
+"""Frames between two pictures across which keypoints are not interpolated."""
+
+
+@dataclass(frozen=True)
+class FilmClock:
+    """Evenly spaced times near those of the pictures."""
+
+    rate: float
+    """Frames per second of the recording."""
+    frames: int
+    """Number of frames from the first picture to the last."""
+    speed: float
+    """Seconds of the film's time stamps per second of the recording; 8 for 240 Hz shown at 30."""
+    off: float
+    """The largest distance of a picture from the nearest frame of the clock, in frames."""
+
+    @property
+    def even(self) -> bool:
+        """Whether the pictures were taken at the clock's frames, but for dropped ones."""
+        return self.off <= _EVEN
+
+    def time(self, stamp: float) -> float:
+        """Seconds of the recording at a time stamp, both since the first picture."""
+        return stamp / self.speed
+
+    def number(self, time: float) -> int:
+        """The nearest frame of the clock to a time of the recording."""
+        return round(time * self.rate)
+
+
+def clock_of_stamps(
+    stamps: Float[np.ndarray, " pictures"], recorded_rate: float | None = None
+) -> FilmClock:
+    """The clock of pictures with these time stamps, seconds, rising.
+
+    A step between two pictures counts as many frames as it has median steps, so that a dropped
+    picture leaves a gap, and rounded stamps (33, 33, 34 ms) do not add up.
+
+    Args:
+        stamps: of two or more pictures.
+        recorded_rate: pictures per second that the camera took, where the film is played at
+            another rate; None where the stamps are true.
+    """
+    steps = np.diff(stamps)
+    frames = np.rint(steps / np.median(steps))
+    span, count = float(stamps[-1] - stamps[0]), max(int(frames.sum()), 1)
+    played = count / span
+    place = (stamps - stamps[0]) * played
+    off = np.abs(place - np.rint(place)).max()
+    rate = played if recorded_rate is None else recorded_rate
+    return FilmClock(rate=rate, frames=count + 1, speed=rate / played, off=float(off))
+
+
+def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:
+    """The keypoints of one person at the frames of an even clock, linearly between the pictures.
+
+    Args:
+        rows: of the person, by frame.
+        times: when the picture of every frame was taken, seconds.
+        rate: of the clock, Hz.
+    """
+    if len(rows) < 2:
+        return rows
+    taken = np.array([times[number] for number, _, _ in rows]) * rate
+    points = np.stack([keypoints for _, keypoints, _ in rows])
+    numbers = np.arange(np.ceil(taken[0] - _EVEN), np.floor(taken[-1] + _EVEN) + 1)
+    after = np.clip(np.searchsorted(taken, numbers), 1, len(taken) - 1)
+    step = taken[after] - taken[after - 1]
+    share = np.clip((numbers - taken[after - 1]) / step, 0.0, 1.0)
+    joined = step <= _GAP
+    kept = joined | (np.minimum(share, 1 - share) * step <= _EVEN)
+    numbers, after, share = (
+        numbers[kept],
+        after[kept],
+        np.where(joined, share, share.round())[kept],
+    )
+    weight = share[:, None, None]
+    mixed = (1 - weight) * points[after - 1] + weight * points[after]
+    sure = np.stack([points[after - 1, :, 2], points[after, :, 2]])
+    mixed[..., 2] = np.where(
+        weight[..., 0] == 0, sure[0], np.where(weight[..., 0] == 1, sure[1], sure.min(0))
+    )
+    person = rows[0][2]
+    return [
+        (int(number), keypoints, person) for number, keypoints in zip(numbers, mixed, strict=True)
+    ]

@@ -1,0 +1,232 @@
+"""Reads films: people are detected in every frame, followed, and written down as 2D keypoints."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.core.errors import FormatError, ReconError
+from recon.core.plugins import DETECTORS, imported_object, registered_places
+from recon.detections.records import Detections, Row, detections_of_rows
+from recon.detections.tables import detection_arrays, read_detection_arrays
+from recon.films.blazepose import BlazePose
+from recon.films.clock import at_even_times
+from recon.films.decoding import Film, FilmFrame, open_film
+from recon.films.sides import rows_of_sights
+from recon.films.tracking import Sight, Tracker
+from recon.films.unfinished import Unfinished
+from recon.films.vertical import straight_segments
+from recon.formats.opening import existing_file, load_arrays
+from recon.formats.replacing import file_checksum, save_arrays, value_checksum
+
+Watch = Callable[[int, int], None]
+"""Called with the number of frames that were looked at, and of all."""
+Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
+"""Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
+of every keypoint, and the person's number or -1."""
+_VERSION = 3
+"""Rises when the same film gives other detections, so that kept ones are made again."""
+_NETWORK = ".tflite"
+_SAVED_EVERY = 500
+"""Frames."""
+_IMAGES_WITH_LINES = 5
+"""Images of a film in which straight lines are looked for."""
+
+
+def _kept_file(path: Path, folder: Path, key: str) -> Path:
+    """The file in which detections of a film are kept."""
+    return folder / f"{path.stem}-{key[:8]}.npz"
+
+
+def read_film(
+    path: Path,
+    *,
+    frame_rate: float | None = None,
+    layout: str | None = None,
+    detector: str | None = None,
+    kept: Path | None = None,
+    watch: Watch | None = None,
+) -> Detections:
+    """The 2D keypoints of everybody in a film.
+
+    Args:
+        path: of the film.
+        frame_rate: pictures per second that the camera took, where the film does not tell.
+        layout: of the keypoints of a detector of your own, where their number does not tell.
+        detector: None is BlazePose with its landmarks `full`; or the file of others of its
+            landmarks (.tflite), or a `Detector`: "package.module:Class" or a registered name.
+        kept: folder in which detections are kept, so that the next call finds them, or goes on
+            where this one is interrupted; None keeps nothing.
+        watch: told of the progress.
+
+    Raises:
+        FileNotFoundError: when there is no such film.
+        FormatError: when it cannot be decoded or nobody is in it.
+        ReconError: when the detector is not installed.
+    """
+    existing_file(path)
+    key = "" if kept is None else _key(path, frame_rate, layout, detector)
+    file = None if kept is None else _kept_file(path, kept, key)
+    if file is not None and file.is_file() and str(load_arrays(file).get("made_of")) == key:
+        seen, notes = read_detection_arrays(file), load_arrays(file)["notes"].tolist()
+        return replace(seen, name=path.name, decisions=(*notes, *seen.decisions))
+    film = open_film(path, frame_rate=frame_rate)
+    frames = _Watched(film, watch)
+    unfinished = None
+    if detector is None or detector.endswith(_NETWORK):
+        networks = BlazePose(None if detector is None else Path(detector))
+        if file is not None:
+            unfinished = Unfinished(file.with_name(f"{file.stem}-unfinished.npz"), key)
+        sights = sorted(
+            _sights(frames, film.frame_rate, networks, unfinished), key=lambda one: one.track
+        )
+        people = [
+            rows_of_sights(list(seen)) for _, seen in groupby(sights, key=lambda one: one.track)
+        ]
+        layout = "mediapipe33"
+    else:
+        rows = sorted(_own_detector(detector)(frames), key=lambda row: row[2])
+        people = [list(own) for _, own in groupby(rows, key=lambda row: row[2])]
+    lines, lines_frame = frames.lines()
+    found = replace(
+        _detections(film, frames.times, people, layout), lines=lines, lines_frame=lines_frame
+    )
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        save_arrays(file, {
+            **detection_arrays(found), "made_of": np.array(key), "notes": np.array(film.notes, str)
+        })  # fmt: skip
+        if unfinished is not None:
+            unfinished.path.unlink(missing_ok=True)
+    return found
+
+
+@dataclass
+class _Watched:
+    """The frames of a film, which tells of the progress and notes their times."""
+
+    film: Film
+    watch: Watch | None
+    times: dict[int, float] = field(default_factory=dict)
+    segments: dict[int, tuple[int, Float[np.ndarray, "segments 2 2"]]] = field(
+        default_factory=dict
+    )
+    """Shot and straight segments, pixels of the film, of some frames by their numbers."""
+
+    def __iter__(self) -> Iterator[FilmFrame]:
+        every = max(1, self.film.frames // _IMAGES_WITH_LINES)
+        for frame in self.film:
+            if frame.number % every == every // 2:
+                shift = (self.film.shrunk - 1) / 2
+                ends = straight_segments(frame.image) * self.film.shrunk + shift
+                self.segments[frame.number] = frame.shot, ends
+            yield frame
+            self.times[frame.number] = frame.time
+            if self.watch is not None:
+                self.watch(frame.number + 1, self.film.frames)
+
+    def lines(self) -> tuple[Float[np.ndarray, "lines 2 2"], Int[np.ndarray, " lines"]]:
+        """The segments of the shot that has most of these images, and the frame of each."""
+        shots = Counter(shot for shot, _ in self.segments.values())
+        chosen = shots.most_common(1)[0][0] if shots else 0
+        own = {n: ends for n, (shot, ends) in self.segments.items() if shot == chosen}
+        count = [len(ends) for ends in own.values()]
+        ends = np.concatenate([np.zeros((0, 2, 2)), *own.values()])
+        return ends, np.repeat(np.array(list(own), dtype=np.int64), count)
+
+
+def _sights(
+    frames: Iterable[FilmFrame], rate: float, networks: BlazePose, unfinished: Unfinished | None
+) -> list[Sight]:
+    """Everybody in every frame, kept where a run is interrupted."""
+    tracker = Tracker(networks, rate)
+    sights, state = ([], None) if unfinished is None else unfinished.load()
+    if state is not None:
+        tracker.go_on(state)
+    after = -1 if state is None else state.frame
+    done = False
+    try:
+        for count, frame in enumerate(frames, start=1):
+            if frame.number <= after:
+                continue
+            sights += tracker.step(frame.image, frame.number, frame.shot)
+            state = tracker.state()
+            if unfinished is not None and count % _SAVED_EVERY == 0:
+                unfinished.save(sights, state)
+        done = True
+    finally:
+        if unfinished is not None and state is not None and not done:
+            # an interruption between two statements may have left sights of a further frame
+            unfinished.save([one for one in sights if one.frame <= state.frame], state)
+    return sights
+
+
+def _detections(
+    film: Film, times: Mapping[int, float], people: list[list[Row]], layout: str | None
+) -> Detections:
+    """Detections in pixels of the film, whose frames may have been shrunk, at even times.
+
+    What lies beyond the image's border is guessed, and is not seen.
+    """
+    numbers = list(times)
+    if not film.clock.even:
+        numbers = list(range(film.frames))
+        people = [
+            at_even_times(own, times, film.frame_rate) if _is_one_person(own) else own
+            for own in people
+        ]
+    rows = sorted((row for own in people for row in own), key=lambda row: row[0])
+    if not rows:
+        raise FormatError(
+            f"{film.path}: nobody was found in any of its {film.frames} frames; a person should "
+            "be seen from head to foot and be at least a tenth of the image high"
+        )
+    shift = (film.shrunk - 1) / 2
+    scaled: list[Row] = []
+    for number, points, person in rows:
+        pixels = points[:, :2] * film.shrunk + shift
+        inside = ((pixels >= 0) & (pixels <= np.array(film.image_size) - 1)).all(1)
+        seen = np.where(inside, points[:, 2], 0.0)
+        scaled.append((number, np.column_stack((pixels, seen)), person))
+    found = detections_of_rows(
+        film.path.name, numbers, scaled, layout=layout, decisions=tuple(film.notes)
+    )
+    return replace(found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots)
+
+
+def _is_one_person(rows: list[Row]) -> bool:
+    """Whether rows are of one person: none of a frame twice."""
+    return len({number for number, _, _ in rows}) == len(rows)
+
+
+def _own_detector(name: str) -> Detector:
+    """A detector of the caller.
+
+    Raises:
+        ReconError: when there is none of this name.
+    """
+    known = registered_places(DETECTORS)
+    if name not in known and ":" not in name:
+        raise ReconError(
+            f"detector: expected a file of BlazePose's landmarks ({_NETWORK}), a class "
+            f"package.module:Class{''.join(f', {one}' for one in known)}; got {name!r}"
+        )
+    return imported_object(known.get(name, name), "detector")()
+
+
+def _key(path: Path, frame_rate: float | None, layout: str | None, detector: str | None) -> str:
+    """Checksum of all on which the detections of a film depend."""
+    network = detector is not None and detector.endswith(_NETWORK)
+    return value_checksum(
+        [
+            _VERSION,
+            file_checksum(path),
+            frame_rate,
+            layout,
+            file_checksum(existing_file(Path(detector))) if network and detector else detector,
+        ]
+    )

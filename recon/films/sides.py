@@ -1,0 +1,140 @@
+"""Decides over the whole film which side of the body is left, and how sure every keypoint is.
+
+The network sees single images, in which left and right are easily mistaken, for whole stretches.
+Of every frame there are four hypotheses: what it says of the image, what it says of the mirror
+image, and both with left and right exchanged. Limbs do not jump to the other side of the body from
+one frame to the next, so that the sequence in which they move least tells which names belong
+together; which of the two sides is left is then decided by the majority of all frames.
+"""
+
+from itertools import groupby
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.detections.records import Row
+from recon.films.blazepose import MIRRORED
+from recon.films.tracking import Sight
+
+_SPREADS = (0.01, 0.05)
+"""Least and largest distance that landmarks usually move from frame to frame, in sizes of the
+body."""
+_FARTHEST = 3.0
+"""Multiples of it beyond which a landmark costs no more."""
+_INDEPENDENT = 0.25
+"""Share of the landmarks that err independently of each other."""
+_VOTE = 0.05
+"""Logarithm of the odds by which a frame's names are believed: errors last for many frames."""
+_BODY = 0.5
+"""Size of the body in sides of its region."""
+_AGREEMENT = 0.1
+"""Distance of two landmarks, in sizes of the body, up to which their mean is taken."""
+_USUAL, _HIDDEN, _PER_DISTANCE = 0.02, 0.06, 0.3
+"""Error of a landmark that is surely seen, in sizes of the body, how much larger that of one is
+which is not, and its share of the distance from other places where it may be; told by the
+distances from OpenPose's keypoints in three films of one person (Pose2Sim, 100 frames each)."""
+_LEAST_SEEN = 0.05
+"""Visibility times presence from which on a landmark counts as seen."""
+
+
+def rows_of_sights(sights: list[Sight]) -> list[Row]:
+    """A row for every person and frame, by frame."""
+    rows: list[Row] = []
+    ordered = sorted(sights, key=lambda one: one.track)
+    for _, track in groupby(ordered, key=lambda one: one.track):
+        rows += _rows_of_track(list(track))
+    return sorted(rows, key=lambda row: row[0])
+
+
+def _rows_of_track(sights: list[Sight]) -> list[Row]:
+    seen = np.stack([(sight.pose.pixels, sight.mirrored.pixels) for sight in sights])
+    size = _BODY * np.array([sight.pose.region.side for sight in sights])
+    frames = np.array([sight.frame for sight in sights])
+    chosen, other = _named(seen, size, frames)
+    apart = np.linalg.norm(chosen - other, axis=-1) / size[:, None]
+    pixels = np.where((apart < _AGREEMENT)[..., None], (chosen + other) / 2, chosen)
+    off = np.linalg.norm(pixels - _median_in_time(pixels), axis=-1) / size[:, None]
+    points = np.concatenate((pixels, _confidence(sights, apart + off)[..., None]), -1)
+    return [(sight.frame, row, -1) for sight, row in zip(sights, points, strict=True)]
+
+
+def _named(
+    seen: Float[np.ndarray, "frames 2 33 2"],
+    size: Float[np.ndarray, " frames"],
+    frames: Int[np.ndarray, " frames"],
+) -> tuple[Float[np.ndarray, "frames 33 2"], Float[np.ndarray, "frames 33 2"]]:
+    """The landmarks of a person with their right names, and those of the other image.
+
+    The first are of either the image or its mirror image; the others have the names that are
+    nearer to these.
+
+    Args:
+        seen: by the image and by its mirror image, pixels.
+        size: of the body, pixels.
+        frames: their numbers, rising.
+    """
+    hypotheses = np.concatenate((seen, seen[:, :, MIRRORED]), 1)
+    path = _cheapest_path(hypotheses, size, frames)
+    rows = np.arange(len(path))
+    chosen, other = hypotheses[rows, path], seen[rows, 1 - path % 2]
+    turned = other[:, MIRRORED]
+    apart, crossed = (np.linalg.norm(chosen - one, axis=-1).mean(1) for one in (other, turned))
+    return chosen, np.where((crossed < apart)[:, None, None], turned, other)
+
+
+def _cheapest_path(
+    hypotheses: Float[np.ndarray, "frames 4 33 2"],
+    size: Float[np.ndarray, " frames"],
+    frames: Int[np.ndarray, " frames"],
+) -> Int[np.ndarray, " frames"]:
+    """The hypothesis of every frame, by the Viterbi algorithm."""
+    # two votes against an exchange where image and mirror image agree, else one for each side
+    named, exchanged = (
+        np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
+    )
+    doubt = (exchanged < named).astype(float)
+    votes = _VOTE * np.stack((doubt, doubt, 2 - doubt, 2 - doubt), 1)
+    moved = np.linalg.norm(hypotheses[1:, :, None] - hypotheses[:-1, None], axis=-1)
+    moved /= size[1:, None, None, None]
+    usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
+    spread = np.clip(usual, *_SPREADS) * np.diff(frames)
+    far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
+    steps = _INDEPENDENT * np.square(far).sum(-1) / 2
+    cost, before = votes[0], np.zeros((len(frames), hypotheses.shape[1]), int)
+    for t, step in enumerate(steps, start=1):
+        way = cost + step
+        before[t] = way.argmin(1)
+        cost = way.min(1) + votes[t]
+    path = np.zeros(len(frames), int)
+    path[-1] = cost.argmin()
+    for t in range(len(frames) - 1, 0, -1):
+        path[t - 1] = before[t, path[t]]
+    return path
+
+
+def _median_in_time(
+    pixels: Float[np.ndarray, "frames 33 2"],
+) -> Float[np.ndarray, "frames 33 2"]:
+    """The median of every coordinate over five frames: what passes within two is no movement."""
+    padded = np.pad(pixels, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    return np.median(np.stack([padded[k : k + len(pixels)] for k in range(5)]), axis=0)
+
+
+def _confidence(
+    sights: list[Sight], apart: Float[np.ndarray, "frames 33"]
+) -> Float[np.ndarray, "frames 33"]:
+    """The usual error of a landmark divided by the expected one.
+
+    Args:
+        sights: of one person.
+        apart: distance of the two places of every landmark from each other, and of their mean from
+            the frames before and after, sizes of the body.
+    """
+    visible, present = (
+        np.min([(getattr(one.pose, name), getattr(one.mirrored, name)) for one in sights], axis=1)
+        for name in ("visibility", "presence")
+    )
+    inside = np.array([one.pose.inside & one.mirrored.inside for one in sights])
+    error = _USUAL + _HIDDEN * (1 - visible) ** 1.5 + _PER_DISTANCE * apart
+    seen = inside & (visible * present > _LEAST_SEEN)
+    return np.where(seen, present * _USUAL / error, 0.0)

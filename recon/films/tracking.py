@@ -1,0 +1,200 @@
+"""Follows the regions of people from frame to frame, and looks for new people."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.films.blazepose import MIRRORED, BlazePose, Image, Pose, Region
+
+_SEARCH_S = 0.5
+"""Seconds between two looks for people who are not followed."""
+_LEAST_SCORE = 0.5
+"""Score of a region from which on it holds a person."""
+_SAME_PLACE = 0.25
+"""Hips of two regions so near, in sides of the smaller, are of one person."""
+_SAME_BODY = 0.1
+"""Two bodies so near to each other, in sides of the smaller region, are one."""
+_LARGE = [11, 12, *range(23, 29)]
+"""Landmarks of shoulders, hips, knees and ankles: faces and hands of two people may be near."""
+_CUTOFF_HZ, _SPEED_CUTOFF, _RATE_CUTOFF_HZ = 0.01, 10.0, 1.0
+"""Of the filter of regions: its cut-off frequency at rest, how much it rises per region's side per
+second, and the cut-off of the speed."""
+_TILE_STEP = 0.6
+"""Distance of neighbouring tiles, in sides."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One person in one frame."""
+
+    frame: int
+    track: int
+    """Number of the person's track, which ends when they are lost."""
+    pose: Pose
+    mirrored: Pose
+    """The same from the mirror image."""
+
+
+@dataclass(frozen=True)
+class TrackerState:
+    """Where a tracker stands after a frame."""
+
+    frame: int
+    shot: int
+    fresh: int
+    """Number of the next track."""
+    next_search: int
+    """Frame of the next look for new people."""
+    tracks: Float[np.ndarray, "tracks 79"]
+    """Number, region (centre, side, angle), filtered points, their speed and the landmarks of the
+    last frame of every track."""
+
+
+@dataclass
+class _Track:
+    number: int
+    region: Region
+    points: Float[np.ndarray, "2 2"] | None = None
+    """Filtered hips and rim; None before the first frame."""
+    speed: Float[np.ndarray, "2 2"] = field(default_factory=lambda: np.zeros((2, 2)))
+    """Filtered, in sides of the region per second."""
+    body: Float[np.ndarray, "33 2"] | None = None
+    """Landmarks of the last frame; None before the first."""
+
+    def jump(self, pose: Pose) -> float:
+        """How far a body is from that of the last frame, sides of the region."""
+        return 0.0 if self.body is None else _gap(pose.pixels, self.body) / self.region.side
+
+    def follow(self, sight: Sight, rate: float) -> None:
+        """Move the region after the person by a one-euro filter (Casiez et al. 2012)."""
+        self.body = sight.pose.pixels
+        points = (sight.pose.next_points + sight.mirrored.next_points) / 2
+        if self.points is None:
+            self.points = points
+        speed = (points - self.points) / self.region.side * rate
+        self.speed = self.speed + _share(_RATE_CUTOFF_HZ, rate) * (speed - self.speed)
+        share = _share(_CUTOFF_HZ + _SPEED_CUTOFF * np.abs(self.speed), rate)
+        self.points = self.points + share * (points - self.points)
+        self.region = Region.of_points(*self.points)
+
+
+def _share(cutoff: float | np.ndarray, rate: float) -> float | np.ndarray:
+    """The weight of a new value in an exponential filter of this cut-off frequency."""
+    return 1 / (1 + rate / (2 * np.pi * cutoff))
+
+
+class Tracker:
+    """Everybody who is followed."""
+
+    def __init__(self, networks: BlazePose, rate: float) -> None:
+        self._networks = networks
+        self._rate = rate
+        self._tracks: list[_Track] = []
+        self._fresh = 0
+        self._next_search = 0
+        self._shot = 0
+        self._frame = -1
+
+    def state(self) -> TrackerState:
+        """Where it stands, to go on from there."""
+        rows = [
+            (
+                one.number, *one.region.centre, one.region.side, one.region.angle,
+                *one.points.ravel(), *one.speed.ravel(), *one.body.ravel(),
+            )
+            for one in self._tracks
+            if one.points is not None and one.body is not None
+        ]  # fmt: skip
+        return TrackerState(
+            self._frame, self._shot, self._fresh, self._next_search, np.reshape(rows, (-1, 79))
+        )
+
+    def go_on(self, state: TrackerState) -> None:
+        """Stand where another tracker of the same film stood."""
+        self._frame, self._shot, self._fresh = state.frame, state.shot, state.fresh
+        self._next_search = state.next_search
+        self._tracks = [
+            _Track(
+                int(row[0]), Region(row[1:3], float(row[3]), float(row[4])),
+                row[5:9].reshape(2, 2), row[9:13].reshape(2, 2), row[13:].reshape(33, 2),
+            )
+            for row in state.tracks
+        ]  # fmt: skip
+
+    def step(self, image: Image, frame: int, shot: int) -> list[Sight]:
+        """Everybody in the next frame."""
+        self._frame = frame
+        if shot != self._shot:
+            self._tracks, self._shot, self._next_search = [], shot, frame
+        if not self._tracks or frame >= self._next_search:
+            self._search(image, tiles=frame >= self._next_search)
+            if frame >= self._next_search:
+                self._next_search = frame + max(round(_SEARCH_S * self._rate), 1)
+        before = len(self._tracks)
+        kept = self._distinct(list(self._looked(image, frame)))
+        for one, sight in kept:
+            one.follow(sight, self._rate)
+        self._tracks = sorted((one for one, _ in kept), key=lambda one: one.number)
+        if len(self._tracks) < before:
+            self._next_search = min(self._next_search, frame + 1)
+        return [sight for _, sight in kept]
+
+    def _search(self, image: Image, *, tiles: bool) -> None:
+        found = self._networks.find(image)
+        if tiles:
+            found += [one for tile in _tiles(image) for one in self._networks.find(image, tile)]
+        for region, _ in sorted(found, key=lambda one: -one[1]):
+            if all(not _same_place(region, one.region) for one in self._tracks):
+                self._tracks.append(_Track(self._fresh, region))
+                self._fresh += 1
+
+    def _looked(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
+        """Everybody who is still in their region.
+
+        Where the image and its mirror image show different bodies, of two people who overlap, the
+        one counts that moved less since the last frame.
+        """
+        for one in self._tracks:
+            both = self._networks.poses(image, one.region)
+            sure = [pose for pose in both if pose.score >= _LEAST_SCORE]
+            if not sure:
+                continue
+            steady = min(sure, key=one.jump)
+            pose, mirrored = (it if _same_body(it, steady) else steady for it in both)
+            yield one, Sight(frame, one.number, pose, mirrored)
+
+    def _distinct(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
+        """Of tracks that are on one body the one that moved least to get there, if it is old."""
+        seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
+        kept: list[tuple[_Track, Sight]] = []
+        for track, sight in seen:
+            if all(not _same_body(sight.pose, other.pose) for _, other in kept):
+                kept.append((track, sight))
+        return kept
+
+
+def _same_place(one: Region, other: Region) -> bool:
+    away = np.linalg.norm(one.centre - other.centre)
+    return bool(away < _SAME_PLACE * min(one.side, other.side))
+
+
+def _same_body(one: Pose, other: Pose) -> bool:
+    return _gap(one.pixels, other.pixels) < _SAME_BODY * min(one.region.side, other.region.side)
+
+
+def _gap(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
+    """Median distance of trunk and legs of two bodies, whichever side is left, pixels."""
+    away = (np.linalg.norm((one - way)[_LARGE], axis=1) for way in (other, other[MIRRORED]))
+    return min(float(np.median(distances)) for distances in away)
+
+
+def _tiles(image: Image) -> Iterator[Region]:
+    """Overlapping squares that cover an image."""
+    height, width = image.shape[:2]
+    side, long = min(width, height), max(width, height)
+    count = max(1, int(np.ceil(long / (_TILE_STEP * side))))
+    for at in np.linspace(side / 2, long - side / 2, count):
+        middle = (side / 2, at) if height >= width else (at, side / 2)
+        yield Region(np.array(middle) - 0.5, float(side), 0.0)

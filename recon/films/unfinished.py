@@ -1,0 +1,79 @@
+"""Keeps what was seen in a film until an interruption."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.films.blazepose import LANDMARKS, Pose, Region
+from recon.films.tracking import Sight, TrackerState
+from recon.formats.opening import load_arrays
+from recon.formats.replacing import save_arrays
+
+_SIZES = (2 * LANDMARKS, LANDMARKS, LANDMARKS, LANDMARKS, 1, 2, 1, 1, 4)
+"""Numbers of the fields of a pose: pixels, visibility, presence, inside, score, the centre, side
+and angle of the region, and points of the next one."""
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A file with sights of people, and where the tracker stands."""
+
+    path: Path
+    key: str
+    """Checksum of what the sights depend on."""
+
+    def save(self, sights: list[Sight], state: TrackerState) -> None:
+        """Write the file anew."""
+        rows = [(*_packed(one.pose), *_packed(one.mirrored)) for one in sights]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        save_arrays(
+            self.path,
+            {
+                "made_of": np.array(self.key),
+                "sights": np.array([(one.frame, one.track) for one in sights]).reshape(-1, 2),
+                "poses": np.array(rows).reshape(len(rows), 2, -1),
+                "tracks": state.tracks,
+                "counters": np.array([state.frame, state.shot, state.fresh, state.next_search]),
+            },
+        )
+
+    def load(self) -> tuple[list[Sight], TrackerState | None]:
+        """What was kept; nothing where there is no file, or one of another film."""
+        if not self.path.is_file():
+            return [], None
+        arrays = load_arrays(self.path)
+        if str(arrays.get("made_of")) != self.key:
+            return [], None
+        sights = [
+            Sight(int(frame), int(track), _unpacked(pose), _unpacked(mirrored))
+            for (frame, track), (pose, mirrored) in zip(
+                arrays["sights"], arrays["poses"], strict=True
+            )
+        ]
+        frame, shot, fresh, next_search = arrays["counters"].tolist()
+        return sights, TrackerState(frame, shot, fresh, next_search, arrays["tracks"])
+
+
+def _packed(pose: Pose) -> Float[np.ndarray, " numbers"]:
+    parts = (
+        pose.pixels, pose.visibility, pose.presence, pose.inside, pose.score, pose.region.centre,
+        pose.region.side, pose.region.angle, pose.next_points,
+    )  # fmt: skip
+    return np.concatenate([np.ravel(one) for one in parts]).astype(float)
+
+
+def _unpacked(numbers: Float[np.ndarray, " numbers"]) -> Pose:
+    pixels, visibility, presence, inside, score, centre, side, angle, after = np.split(
+        numbers, np.cumsum(_SIZES)[:-1]
+    )
+    return Pose(
+        pixels=pixels.reshape(-1, 2),
+        visibility=visibility,
+        presence=presence,
+        inside=inside > 0,
+        score=float(score[0]),
+        region=Region(centre, float(side[0]), float(angle[0])),
+        next_points=after.reshape(2, 2),
+    )

@@ -1,0 +1,206 @@
+"""The vertical and the focal length of a still camera, from straight lines in its images.
+
+Edges of walls, doors, windows and furniture are mostly vertical, or along two horizontal
+directions at right angles (Coughlan and Yuille, "Manhattan World", 1999). A segment in an image
+and the centre of the camera span a plane with a unit normal n; the segment may show a line of
+direction d only where n·d = 0. Pairs of segments propose vertical directions, for every focal
+length of a grid. The best one explains, with two horizontal directions, the largest share of the
+length of all segments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+_LONGEST_SIDE = 1280
+"""Pixels to which larger images are reduced before segments are looked for."""
+_SHORTEST_SEGMENT = 0.03
+"""Share of the image's longer side."""
+_FEWEST_SEGMENTS = 20
+_TOLERANCE = np.radians(1.2)
+"""Standard deviation of the angle between the plane of a segment and the direction it shows."""
+_MOST_TILTED = np.radians(50.0)
+"""Angle between the vertical and the image's own up axis up to which it is looked for."""
+_FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
+"""Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
+_PAIRS = 300
+"""Pairs of segments that propose a vertical for each focal length."""
+_HEADINGS = 90
+"""Bins of the quarter turn in which the horizontal directions lie."""
+_LEAST_VERTICAL = 0.05
+"""Share of the length of all segments that the vertical must explain by itself."""
+_BEYOND_CHANCE = 0.12
+"""Explained share beyond that of segments turned at random, from which on lines tell anything."""
+_RANDOM_TURNS = 5
+_STEP, _PEAK = 0.12, 0.92
+"""Logarithm of a change of the focal length by which the explained share must fall, to this share
+of its greatest value, for lines to tell the focal length."""
+_EVERY_IMAGE = 0.6
+"""Share of its mean over images that each must explain; a camera that turns explains less."""
+
+
+@dataclass(frozen=True)
+class Vertical:
+    """Where up is for a camera, and what else its lines tell."""
+
+    up: Float[np.ndarray, "3"]
+    """Unit vector in the camera's frame: x right, y down, z forward."""
+    focal: float | None
+    """Focal length in pixels; None where the lines do not tell it."""
+
+
+def find_vertical(
+    images: Sequence[Float[np.ndarray, "_ 2 2"]],
+    longer: int,
+    focal: float,
+    *,
+    known: bool,
+) -> Vertical | None:
+    """The vertical in images of one still camera; None where lines do not tell it.
+
+    They do not where there are few, where they explain little more than lines turned at random,
+    and where images disagree because the camera turns.
+
+    Args:
+        images: ends of the straight segments of each image, pixels from the principal point; of
+            a film five images are enough.
+        longer: the longer side of the images, pixels.
+        focal: focal length in pixels; its guess where it is not known.
+        known: whether it is known. If not, it is looked for, and the guess is taken where lines
+            do not tell it.
+    """
+    segments = np.concatenate([np.zeros((0, 2, 2)), *images])
+    if len(segments) < _FEWEST_SEGMENTS or not _steep(segments).any():
+        return None
+    chance = np.random.default_rng(0)
+    lengths = np.full(1, focal) if known else longer * _FOCAL_LENGTHS
+    proposals = [_best_vertical(segments, one, chance) for one in lengths]
+    shares = np.array([share for _, share in proposals])
+    best = int(shares.argmax())
+    told = not known and _is_peak(np.log(lengths), shares, best)
+    if not known and not told:
+        up, share = _best_vertical(segments, focal, chance)
+    else:
+        (up, share), focal = proposals[best], float(lengths[best])
+    if share < _share_by_chance(segments, lengths[::4], chance) + _BEYOND_CHANCE:
+        return None
+    own = [_explained(one, focal, up[None])[0] for one in images if len(one) > 0]
+    if min(own) < _EVERY_IMAGE * np.mean(own):
+        return None
+    return Vertical(up, focal if told else None)
+
+
+def straight_segments(
+    image: UInt8[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "segments 2 2"]:
+    """Ends of the long straight segments of an image, pixels."""
+    longer = max(image.shape[:2])
+    scale = min(1.0, _LONGEST_SIDE / longer)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    lines = cv2.createLineSegmentDetector().detect(grey)[0]
+    if lines is None:
+        return np.zeros((0, 2, 2))
+    ends = lines.reshape(-1, 2, 2).astype(np.float64) / scale
+    return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > _SHORTEST_SEGMENT * longer]
+
+
+def _steep(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
+    """Which segments may be vertical."""
+    along = np.abs(segments[:, 1] - segments[:, 0])
+    return np.arctan2(along[:, 0], along[:, 1]) < _MOST_TILTED
+
+
+def _turned_at_random(
+    segments: Float[np.ndarray, "segments 2 2"], chance: np.random.Generator
+) -> Float[np.ndarray, "segments 2 2"]:
+    """The segments, each turned about its middle by a random angle."""
+    middle = segments.mean(1, keepdims=True)
+    angle = chance.uniform(0, np.pi, len(segments))
+    turns = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return middle + np.einsum("ijs,skj->ski", turns, segments - middle)
+
+
+def _share_by_chance(
+    segments: Float[np.ndarray, "segments 2 2"],
+    lengths: Float[np.ndarray, " focals"],
+    chance: np.random.Generator,
+) -> float:
+    """The largest share that is explained of segments turned at random, some times over."""
+    turned = [_turned_at_random(segments, chance) for _ in range(_RANDOM_TURNS)]
+    return max(_best_vertical(one, focal, chance)[1] for one in turned for focal in lengths)
+
+
+def _best_vertical(
+    segments: Float[np.ndarray, "segments 2 2"], focal: float, chance: np.random.Generator
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """The vertical that explains most among those of random pairs, and the share it explains."""
+    length, normals = _lengths(segments), _normals(segments, focal)
+    steep = np.flatnonzero(_steep(segments))
+    if len(steep) == 0:
+        return np.array([0.0, -1.0, 0.0]), 0.0
+    first, second = chance.choice(steep, (2, _PAIRS), p=length[steep] / length[steep].sum())
+    across = np.cross(normals[first], normals[second])
+    size = np.linalg.norm(across, axis=-1, keepdims=True)
+    ups = (across / np.maximum(size, 1e-9) * -np.sign(across[:, 1:2]))[size[:, 0] > 1e-2]
+    ups = ups[-ups[:, 1] > np.cos(_MOST_TILTED)]
+    if len(ups) == 0:
+        return np.array([0.0, -1.0, 0.0]), 0.0
+    share = _explained(segments, focal, ups)
+    best = int(share.argmax())
+    return ups[best], float(share[best])
+
+
+def _explained(
+    segments: Float[np.ndarray, "segments 2 2"], focal: float, ups: Float[np.ndarray, "ups 3"]
+) -> Float[np.ndarray, " ups"]:
+    """Share of the segments' length along each vertical and its two best horizontal directions.
+
+    Zero where the vertical explains too little by itself.
+    """
+    length, normals = _lengths(segments), _normals(segments, focal)
+    off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
+    vertical = np.exp(-0.5 * off**2)
+    # the horizontal direction that a segment may show is at right angles to its plane's normal
+    ahead = np.cross(ups, (0.0, 0.0, 1.0))
+    ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
+    aside = np.cross(ups, ahead)
+    shown = np.cross(normals, ups[:, None])
+    x, y = (np.einsum("usi,ui->us", shown, axis) for axis in (ahead, aside))
+    heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
+    bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
+    # a plane that is nearly level shows no heading
+    left = length * (1 - vertical) * (np.hypot(x, y) > 0.2)
+    histogram = np.bincount(bins.ravel(), left.ravel(), _HEADINGS * len(ups))
+    histogram = histogram.reshape(len(ups), _HEADINGS)
+    horizontal = (histogram + np.roll(histogram, 1, axis=1)).max(1)
+    alone = vertical @ length
+    share = (alone + horizontal) / length.sum()
+    return np.where(alone > _LEAST_VERTICAL * length.sum(), share, 0.0)
+
+
+def _lengths(segments: Float[np.ndarray, "segments 2 2"]) -> Float[np.ndarray, " segments"]:
+    return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+
+
+def _normals(
+    segments: Float[np.ndarray, "segments 2 2"], focal: float
+) -> Float[np.ndarray, "segments 3"]:
+    """Unit normals of the planes through the segments and the centre of the camera."""
+    rays = np.concatenate((segments / focal, np.ones((len(segments), 2, 1))), -1)
+    across = np.cross(rays[:, 0], rays[:, 1])
+    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def _is_peak(
+    logarithms: Float[np.ndarray, " focals"], shares: Float[np.ndarray, " focals"], best: int
+) -> bool:
+    """Whether the explained share falls on both sides of its greatest value."""
+    beside = logarithms[best] + np.array([-_STEP, _STEP])
+    if beside[0] < logarithms[0] or beside[1] > logarithms[-1]:
+        return False
+    return bool((np.interp(beside, logarithms, shares) < _PEAK * shares[best]).all())

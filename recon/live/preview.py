@@ -1,0 +1,167 @@
+"""Tracking by a network that proposes motions: every moment from a window that ends soon after."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.moments import (
+    Tracker,
+    collapsed,
+    frames_between,
+    joined_in_time,
+    with_moment,
+    with_points_hidden,
+)
+from recon.api.preview import in_space, likeliest, with_shape
+from recon.body.contacts import contact_probabilities, rest_heights
+from recon.body.model import BodyModel
+from recon.diagnosis.findings import Finding
+from recon.live.beginning import KnownShape
+from recon.live.moments import Moment, StreamSensors
+from recon.live.tracking import LiveEstimate
+from recon.method.looks import Look
+
+_BEFORE_S = 1.0
+"""Seconds of moments before the newest final one that the network is shown."""
+_LEARNED = 300
+"""Windows whose shapes are averaged; the shape is held then."""
+
+
+@dataclass
+class PreviewTracking:
+    """The state of a stream while a person is visible, as `recon.live.tracking.Tracking`.
+
+    Nothing is fitted: each moment is what the network proposes for it when `lag` moments after it
+    have been seen.
+    """
+
+    sensors: StreamSensors
+    lag: int
+    noise: tuple[float | None, ...]
+    person: KnownShape
+    body: BodyModel
+    look: Look
+    seen: tuple[Tracker, ...] = ()
+    """The data of the window."""
+    times: list[float] = field(default_factory=list)
+    """Seconds of every moment of the window."""
+    final: int = 0
+    """Moments of the window, from the first on, that were given out."""
+    unseen: int = 0
+    """Moments since points were seen."""
+    windows: int = 0
+    """Number of windows that the shape was learned from."""
+    shape: Float[Tensor, " shape"] | None = None
+    """Mean shape of these windows."""
+    doubted: bool | None = None
+    """Whether the last window was far from what the network knows; None before the first."""
+
+    @cached_property
+    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
+        return [one.located_joints(self.body) for one in self.sensors.trackers]
+
+    def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
+        """Add consecutive moments; returns the estimates that become final.
+
+        Raises:
+            ObservationError: when the network cannot see such sensors.
+        """
+        for moment in moments:
+            new = [with_points_hidden(o) if collapsed(o) else o for o in moment.seen]
+            joined = zip(self.seen, new, strict=True) if self.seen else ()
+            self.seen = tuple(joined_in_time(a, b) for a, b in joined) or tuple(new)
+            self.times.append(moment.time)
+            self.unseen = 0 if any(bool(one.shown.any()) for one in new) else self.unseen + 1
+        return self._final_estimates(self.lag, findings)
+
+    def insert(self, moment: Moment, back: int) -> bool:
+        """Put a late moment in the place of an empty one, `back` frames before the last."""
+        row = len(self.times) - 1 - back
+        if row < self.final or any(bool(one.shown[row].any()) for one in self.seen):
+            return False
+        pairs = zip(self.seen, moment.seen, strict=True)
+        self.seen = tuple(with_moment(a, row, b) for a, b in pairs)
+        self.times[row] = moment.time
+        return True
+
+    def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
+        """The remaining estimates, up to the last moment with points."""
+        stop = len(self.times) - self.unseen
+        self.times = self.times[:stop]
+        self.seen = tuple(frames_between(one, 0, stop) for one in self.seen)
+        return self._final_estimates(0, findings)
+
+    def known(self) -> KnownShape:
+        """What is known of the person by now."""
+        held = self.person.shape if self.shape is None else self.shape
+        return KnownShape(held)
+
+    def _final_estimates(self, lag: int, findings: list[Finding]) -> list[LiveEstimate]:
+        stop = len(self.times) - lag
+        rows = range(self.final, stop)
+        if len(rows) == 0:
+            return []
+        fps = self.sensors.fps
+        given = [one.derived(start_time=0.0) for one in self.seen]
+        told = zip(given, self.noise, strict=True)
+        given = [o if n is None or o.view else o.derived(rms_std=n) for o, n in told]
+        motion, found = likeliest(self.look, in_space(one[None] for one in given), self.body)
+        self._tell(found.doubt, findings)
+        motion = with_shape(motion, self._learned(motion.shape[0]), self.body)[0]
+        # one more frame on either side, to compute speeds
+        first, last = max(rows[0] - 1, 0), min(stop, len(self.times) - 1)
+        times = torch.arange(first, last + 1, dtype=torch.float64) / fps
+        motion = motion.at(times.clamp(max=motion.stop_time), fps)
+        joints = self.body.pose(motion).joints
+        contacts = contact_probabilities(joints, rest_heights(self.body, motion.shape), fps)
+        estimates = [
+            LiveEstimate(
+                time=self.times[row],
+                translation=motion.translation[row - first],
+                rotations=motion.rotations[row - first],
+                joints=joints[row - first],
+                shape=motion.shape,
+                observed=self._observed(row),
+                contacts=contacts[row - first],
+            )
+            for row in rows
+        ]
+        self.final = stop
+        self._forget(stop - 1 - round(_BEFORE_S * fps))
+        return estimates
+
+    def _tell(self, doubt: str | None, findings: list[Finding]) -> None:
+        if self.doubted is None:
+            said = "a preview: what a network proposes at first sight, not refined by a fit"
+            findings.append(Finding("preview", said))
+        if doubt is not None and not self.doubted:
+            findings.append(Finding("unfamiliar", doubt))
+        self.doubted = doubt is not None
+
+    def _learned(self, proposed: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
+        """The shape that is held, or the mean of those that were proposed so far."""
+        if self.person.shape is not None:
+            return self.person.shape
+        if self.windows < _LEARNED:
+            self.windows += 1
+            before = torch.zeros_like(proposed) if self.shape is None else self.shape
+            self.shape = before + (proposed - before) / self.windows
+        assert self.shape is not None
+        return self.shape
+
+    def _observed(self, row: int) -> Bool[Tensor, " 22"]:
+        """Joints that an observation locates at a moment of the window."""
+        found = np.zeros(22, dtype=bool)
+        for one, shown in zip(self.seen, self._located_joints, strict=True):
+            found |= one.shown[row].numpy() @ shown
+        return torch.from_numpy(found)
+
+    def _forget(self, count: int) -> None:
+        """Drop moments that the network is no longer shown."""
+        if count > 0:
+            self.seen = tuple(frames_between(one, count, one.moments) for one in self.seen)
+            self.times, self.final = self.times[count:], self.final - count
