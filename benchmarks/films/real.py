@@ -16,6 +16,7 @@ import tomllib
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ LATEST, STEP = 6.0, 0.5
 LEFT, RIGHT = (1, 4, 7, 10), (2, 5, 8, 11)
 KNOWN = ("nothing", "height", "lens", "pose")
 """What is given with one film."""
-CASES = (*KNOWN, "three", "two", "two-three")
+CASES = (*KNOWN, "three", "found", "two", "two-three")
 COLUMNS: Metrics = {
     "error": ("about pelvis cm", 100, 1), "aligned": ("Procrustes cm", 100, 1),
     "error_all": ("beside all views cm", 100, 1), "legs": ("legs %", 100, 0),
@@ -48,10 +49,11 @@ COLUMNS: Metrics = {
     "followed": ("followed %", 100, 0),
     "up": ("up °", 1, 0), "slip": ("slip cm/s", 100, 1), "slip_reference": ("reference's", 100, 1),
     "pixels": ("reprojection px", 1, 1), "clock": ("clock, frames", 1, 1),
-    "seconds": ("CPU s", 1, 1),
+    "turned": ("cameras turned °", 1, 1), "apart": ("and apart %", 100, 1), "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
 """`beside all views` is the error against the fit of all three views, this one among them, and
-`height, std` by how many of its own standard deviations the height is off."""
+`height, std` by how many of its own standard deviations the height is off. Of cameras that were
+found, `turned` and `apart` are the largest errors of a pair's relative turn and distance."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,9 @@ def measured(
         yield f"calibrated: 1-3: {detector}", row
         for camera, one in zip(CAMERAS, found.residuals, strict=True):
             yield f"calibrated: in view {camera}: {detector}", {"pixels": float(one.median or 0)}
+    for detector, paths in detectors.items() if "found" in cases else ():
+        films = [paths[ONE, camera] for camera in CAMERAS]
+        yield f"cameras found, height known: 1-3: {detector}", of_found(films, scene, whole)
     if not {*cases} & {"two", "two-three"}:
         return
     man, woman, *_ = references(scene, TWO, CAMERAS, kept)
@@ -233,6 +238,27 @@ def reading(
     return how
 
 
+def of_found(films: Sequence[Path], scene: Scene, whole: Reference) -> dict[str, float]:
+    """A row of films whose cameras are found from the person in them."""
+    began, rate = time.process_time(), None if films[0].suffix == ".mp4" else FPS
+    rig = recon.calibrate(films, height=whole.tall, frame_rate=rate)
+    spent = time.process_time() - began
+    (file,) = rig.save(scene.calibration.parent / "found.toml", overwrite=True)
+    found, seconds = fitted(films, scene, 1, {"camera": file})
+    poses = [
+        torch.from_numpy(np.asarray(one.T_camera_world)).double().reshape(4, 4)
+        for one in rig.cameras.values()
+    ]
+    row = compared(found, whole, scene, 1, poses[0]) | {"seconds": spent + seconds}
+    turned, apart = [], []
+    for a, b in combinations(range(len(CAMERAS)), 2):
+        steps = [T[b] @ inverse_rigid(T[a]) for T in (poses, [scene.pose(c) for c in CAMERAS])]
+        cosine = ((steps[0][:3, :3] * steps[1][:3, :3]).sum() - 1) / 2
+        turned.append(float(torch.rad2deg(torch.arccos(cosine.clamp(-1, 1)))))
+        apart.append(abs(float(steps[0][:3, 3].norm() / steps[1][:3, 3].norm()) - 1))
+    return row | {"turned": max(turned), "apart": max(apart)}
+
+
 def of_people(
     detector: str, paths: Mapping[tuple[str, int], Path], cameras: Sequence[int], scene: Scene,
     everyone: Sequence[Reference],
@@ -256,11 +282,20 @@ def of_people(
 
 
 def compared(
-    result: recon.Result, reference: Reference, scene: Scene, camera: int
+    result: recon.Result,
+    reference: Reference,
+    scene: Scene,
+    camera: int,
+    pose: Tensor | None = None,
 ) -> dict[str, float]:
-    """Errors of a fit in the camera's frame at the clock offset at which they are least."""
+    """Errors of a fit in the camera's frame at the clock offset at which they are least.
+
+    `pose` is T_camera_world of a camera that was found before the fit.
+    """
     T_true = scene.pose(camera)
-    T = T_true if result.T_world_camera is None else inverse_rigid(result.T_world_camera.double())
+    T = T_true if pose is None else pose
+    if result.T_world_camera is not None:
+        T = inverse_rigid(result.T_world_camera.double())
     here, there = transform(T, result.joints.double()), transform(T_true, reference.joints)
     started = result.motion.start_time * FPS
     choices = np.arange(-LATEST, LATEST + STEP / 2, STEP)
