@@ -49,7 +49,8 @@ COLUMNS: Metrics = {
     "followed": ("followed %", 100, 0),
     "up": ("up °", 1, 0), "slip": ("slip cm/s", 100, 1), "slip_reference": ("reference's", 100, 1),
     "pixels": ("reprojection px", 1, 1), "clock": ("clock, frames", 1, 1),
-    "turned": ("cameras turned °", 1, 1), "apart": ("and apart %", 100, 1), "seconds": ("CPU s", 1, 1),
+    "turned": ("cameras turned °", 1, 1), "apart": ("and apart %", 100, 1),
+    "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
 """`beside all views` is the error against the fit of all three views, this one among them, and
 `height, std` by how many of its own standard deviations the height is off. Of cameras that were
