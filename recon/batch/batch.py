@@ -142,7 +142,7 @@ def shapes_of_subjects(
     return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
-FIT_VERSION = 19
+FIT_VERSION = 20
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 
