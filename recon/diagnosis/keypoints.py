@@ -5,11 +5,13 @@ what it has lost writes zeros, the last place, or the whole last frame again.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
 
 from observations.keypoints2d import Keypoints2D
+from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_median
 from recon.diagnosis.exact import unchanged
@@ -24,8 +26,12 @@ from recon.diagnosis.findings import (
     stretches,
 )
 from recon.diagnosis.images import Images
+from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.odds import all_mirrored, checked_together, single_view_explained
-from recon.diagnosis.rays import scale_findings
+from recon.diagnosis.points import exchanged_back, exchanged_names
+from recon.diagnosis.quick_fit import plausible
+from recon.diagnosis.rays import Rays, scale_findings
+from recon.diagnosis.rigs import median_miss
 from recon.diagnosis.sides import repaired_pairs, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
@@ -289,6 +295,32 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
     )
 
 
+_MEET_M = 0.06
+"""Metres by which rays of views miss each other, at most, where their points are measurements."""
+
+
+def repaired_names(images: Images) -> tuple[Images, Findings]:
+    """Exchange left and right of single points or limbs where all views name them wrongly.
+
+    Rays of such points meet, so only the body that they make tells, as of points in space.
+    """
+    if len(images.names) < 2 or median_miss(images) > _MEET_M:
+        return images, NOTHING
+    points, exists = Rays.of(images).triangulated()
+    points = np.where(exists[..., None], points, 0.0)
+    given = Keypoints3D(points[None], exists[None], images.views[0].points, images.fps)
+    named = NamedPoints.of(given, images.body)
+    pairs = exchanged_names(plausible(named), images.body)
+    if not pairs:
+        return images, NOTHING
+    order = np.arange(len(images.points))
+    for a, b in pairs:
+        order[[a, b]] = b, a
+    found = exchanged_back(named, pairs, np.ones(len(exists), dtype=bool))[1].of("all views")
+    pixels, confidence = images.pixels[:, :, order], images.confidence[:, :, order]
+    return replace(images, pixels=pixels, confidence=confidence), found
+
+
 def screen_views(
     views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
 ) -> tuple[list[Keypoints2D], Findings]:
@@ -322,7 +354,9 @@ def screened(images: Images) -> tuple[Images, Findings]:
     if not (disorder := order_findings(images)):
         images, more = repaired_outliers(images)
         found += more
-    names = (all_mirrored, single_view_explained, repaired_sides, repaired_pairs)
+    names = (
+        all_mirrored, single_view_explained, repaired_names, repaired_sides, repaired_pairs
+    )  # fmt: skip
     images, more = run_checks(images, names)
     images, grouped_views = checked_together(images)
     found += more + grouped_views

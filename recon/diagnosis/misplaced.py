@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.arrays import finite_median
-from recon.core.skeleton import ARMS
+from recon.core.skeleton import ARMS, MIRROR, PARENTS
 from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
 from recon.diagnosis.named_points import (
     NamedPoints,
@@ -69,23 +69,38 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
 
 _CROSSED = 0.02
 """Metres by which two bones together must become more like a person's for a fit to be asked."""
+_OPPOSED = -0.5
+"""Cosine of the directions from left to right of two limbs below which one is exchanged."""
 
 
 def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
-    """Pairs of counterparts to exchange together where bones lead to the other side's joint.
+    """Groups of left-right pairs, parts of a limb, that may carry each other's names; mostly none.
 
-    Where thighs fit and shins lead to the other ankle, either hips and knees carry each other's
-    names or ankles and feet do: both are returned, and a fit tells which. Where feet fit again,
-    ankles alone may do as well.
+    Such limbs are those of which a bone fits the other side's joint, and those whose left and
+    right are opposite to another limb's. Every part of these is a group, and a fit tells which.
     """
     if not points.are_joints:
         return []
     other, ratio = points.counterparts, relative_body_size(points) or 1.0
-    bones = [(a, b) for a, b in joint_pairs(points) if other[a] != a and other[b] != b]
-    parts, lower = list[set[int]](), list[set[int]]()
-    for a, b in bones:
-        if b > other[b]:
-            continue
+    pairs = [(a, b) for a, b in joint_pairs(points) if a < other[a] and other[b] not in (a, b)]
+    one_side = [k for k in range(len(other)) if k < other[k]]
+    bone = {k: min(points.bones[k], MIRROR[points.bones[k]]) for k in one_side}
+    rank = [(bone.get(k, 0), k) for k in range(len(other))]
+    edges = [(a, b) for a in one_side for b in one_side if PARENTS[bone[b]] == bone[a]]
+    edges += [(a, min(b, other[b])) for a, b in pairs]
+    parent = {max(edge, key=rank.__getitem__): min(edge, key=rank.__getitem__) for edge in edges}
+
+    def above(k: int) -> set[int]:
+        return {k} | (above(parent[k]) if k in parent else set())
+
+    limbs = {k: [{j for j in one_side if k in above(j)}] for k in one_side if k not in parent}
+    crossed = set[int]()
+    for a, b in combinations(limbs, 2):
+        cosine = _cosine_across(points, a, b)
+        crossed |= {a, b} if cosine < _OPPOSED else set()
+    for a, b in pairs:
+        (root,) = above(a) & limbs.keys()
+        limbs[root].append({j for j in one_side if min(b, other[b]) in above(j)})
         length = ratio * rest_length(points, a, b)
         own, new = (
             [np.abs(distances(points, *ends) - length) for ends in two]
@@ -95,16 +110,20 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
             continue
         own, new = (sum(float(np.median(one)) for one in two) for two in (own, new))
         if own - new > _CROSSED and new < _MAX_REMAINING_SHARE * own:
-            above, below = {a}, {b}
-            for parent, child in bones * len(
-                bones
-            ):  # repeated, as bones may be listed in any order
-                below |= {child} if parent in below else set()
-                above |= {parent} if child in above else set()
-            parts += [above, below]
-            lower.append(below)
-    parts += [one - less for one in lower for less in lower if less < one]
-    return [tuple((one, other[one]) for one in sorted(some)) for some in parts]
+            crossed.add(root)
+    parts = [part for root in sorted(crossed) for part in limbs[root]]
+    parts += [one - less for one in parts for less in parts if less < one]
+    return list(dict.fromkeys(tuple((k, other[k]) for k in sorted(part)) for part in parts))
+
+
+def _cosine_across(points: NamedPoints, a: int, b: int) -> float:
+    """Median cosine between the directions from two points to their counterparts; 1 if unseen."""
+    ends = [(k, points.counterparts[k]) for k in (a, b)]
+    seen = points.visible[:, [*ends[0], *ends[1]]].all(1)
+    across = [points.positions[seen, left] - points.positions[seen, right] for left, right in ends]
+    length = np.prod([np.linalg.norm(one, axis=-1) for one in across], axis=0)
+    cosine = (across[0] * across[1]).sum(-1) / np.maximum(length, 1e-9)
+    return float(np.median(cosine)) if seen.any() else 1.0
 
 
 def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:

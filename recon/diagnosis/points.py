@@ -88,7 +88,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
     found += Findings(warnings=scale_findings(steady))
     for pair, moments in exchanged_pairs(steady):
         steady = steady.swapped(pair, moments)
-        named, more = _exchanged_back(named, (pair,), moments)
+        named, more = exchanged_back(named, (pair,), moments)
         found += more
     if jumps := identity_changes(steady):  # one body cannot fit two people
         return named.observation, found + Findings(warnings=jumps), None, None
@@ -105,23 +105,33 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
 def _names_repaired(
     named: NamedPoints, steady: NamedPoints, body: BodyModel
 ) -> tuple[NamedPoints, Findings]:
-    """Exchange two points, or parts of both limbs, whose names are exchanged throughout.
+    """Exchange two points, or parts of both limbs, whose names are exchanged throughout."""
+    pairs = exchanged_names(steady, body)
+    if not pairs:
+        return named, NOTHING
+    return exchanged_back(named, pairs, np.ones(len(named.visible), dtype=bool))
 
-    The lengths of bones suggest what, and quick fits must confirm it, of `steady`: clean points.
+
+def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, int], ...]:
+    """Pairs of points that carry each other's name throughout; mostly none.
+
+    The lengths of bones suggest what, and quick fits must confirm it.
+
+    Args:
+        points: without outliers.
+        body: that is to be fitted.
     """
-    groups, always = crossed_limbs(steady), np.ones(len(named.visible), dtype=bool)
-    if (pair := exchanged_throughout(steady)) is not None:
+    groups, always = crossed_limbs(points), np.ones(len(points.visible), dtype=bool)
+    if (pair := exchanged_throughout(points)) is not None:
         groups.append((pair,))
     if not groups:
-        return named, NOTHING
-    versions = [steady, *(_exchanged_back(steady, group, always)[0] for group in groups)]
+        return ()
+    versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
     # each version alone: fits of all together end early where the given names are nearly as good
     excerpts = [middle_seconds(plausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
-    if best == 0 or costs[best] > _CLEARLY_BETTER * costs[0]:
-        return named, NOTHING
-    return _exchanged_back(named, groups[best - 1], always)
+    return groups[best - 1] if best and costs[best] <= _CLEARLY_BETTER * costs[0] else ()
 
 
 def _sides_repaired(
@@ -176,14 +186,14 @@ def _pairs_repaired(
         fitted = with_second_start(fitted, body)
         pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
-        named, said = _exchanged_back(named, (pair,), moments)
+        named, said = exchanged_back(named, (pair,), moments)
         found += said
     if pairs:
         (fitted,) = quick_fits([plausible(named).observation], body)
     return named, fitted, found
 
 
-def _exchanged_back(
+def exchanged_back(
     named: NamedPoints, pairs: Sequence[tuple[int, int]], moments: Bool[np.ndarray, " moments"]
 ) -> tuple[NamedPoints, Findings]:
     """The points with the labels of pairs exchanged in some frames, and the finding about it."""
