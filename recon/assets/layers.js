@@ -18,6 +18,8 @@
     function changed(message) {
       if (message.type === "SetSceneNodeVisibilityMessage" && switchOf.has(message.name))
         return Object.assign({}, message, { visible: switchOf.get(message.name).checked });
+      if (message.type === "SetPositionMessage" && message.name === "/clock")
+        window.dispatchEvent(new CustomEvent("recon-time", { detail: message.position[0] }));
       if (message.type === "SetPositionMessage" && message.name === "/world") {
         last = message.position;
         if (follow && !follow.checked)

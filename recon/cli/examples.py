@@ -79,6 +79,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "view": (
         "recon view motion.npz --html motion.html --obs seen.npz",
         "recon view motion.npz --compare truth.npz --mp4 both.mp4",
+        "recon view motion.npz --film film.mp4 --png sheet.png",
     ),
     "export": (
         "recon export motion.npz --glb motion.glb",

@@ -16,6 +16,7 @@ from recon.formats.reports import checksums, versions
 from recon.formats.writing import writing
 from recon.view.frames import write_mp4, write_png
 from recon.view.observed import observed
+from recon.view.overlay import write_overlay, write_sheet
 from recon.view.scene import CORAL, GREY, Figure, Show
 from recon.view.timeline import write_rrd
 from recon.view.viewpoint import direction_to_the_right
@@ -31,6 +32,7 @@ def view(
     obs: tuple[Path, ...] = (),
     compare: Path | None = None,
     beside: Path | None = None,
+    film: tuple[Path, ...] = (),
     body: Path | None = None,
     std: bool = False,
     overwrite: bool = False,
@@ -52,6 +54,9 @@ def view(
         beside: a motion to play side by side with this one, for example the same motion on
             another body; both play from their first frames on for as long as both last, with
             heights and weights in the legend.
+        film: films of the motion, one for each of its cameras, told by their names or else in the
+            order of the cameras: the body is drawn over them, with limbs that were not seen or
+            are unsure in colours of their own. A picture has eight moments.
         body: the SMPL-family file of the motions' body; default: the bundled body.
         std: draw a sphere of one standard deviation around every joint. A page has these spheres
             in any case, as a layer to switch on.
@@ -60,16 +65,20 @@ def view(
     Raises:
         FileNotFoundError: when a file does not exist.
         ValueError: when one is damaged or of another body, the motions do not overlap in time, the
-            standard deviations that are asked for are not known, or nothing is asked for.
+            standard deviations that are asked for are not known, nothing is asked for, or a film
+            is not of the motion.
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
-    every = ((html, draw_html), (png, write_png), (mp4, write_mp4), (rrd, write_rrd))
+    draw_png, draw_mp4 = (write_sheet, write_overlay) if film else (write_png, write_mp4)
+    every = ((html, draw_html), (png, draw_png), (mp4, draw_mp4), (rrd, write_rrd))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     if not asked:
         raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
-    show = show_of_files(motion, obs=obs, compare=compare, side=beside, body=body, certainty=std)
-    read = [path for path in (motion, *obs, compare, beside, body) if path is not None]
+    show = show_of_files(
+        motion, obs=obs, compare=compare, side=beside, film=film, body=body, certainty=std
+    )
+    read = [path for path in (motion, *obs, compare, beside, *film, body) if path is not None]
     report = {"inputs": checksums(read), "versions": versions()}
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
@@ -83,6 +92,7 @@ def show_of_files(
     obs: Sequence[Path] = (),
     compare: Path | None = None,
     side: Path | None = None,
+    film: Sequence[Path] = (),
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
@@ -98,10 +108,13 @@ def show_of_files(
             f"{motion}: no standard deviations to draw (joint_std): fits under the pose prior and "
             "HuMoR write them, other motions have none"
         )
+    if film and side is not None:
+        raise ValueError("--beside draws a motion that is not in the film; give --compare instead")
     figures: list[Figure] = []
     if side is None:
         std, touching = file.joint_std, file.contacts
-        figures.append(Figure(model, file.motion, motion.stem, contacts=touching, joint_std=std))
+        own = Figure(model, file.motion, motion.stem, contacts=touching, joint_std=std)
+        figures.append(replace(own, observed=file.observed) if film else own)
     else:
         other = load_motion_of(side, model)
         file, second = at_common_times(file, other)
@@ -115,6 +128,12 @@ def show_of_files(
         name = _second_name(compare, motion)
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     points, cloud, cameras = observed(obs, file, model)
+    if film:
+        from recon.view.film import views_of_cameras, with_films  # it loads the decoder of films
+
+        cameras = with_films(
+            cameras or views_of_cameras(file.cameras), film, file.motion, str(motion)
+        )
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
     return Show(motion.stem, tuple(figures), points, cloud, cameras, ground, certainty)
 

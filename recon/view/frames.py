@@ -54,7 +54,7 @@ def write_png(
     else:
         width, wanted = width or 360, 5
         size = (width, 11 * width // 9)
-    chosen = _evenly_spread(show.frames, wanted) if frames is None else frames
+    chosen = evenly_spread(show.frames, wanted) if frames is None else frames
     _check_width_and_frames(width, chosen, show.frames)
     stands = viewpoints(show, size)
     rows = [_scene_pictures(one, chosen, stands) for one in shows]
@@ -100,16 +100,13 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
             _write_camera_name(tiles[-1], view)
         rows = [join(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
         text = text_size((width, 3 * width // 4))
-        whole_image = with_legend(join(rows, axis=0), show.legend, text)
-        # H.264 needs even sides, since it stores colours at half resolution
-        even = [(0, side % 2) for side in whole_image.shape[:2]]
-        return np.pad(whole_image, (*even, (0, 0)), constant_values=PAPER)
+        return with_legend(join(rows, axis=0), show.legend, text)
 
-    _write_film(Path(path), map(picture, range(show.frames)), show.fps)
+    write_film(Path(path), map(picture, range(show.frames)), show.fps)
 
 
-def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    """Write pictures of one size, with even sides, as a film."""
+def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
+    """Write pictures of one size as a film."""
     import av
 
     with (
@@ -121,6 +118,9 @@ def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
         # compared with "medium" at 19: half the time, the same size, 0.5 dB worse
         stream.options = {"crf": "18", "preset": "veryfast"}
         for picture in pictures:
+            # H.264 needs even sides, since it stores colours at half resolution
+            even = [(0, side % 2) for side in picture.shape[:2]]
+            picture = np.pad(picture, (*even, (0, 0)), constant_values=PAPER)
             if stream.width != picture.shape[1]:
                 stream.height, stream.width = picture.shape[:2]
             film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
@@ -178,7 +178,7 @@ def _outline_of_image(picture: Picture, view: View, part: ImageRegion) -> None:
         cv2.rectangle(picture, start, end, colour, thickness)
 
 
-def _evenly_spread(count: int, wanted: int) -> list[int]:
+def evenly_spread(count: int, wanted: int) -> list[int]:
     """Numbers of at most `wanted` of `count` frames, evenly spread from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 

@@ -20,6 +20,7 @@ from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.visible import visible
 from recon.formats.replacing import replacing
+from recon.view.html_films import films_html
 from recon.view.painter import Plane
 from recon.view.scene import (
     CAMERA,
@@ -81,7 +82,9 @@ def write_html(path: str | Path, show: Show) -> None:
             server.stop()
         title = f"<title>{html.escape(visible(show.title))}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
-        page = page.replace("</body>", _legend_html(show) + "</body>", 1)
+        page = page.replace(
+            "</body>", _legend_html(show) + films_html(show, Path(path)) + "</body>", 1
+        )
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
 
@@ -127,10 +130,13 @@ def _recorded_page(server: ViserServer, show: Show) -> str:
     if show.cloud is not None:
         layers.append(_add_scan(scene, show.cloud))
     layers += [_add_frustum(scene, view) for view in show.cameras]
+    # nothing is drawn there: the page's films read the time from it
+    clock = scene.add_frame("/clock", show_axes=False)
     serializer = server.get_scene_serializer()
     for frame in range(show.frames):
         for layer in layers:
             layer(frame)
+        clock.position = (frame / show.fps, 0.0, 0.0)
         serializer.insert_sleep(1 / show.fps)
     return serializer.as_html()
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.core.camera import Camera
 from recon.core.raster import rasterise, vertex_normals
-from recon.view.lettering import FARTHEST_PX, FRACTION_BITS, Picture, draw_dots, fixed_point
+from recon.view.lettering import FARTHEST_PX, FRACTION_BITS, PAPER, Picture, draw_dots, fixed_point
 from recon.view.painter import CLOUD_LIMIT, SUPERSAMPLING, base_light, blend
 from recon.view.scene import (
     CLOUD,
@@ -36,8 +36,12 @@ SMALLEST = 0.1
 """Share of the image's width that is shown at least."""
 BACKGROUND = (245.0, 246.0, 248.0)
 FRAME: Colour = (206, 211, 219)
+FILM_SMALLEST = 0.5
+"""Share of a film's width that is shown at least: enough to see a person beside a wrong body."""
 BODY_OPACITY = 0.85
 """Opacity of solid bodies, so that the image's frame and other bodies stay seen."""
+FILM_OPACITY = 0.6
+"""Opacity of solid bodies over a film, so that the person below stays seen."""
 DOT_PX, RING_PX, SPECK_PX, GRAIN_PX = 7.0, 8.5, 3.5, 2.0
 """Radii of detected, unsure and reprojected points and of a scan's, in the finer pixels."""
 LINE_PX = 2
@@ -78,7 +82,8 @@ def clip_region(show: Show, view: View) -> ImageRegion:
         return whole_image(view)
     size = np.array(view.camera.image_size, float)
     first, last = low[seen].min(0), high[seen].max(0)
-    share = np.clip(((last - first) * (1 + 2 * MARGIN) / size).max(), SMALLEST, 1.0)
+    smallest = SMALLEST if view.film is None else FILM_SMALLEST
+    share = np.clip(((last - first) * (1 + 2 * MARGIN) / size).max(), smallest, 1.0)
     left, top = np.clip((first + last - share * size) / 2, 0, (1 - share) * size)
     return ImageRegion(float(left), float(top), *(share * size).tolist())
 
@@ -127,48 +132,114 @@ def _bounds_over_time(
     return low.numpy(), high.numpy(), seen.numpy()
 
 
-def paint_view(show: Show, view: View, frame: int, part: ImageRegion, across: int) -> Picture:
-    """Draw a region of a camera's image in one frame, `across` pixels wide; no photograph.
+def paint_view(
+    show: Show,
+    view: View,
+    frame: int,
+    part: ImageRegion,
+    across: int,
+    photograph: Picture | None = None,
+) -> Picture:
+    """Draw a region of a camera's image in one frame, `across` pixels wide.
 
-    Paper lies around the image; what is drawn on it the camera could not see.
+    Paper lies around the image; what is drawn on it the camera could not see. A photograph of any
+    resolution lies below the body.
     """
-    fine = SUPERSAMPLING * across
-    width, height = part.size(fine)
-    image = np.full((height, width, 3), 255, np.float32)
-    edges = part.place(np.array([(0, 0), view.camera.image_size], float), fine)
-    corner, opposite = np.round(edges).astype(int).tolist()
-    cv2.rectangle(image, corner, opposite, BACKGROUND, -1)
-    cv2.rectangle(image, corner, opposite, FRAME, SUPERSAMPLING)
+    picture = _background(view, part, across, photograph)
     camera = view.at(frame)
-    for figure in sorted(show.figures, key=lambda figure: -figure.opacity):
-        _paint_body(figure, camera, frame, part, image)
-    picture = cv2.convertScaleAbs(image)
+    bodies = [
+        _LitBody.of(figure, camera, frame)
+        for figure in sorted(show.figures, key=lambda figure: -figure.opacity)
+    ]
+    places = [body.pixels[body.faces].reshape(-1, 2) for body in bodies]
     if show.cloud is not None:
         cloud = thinned(show.cloud[frame].detach().cpu().double(), CLOUD_LIMIT)
-        pixels = camera.project(cloud).pixels[drawable(camera, cloud)].numpy()
-        draw_dots(picture, part.place(pixels, fine), GRAIN_PX, CLOUD)
+        places.append(camera.project(cloud).pixels[drawable(camera, cloud)].numpy())
     if view.pixels is not None:
-        _paint_points(view, view.pixels[frame], frame, part, picture)
-    return cv2.resize(picture, part.size(across), interpolation=cv2.INTER_AREA)
+        places.append(view.pixels[frame].detach().cpu().double().numpy())
+        if (own := view.reprojected) is not None:
+            places.append(own.pixels[frame][own.in_front[frame]].detach().cpu().double().numpy())
+    # only what is drawn on is drawn finely
+    drawn = part.place(np.concatenate(places), across)
+    if len(drawn) == 0:
+        return picture
+    ends = np.stack([drawn.min(0) - DOT_PX, drawn.max(0) + DOT_PX + 1])
+    (left, top), (right, bottom) = np.clip(ends, 0, part.size(across)).astype(int).tolist()
+    if left == right or top == bottom:
+        return picture
+    size, beneath = np.array([right - left, bottom - top]), picture[top:bottom, left:right]
+    per_pixel = part.width / across
+    corner = np.array([part.left, part.top]) + per_pixel * np.array([left, top])
+    inner = ImageRegion(*corner.tolist(), *(per_pixel * size).tolist())
+    size = (SUPERSAMPLING * size).tolist()
+    fine = cv2.resize(beneath, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+    for body in bodies:
+        body.paint(inner, fine, BODY_OPACITY if photograph is None else FILM_OPACITY)
+    fine = cv2.convertScaleAbs(fine)
+    if show.cloud is not None:
+        draw_dots(fine, inner.place(places[len(bodies)], size[0]), GRAIN_PX, CLOUD)
+    if view.pixels is not None:
+        _paint_points(view, view.pixels[frame], frame, inner, fine)
+    beneath[:] = cv2.resize(fine, beneath.shape[1::-1], interpolation=cv2.INTER_AREA)
+    return picture
 
 
-def _paint_body(
-    figure: Figure, camera: Camera, frame: int, part: ImageRegion, image: np.ndarray
-) -> None:
-    """Paint the body's surface as the camera sees it, lit from the camera."""
-    points = figure.posed.vertices[frame].double()
-    faces = figure.body.faces.cpu().numpy()
-    faces = faces[drawable(camera, points).numpy()[faces].all(1)]
-    seen = camera.project(points)
-    local = camera.to_camera(points).numpy()
-    toward = -local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-12)
-    facing = (vertex_normals(local, faces) * toward).sum(1)
-    light = base_light(figure, frame) * (0.30 + 0.70 * np.clip(facing, 0, 1))[:, None]
-    height, width = image.shape[:2]
-    pixels = part.place(seen.pixels.numpy(), width)
-    raster = rasterise(pixels, seen.depth.numpy(), faces, (width, height), light)
-    opacity = np.float32(BODY_OPACITY * figure.opacity) * raster.covered
-    blend(image, raster.values, opacity)
+def _background(view: View, part: ImageRegion, across: int, photograph: Picture | None) -> Picture:
+    """A region of an empty image, or of a photograph, and paper around."""
+    width, height = part.size(across)
+    edges = part.place(np.array([(0, 0), view.camera.image_size], float), across)
+    corner, opposite = np.round(edges).astype(int).tolist()
+    if photograph is None:
+        picture = np.full((height, width, 3), PAPER, np.uint8)
+        cv2.rectangle(picture, corner, opposite, BACKGROUND, -1)
+    else:
+        rows, columns = photograph.shape[:2]
+        scale = (edges[1] - edges[0]) / (columns, rows)
+        if (coarser := int(1 / scale.min())) > 1:  # warping takes no means
+            smaller = (columns // coarser, rows // coarser)
+            photograph = cv2.resize(photograph, smaller, interpolation=cv2.INTER_AREA)
+            scale = (edges[1] - edges[0]) / smaller
+        shift = edges[0] + 0.5 * scale - 0.5  # OpenCV's first pixel has its centre at 0
+        turn = np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]]])
+        paper = (PAPER,) * 3
+        picture = cv2.warpAffine(photograph, turn, (width, height), borderValue=paper)
+        picture = picture.astype(np.uint8, copy=False)
+    cv2.rectangle(picture, corner, opposite, FRAME, 1)
+    return picture
+
+
+@dataclass(frozen=True)
+class _LitBody:
+    """A body's surface as a camera sees it, lit from the camera."""
+
+    pixels: Float[np.ndarray, "vertices 2"]
+    depth: Float[np.ndarray, " vertices"]
+    faces: Int[np.ndarray, "faces 3"]
+    """Those that can be drawn."""
+    light: Float[np.ndarray, "vertices 3"]
+    opacity: float
+
+    @classmethod
+    def of(cls, figure: Figure, camera: Camera, frame: int) -> "_LitBody":
+        """The surface of a figure in a frame."""
+        points = figure.posed.vertices[frame].double()
+        faces = figure.body.faces.cpu().numpy()
+        faces = faces[drawable(camera, points).numpy()[faces].all(1)]
+        seen = camera.project(points)
+        local = camera.to_camera(points).numpy()
+        toward = -local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-12)
+        facing = (vertex_normals(local, faces) * toward).sum(1)
+        light = base_light(figure, frame) * (0.30 + 0.70 * np.clip(facing, 0, 1))[:, None]
+        return cls(seen.pixels.numpy(), seen.depth.numpy(), faces, light, figure.opacity)
+
+    def paint(
+        self, part: ImageRegion, image: Float[np.ndarray, "height width 3"], opacity: float
+    ) -> None:
+        """Paint it into a picture of a region of the camera's image."""
+        height, width = image.shape[:2]
+        pixels = part.place(self.pixels, width)
+        raster = rasterise(pixels, self.depth, self.faces, (width, height), self.light)
+        blend(image, raster.values, np.float32(opacity * self.opacity) * raster.covered)
 
 
 def _paint_points(

@@ -110,6 +110,15 @@ def write_line(
     cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
 
+def pale_corners(picture: Picture, title: str, label: str) -> None:
+    """Lighten a picture where a title and a label in the lower right corner will stand."""
+    height, width = picture.shape[:2]
+    text = text_size((width, height))
+    wide = [line_width(words, text * 5 // 4) + 2 * text for words in (title, label)]
+    for part in (picture[: 9 * text // 4, : wide[0]], picture[-2 * text :, -wide[1] :]):
+        part[:] = cv2.addWeighted(part, 0.25, np.full_like(part, PAPER), 0.75, 0)
+
+
 def write_title(picture: Picture, title: str) -> None:
     """Write a title into the upper left corner."""
     height, width = picture.shape[:2]

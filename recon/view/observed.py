@@ -94,7 +94,9 @@ def _view_of_keypoints(
     confidence = torch.from_numpy(seen.confidence).float()[nearest] * close[:, None]
     pixels = torch.from_numpy(seen.pixels).float()[nearest]
     projection = camera.project(places.of(body.pose(file.motion))[:, known])
-    return View(name, camera, pixels[:, known], confidence[:, known], projection)
+    clocks = {one.name: one.start_time for one in file.cameras}
+    start = clocks.get(path.stem, seen.start_time)
+    return View(name, camera, pixels[:, known], confidence[:, known], projection, start)
 
 
 def _cloud_at_frames(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:

@@ -203,10 +203,21 @@ def blend(
 
 
 def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """Linear colour of every vertex: the figure's, or that of contacts near touching joints."""
-    touching = figure.touching[frame].to(figure.body.weights)
-    share = (figure.body.weights @ touching).double().numpy()[:, None]
-    return linear_light(figure.colour) * (1 - share) + linear_light(CONTACT) * share
+    """Linear colour of every vertex: the figure's, or that of what is marked near its joints.
+
+    Limbs that are unsure or were inferred are marked, and joints that touch the ground.
+    """
+    light = np.broadcast_to(linear_light(figure.colour), (len(figure.body.weights), 3))
+    for marked, colour in (
+        (figure.unsure_limbs, CERTAINTY),
+        (figure.inferred_limbs, MISSING),
+        (figure.touching, CONTACT),
+    ):
+        if bool(marked[frame].any()):
+            share = figure.body.weights @ marked[frame].to(figure.body.weights)
+            share = share.double().numpy()[:, None]
+            light = light * (1 - share) + linear_light(colour) * share
+    return light
 
 
 def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -10,7 +11,13 @@ from torch import Tensor
 from recon.body.model import BodyModel, PosedBody
 from recon.core.camera import Camera, Ground, Projection
 from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS, joint_index
 from recon.core.visible import visible
+
+if TYPE_CHECKING:
+    from recon.view.film import FilmOnClock
+else:  # imported for type checkers only: few scenes have a film
+    from typing import Any as FilmOnClock
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -40,6 +47,12 @@ UNSURE = 0.3
 """Confidence below which a detected point is drawn as a ring."""
 
 
+UNSURE_M = 0.1
+"""Standard deviation of a joint beside the surest one from which a limb is drawn as unsure."""
+_TRUNK = [joint_index(name) for name in ("pelvis", "spine1", "spine2", "spine3")]
+_ABOVE = [joint_index(f"{side}_shoulder") for side in ("left", "right")]
+
+
 @dataclass(frozen=True)
 class Figure:
     """A body in motion, with name, colour, contacts and standard deviations."""
@@ -56,6 +69,9 @@ class Figure:
     """Probability that a joint carries weight; shown from one half on."""
     joint_std: Float[Tensor, "time 22"] | None = None
     """Standard deviation of a coordinate of every joint, metres; None where it is not known."""
+    observed: Bool[Tensor, "time 22"] | None = None
+    """False where a joint was inferred. Where given, limbs that were inferred, and those that are
+    unsure, are drawn in colours of their own."""
 
     def __post_init__(self) -> None:
         motion = self.motion
@@ -71,7 +87,11 @@ class Figure:
             )
         if not 0 < self.opacity <= 1:
             raise ValueError(f"opacity must lie in (0, 1], got {self.opacity}")
-        known = {"contacts": self.contacts, "standard deviations": self.joint_std}
+        known = {
+            "contacts": self.contacts,
+            "standard deviations": self.joint_std,
+            "observed joints": self.observed,
+        }
         for what, values in known.items():
             if values is not None and len(values) != motion.frames:
                 raise ValueError(
@@ -94,6 +114,37 @@ class Figure:
         if self.contacts is None:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         return self.contacts.detach().cpu() >= 0.5
+
+    @cached_property
+    def inferred_limbs(self) -> Bool[Tensor, "time 22"]:
+        """Mask of joints whose limb was not seen from end to end; none without `observed`.
+
+        A joint moves the limb below it. Few sensors see the spine, which counts as seen between
+        hips and shoulders.
+        """
+        if self.observed is None:
+            return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
+        lost = ~self.observed.detach().cpu()
+        lost[:, _TRUNK] &= lost[:, _ABOVE].all(1, keepdim=True)
+        return _with_limbs_above(lost)
+
+    @cached_property
+    def unsure_limbs(self) -> Bool[Tensor, "time 22"]:
+        """Mask of joints whose limb was seen and is unsure; none without `observed`."""
+        if self.observed is None or self.joint_std is None:
+            return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
+        squared = self.joint_std.detach().cpu().square()
+        apart = squared - squared.amin(1, keepdim=True)  # all share the error of the place
+        return _with_limbs_above(apart > UNSURE_M**2) & ~self.inferred_limbs
+
+
+def _with_limbs_above(joints: Bool[Tensor, "time 22"]) -> Bool[Tensor, "time 22"]:
+    """The joints, and those above them, whose limbs they end; but for the trunk."""
+    limbs = joints.clone()
+    for joint, parent in enumerate(PARENTS):
+        if parent >= 0 and parent not in _TRUNK:
+            limbs[:, parent] |= joints[:, joint]
+    return limbs
 
 
 @dataclass(frozen=True)
@@ -132,6 +183,10 @@ class View:
     """0 where a point was not detected, 1 where it is certain; None: all are certain."""
     reprojected: Projection | None = None
     """Projections of the points on the estimated body in this camera, (time, points)."""
+    start_time: float = 0.0
+    """Time of its first picture, seconds of the motion's clock."""
+    film: FilmOnClock | None = None
+    """What it filmed; drawn below the body."""
 
     def __post_init__(self) -> None:
         if self.camera.T_camera_world.ndim > 3 or self.camera.camera_matrix.ndim > 3:
@@ -285,7 +340,7 @@ class Show:
     def legend(self) -> tuple[tuple[str, Colour], ...]:
         """Words and colours of the legend of pictures, without the ground."""
         shown = [layer for layer in self.layers if layer.shown and layer.word != "ground"]
-        entries = [(layer.word, layer.colour) for layer in shown]
+        entries = [(layer.word, layer.colour) for layer in shown] + list(self.limb_legend)
         if any(view.pixels is not None for view in self.cameras):
             entries.append(("detected (ring: unsure)", VISIBLE))
         fitted = [view for view in self.cameras if view.reprojected is not None]
@@ -294,6 +349,15 @@ class Show:
         if any((view.certainty == 0).any() for view in fitted):
             entries.append(("not detected, on the body", MISSING))
         return tuple(entries)
+
+    @property
+    def limb_legend(self) -> tuple[tuple[str, Colour], ...]:
+        """Words and colours of limbs that were inferred or are unsure, where there are any."""
+        marked = (
+            ("not seen, inferred", MISSING, [one.inferred_limbs for one in self.figures]),
+            (f"unsure by {UNSURE_M:g} m", CERTAINTY, [one.unsure_limbs for one in self.figures]),
+        )
+        return tuple((word, colour) for word, colour, any_ in marked if any(map(torch.any, any_)))
 
 
 def _tree_name(name: str) -> str:

@@ -1,0 +1,64 @@
+"""Films in a page: beside the scene and in step with it."""
+
+import base64
+import html
+import os
+import tempfile
+from importlib import resources
+from pathlib import Path
+from urllib.parse import quote
+
+from recon.core.visible import visible
+from recon.view.overlay import write_overlay
+from recon.view.scene import Show
+
+EMBEDDED_FRAMES = 3000
+"""Frames up to which a film is part of the page: about 10 MB at most."""
+
+
+def films_html(show: Show, page: Path) -> str:
+    """HTML of the films of a scene, with the body over them; "" where there are none.
+
+    Long films are not part of the page: it plays the files themselves, without the body, from
+    where they lie as seen from the page.
+    """
+    if not any(view.film for view in show.cameras):
+        return ""
+    videos = _embedded(show) if show.frames <= EMBEDDED_FRAMES else _linked(show, page)
+    assets = resources.files("recon") / "assets"
+    style = (assets / "films.css").read_text(encoding="utf-8")
+    script = (assets / "films.js").read_text(encoding="utf-8")
+    return f'<style>{style}</style><div id="recon-films">{videos}</div><script>{script}</script>'
+
+
+def _embedded(show: Show) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        write_overlay(path := Path(folder) / "films.mp4", show)
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+    # the middle of a frame, since browsers show the one before at its beginning
+    return _video(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
+
+
+def _linked(show: Show, page: Path) -> str:
+    parts: list[str] = []
+    for view in show.cameras:
+        if (on_clock := view.film) is None:
+            continue
+        film = on_clock.film
+        place = os.path.relpath(film.path.resolve(), page.resolve().parent)
+        offset = show.figures[0].motion.start_time - on_clock.start_time + 0.5 / film.frame_rate
+        name = html.escape(visible(film.path.name))
+        parts.append(_video(quote(place), offset, film.clock.speed))
+        parts.append(
+            f"<p>{html.escape(visible(view.name))}: {name} is too long to be part of this page. "
+            "Keep it where it lies, as seen from here; a browser may not know its format.</p>"
+        )
+    return "".join(parts)
+
+
+def _video(source: str, offset: float, speed: float) -> str:
+    """A video without sound; at t seconds of the scene it shows (t + offset) * speed seconds."""
+    return (
+        f'<video src="{html.escape(source)}" muted playsinline preload="auto" '
+        f'data-offset="{offset:.6f}" data-speed="{speed:.6f}"></video>'
+    )
