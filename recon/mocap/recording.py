@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from recon.core import coordinates as told
 from recon.core import limits, units
-from recon.core.errors import FormatError
+from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Up
 
 LEAD_IN_SPEED = 10.0
@@ -142,7 +142,7 @@ def settle_skeleton(
 
     Args:
         raw: as in the file; by custom of its format y points up.
-        unit: what the user says; the file and the body are not asked then.
+        unit: what the user says; the file is not asked then, and the body must be of human size.
         up: axis that points up or down, given by the user; the body is not asked then.
         declared: unit that the file states.
 
@@ -226,6 +226,10 @@ def settle_markers(
     )
 
 
+_GIVEN_SIZE_M = (0.3, 10)
+"""Metres outside of which nobody, and no group of people, was recorded."""
+
+
 def _unit(
     given: str | None,
     declared: str | None,
@@ -233,9 +237,19 @@ def _unit(
     guess: Callable[[float, str], tuple[str, str]],
     name: str,
 ) -> tuple[str, str]:
-    """The unit that the user gives, the file states or the body's size implies; and the reason."""
+    """The unit that the user gives, the file states or the body's size implies; and the reason.
+
+    Raises:
+        UnitsError: when no body has the size that follows.
+    """
     units.check_override(given)
     if given is not None:
+        (low, high), metres = _GIVEN_SIZE_M, size * units.METRES[given]
+        if not low <= metres <= high:
+            raise UnitsError(
+                f"{name}: expected a body of {low} m to {high} m, but with --unit {given} it "
+                f"measures {metres:.3g} m; leave --unit out, or give the unit of its coordinates"
+            )
         return given, f"unit {given}: given"
     if declared is not None:
         return declared, told.reason_for_declared_unit(declared, size, name)

@@ -1,5 +1,6 @@
 """BVH and Acclaim: hand-computed poses, round trips, the T-pose at the start, archives."""
 
+import dataclasses
 import io
 import lzma
 import tarfile
@@ -12,6 +13,7 @@ import torch
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.core.units import METRES
 from recon.export.bvh import Order, skeleton_of, write_bvh
 from recon.mocap.asf_amc import read_amc
 from recon.mocap.bvh import parse_bvh, read_bvh
@@ -117,9 +119,17 @@ def test_joints_that_move_within_their_parent_keep_their_path(
 
 def test_units_and_axes_may_be_given(tmp_path: Path) -> None:
     (tmp_path / "clip.bvh").write_text(BVH)
-    clip = read_recording(tmp_path / "clip.bvh", unit="m", up="z")
-    assert np.allclose(clip.positions[0, 0], [1, 95, 3])
-    assert clip.decisions[1:] == ("unit m: given", "up axis z: given")
+    clip = read_recording(tmp_path / "clip.bvh", unit="inch", up="z")
+    assert np.allclose(clip.positions[0, 0], 0.0254 * np.array([1, 95, 3]))
+    assert clip.decisions[1:] == ("unit inch: given", "up axis z: given")
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+def test_a_given_unit_that_makes_a_dwarf_or_giant_is_refused(tmp_path: Path, unit: str) -> None:
+    """`recon convert --unit mm` of centimetres gave a person of 17 cm, and said nothing."""
+    (tmp_path / "clip.bvh").write_text(BVH)
+    with pytest.raises(ValueError, match=f"with --unit {unit} it measures .* leave --unit out"):
+        read_recording(tmp_path / "clip.bvh", unit=unit)
 
 
 def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> None:
@@ -167,7 +177,8 @@ def test_bones_lost_by_the_cgspeed_conversion_are_restored() -> None:
         text += f"JOINT {side}Arm {{ OFFSET 0 0 0\nJOINT {side}Hand {{ OFFSET {sign * 3} 0 0\n"
         text += f"JOINT {side}FingerBase {{ OFFSET 0 0 0 }} }} }}\n"
     text += "}}}}\nMOTION\nFrames: 1\nFrame Time: 0.01\n0 16 0\n"
-    clip = parse_bvh(text, "clip", unit="m", up="y")
+    clip = parse_bvh(text, "clip", unit="cmu", up="y")
+    clip = dataclasses.replace(clip, positions=clip.positions / METRES["cmu"])
     assert np.allclose(clip.positions[0, clip.joint("Neck")], [0, 0, 22])
     assert np.allclose(clip.positions[0, clip.joint("Head")], [0, 0, 25])
     assert np.allclose(clip.positions[0, clip.joint("LeftFingerBase")], [4.5, 0, 22])

@@ -93,7 +93,7 @@ def test_the_screen_axis_decides_only_where_the_body_does_not(tmp_path: Path) ->
     lying = MarkerRecording("l", ("a", "b", "c", "d"), flat, markers.visible, 100.0, ())
     write_c3d(tmp_path / "none.c3d", lying)
     with pytest.raises(ValueError, match="--up"):
-        read_recording(tmp_path / "none.c3d", unit="mm")
+        read_recording(tmp_path / "none.c3d", unit="cm")
 
 
 def test_c3d_points_of_negative_residual_are_not_seen(tmp_path: Path) -> None:
