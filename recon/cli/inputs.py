@@ -24,7 +24,6 @@ EXPECTED = {
     "mapping": "a TOML file that says which joints or markers are which",
     "masks": "a folder of silhouettes, or an .npz of them",
     "motion": _MOTION,
-    "film": "a film (.mp4, .mov, .avi, ...)",
     "obs": _OBSERVATION,
     "observation": _OBSERVATION,
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
