@@ -24,6 +24,8 @@ degrees nearer to the truth, as sizes that differ tilt the ground otherwise."""
 _UPRIGHT = 0.1
 """Standard deviation of the direction up that one person's posture tells, radians; runners lean by
 0.2, and what cartwheels tell is far off and counts less and less."""
+_LEVEL = 0.01
+"""The same where straight lines of a film tell which way is up."""
 _ON_GROUND = 0.015
 """Standard deviation of the height of a person's soles above the ground, metres."""
 _PLACES = 20
@@ -95,14 +97,15 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
     seen = np.array([one.motion.frames for one in results], float)
     focal = float(np.exp(np.average([np.log(one.focal) for one in alone], weights=seen)))
     places = [one.zoomed(focal) for one in alone]
-    normal, above, factors = _common_ground(places, [one.up for one in alone])
+    (view,) = views_of(results[0].examined.fit.observations)
+    upright = _LEVEL if view.level else _UPRIGHT
+    normal, above, factors = _common_ground(places, [one.up for one in alone], upright)
     T_world_camera = camera_above((*normal.tolist(), -above))
     T = torch.from_numpy(T_world_camera)
     starts = tuple(
         _motion_in_shared_world(one, T_world_camera, focal, float(factor), spots)
         for one, factor, spots in zip(alone, factors, places, strict=True)
     )
-    (view,) = views_of(results[0].examined.fit.observations)
     matrix = view.camera.camera_matrix.reshape(-1, 3, 3)[0].double().cpu()
     zoomed = matrix.clone()
     zoomed[:2, :2] *= focal / alone[0].focal
@@ -123,9 +126,17 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
 
 
 def _common_ground(
-    places: Sequence[Float[np.ndarray, "places 3"]], ups: Sequence[Float[np.ndarray, "3"]]
+    places: Sequence[Float[np.ndarray, "places 3"]],
+    ups: Sequence[Float[np.ndarray, "3"]],
+    upright: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
-    """Ground normal, height of the camera above the ground, and a distance factor per person."""
+    """Ground normal, height of the camera above the ground, and a distance factor per person.
+
+    Args:
+        places: lowest points of everybody's soles, metres.
+        ups: what each fit takes for up.
+        upright: standard deviation of these, radians.
+    """
     from scipy.optimize import least_squares
 
     mean = np.mean(ups, axis=0)
@@ -145,7 +156,7 @@ def _common_ground(
             # robust above the ground, since people who run or jump are in the air; not below it
             height = np.where(height > 0, _pseudo_huber_residual(height), height)
             out.append(height / np.sqrt(len(spots)))
-            lean = (up - normal) / _UPRIGHT
+            lean = (up - normal) / upright
             out.append(
                 lean * _pseudo_huber_residual(size := np.linalg.norm(lean)) / max(size, 1e-9)
             )
