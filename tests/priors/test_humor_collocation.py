@@ -3,7 +3,9 @@
 import pytest
 import torch
 
+from observations.depth import PointCloud
 from observations.joints3d import Joints3D
+from observations.surfels import Surfels
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
@@ -138,6 +140,22 @@ def test_poses_are_found_roughly_first(body: BodyModel) -> None:
     method = Collocation(humor(body))
     assert [s.name for s in method.stages((whole,))] == ["root", "pose", "contacts"]
     assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "contacts"]
+
+
+def test_fits_of_clouds_alone_weigh_latents_less_and_end_later(body: BodyModel) -> None:
+    shown = torch.ones(1, 4, 22, dtype=torch.bool)
+    joints = Term("joints", Joints3D(torch.zeros(1, 4, 22, 3), shown, tuple(range(22)), 30.0), 1.0)
+    seen = PointCloud(torch.zeros(1, 4, 1, 3), shown[..., :1], Surfels.of(body, 100), 30.0)
+    cloud = Term("cloud", seen, 1.0)
+
+    def settings(*data: Term) -> tuple[float, float]:
+        last = collocated(body).stages(data)[-1]
+        (weight,) = (term.weight for term in last.terms if term.name == "latents")
+        return weight, last.minimiser.tolerance_decrease
+
+    for alone, both in zip(settings(cloud), settings(cloud, joints), strict=True):
+        assert alone < both
+    assert settings(cloud, joints) == settings(joints)
 
 
 def test_every_stage_takes_the_density_that_is_given(body: BodyModel) -> None:
