@@ -35,7 +35,7 @@ def test_it_is_one_of_the_methods_of_humor():
 @pytest.mark.parametrize(
     ("prior", "expected"),
     [
-        ("humor", "by collocation or rollout, got 'roll'"),
+        ("humor", "by collocation or rollout or look, got 'roll'"),
         ("pose", "'pose' is fitted in one way only, got 'roll'"),
         (Collocation(Humor.load()), "a Collocation is fitted in one way only"),
     ],

@@ -14,7 +14,6 @@ from recon.cli.looks import refuse_foreign
     [
         ("a.txt", b"hello", r"\.txt are not known.*3D keypoints"),
         ("a.bvh", b"HIERARCHY", "recon convert"),
-        ("a.mp4", b"....", "2D detector"),
         ("a.npz", b"PK", "cannot be read"),
         ("a.npy", b"hello", "other bytes"),
         ("a.trc", b"time,x,y", "PathFileType; got 'time,x,y'"),
@@ -35,6 +34,7 @@ def test_foreign_files_are_refused_with_what_was_seen(tmp_path, name, content, s
     ("name", "content"),
     [
         ("a.trc", b"\xef\xbb\xbfPathFileType\t4\t(X/Y/Z)\tx.trc\n"),
+        ("a.mp4", b"...."),
         ("a.c3d", b"\x02\x50"),
         ("a.csv", b"nose_x,nose_y,nose_z\n"),
         ("a.csv", b"frame,keypoint,x,y,z\n"),

@@ -91,7 +91,7 @@ ROWS: dict[str, Row] = {
     "unknown prior": (fitted(prior="humour"), W, "humour"),
     "prior that cannot be imported": (fitted(prior="nobody:Nothing"), W, "cannot be imported"),
     "unknown method": (fitted(prior="humor", method="roll"), R,
-                       "by collocation or rollout, got 'roll'"),
+                       "by collocation or rollout or look, got 'roll'"),
     "method of a prior with one way": (fitted(method="roll"), R, "in one way only, got 'roll'"),
     "no ground under a prior that has one": (fitted(prior="humor", ground=None), R,
                                              "'humor' needs the ground.*prior 'pose'"),
@@ -113,7 +113,7 @@ ROWS: dict[str, Row] = {
     "nothing in between": (fitted(between=(5.0, 6.0)), S, "5"),
     "rate of the result": (fitted(fps=-1.0), R, "fps"),
     # files
-    "text as observation": (loaded("bad.txt"), F, "expected an observation"),
+    "text as observation": (loaded("bad.txt"), F, "expected a film, an observation"),
     "damaged archive": (loaded("bad.npz", b"PK\x03\x04 and nothing"), F, r"bad\.npz"),
     "empty file": (loaded("bad.npz", b""), F, r"bad\.npz"),
     "damaged C3D": (loaded("bad.c3d"), F, r"bad\.c3d"),
