@@ -39,7 +39,7 @@ class Case:
 
 CASES = (
     Case("demo", "out", ("--out", "OUT"), OutputKind.FOLDER),
-    Case("detect", "out", ("IN.mp4", "--out", "OUT.npz")),
+    Case("detect", "out", ("IN.npz", "--out", "OUT.npz")),
     Case("fit", "out", ("IN.npz", "--out", "OUT")),
     Case("complete", "out", ("IN.npz", "--out", "OUT")),
     Case("batch", "out", ("IN.jsonl", "--out", "OUT"), OutputKind.CONTINUED),
