@@ -268,10 +268,8 @@ def of_people(
     films = [paths[TWO, camera] for camera in cameras]
     alone = len(cameras) == 1
     options = {} if alone else {"camera": scene.calibration}
-    began = time.process_time()
     people = load_people(films, body=scene.body, **reading(films, cameras[0], options))
     results = fit_people(people, body=scene.body)
-    seconds = time.process_time() - began
     label = str(cameras[0]) if alone else "1-3"
     for name, own in zip(("man", "woman"), everyone, strict=True):
         each = [compared(found, own, scene, cameras[0]) for found in results]
@@ -279,7 +277,6 @@ def of_people(
         of_woman = ("aligned", "sides", "followed", "pixels", "clock")
         kept = best if name == "man" else {key: best[key] for key in of_woman}
         yield f"two people: {label}: {detector}, {name}", kept
-    yield f"two people: {label}: {detector}, {len(results)} found", {"seconds": seconds}
 
 
 def compared(
