@@ -21,11 +21,12 @@ from recon.fitting.settings import ReadOptions
 from recon.formats.calibration import camera_table
 from recon.formats.cameras import CameraArrays, ImageSize
 from recon.formats.observations import KeypointsFile
-from recon.formats.outputs import Output, OutputKind
-from recon.formats.writing import writing
+from recon.formats.writing import writing_file
+from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors
 from recon.reading.images import keypoints_of, undistorted
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
+from recon.reading.stated import level_turn
 from recon.reading.views import Views, read_views
 
 _LONGEST_SHIFT = 1.0
@@ -73,8 +74,7 @@ class CameraRig:
         if Path(out).suffix.lower() != ".toml":
             raise ObservationError(f"{out}: a calibration is written as .toml; name it so")
         said = self.report() if report is None else report
-        output = Output(Path(out), OutputKind.FILE)
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing_file(Path(out), said, overwrite=overwrite) as staged:
             tables = (camera_table(name, one) for name, one in self.cameras.items())
             staged.write_text("\n".join(tables))
         return (Path(out),)
@@ -140,13 +140,15 @@ def calibrate(
     with format_errors():
         views = [read_views([path], how).person(person) for path in paths]
     files = _on_one_clock(views)
-    body = BodyModel.load()
-    rig = rig_of_person(
-        [_filmed(name, one) for name, one in files.items()],
-        round(_LONGEST_SHIFT * next(iter(files.values())).fps),
-    )
-    cameras, tall = _on_ground(rig, _levelled(rig, files, body), files, body)
+    people = [_filmed(name, one) for name, one in files.items()]
+    rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
+    poses, tall = _on_ground(rig, files, people, BodyModel.load())
     scale = 1.0 if height is None else height / tall
+    cameras: dict[str, CameraArrays] = {}
+    for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
+        pose[:3, 3] *= scale
+        lens = _with_focal_length(view.files[0].camera, float(focal))
+        cameras[name] = replace(lens, T_camera_world=pose[None])
     assumed = (
         f"no height given: the person is fitted as {tall:.2f} m tall; all lengths are off by as "
         "much as that is"
@@ -154,7 +156,7 @@ def calibrate(
         else f"height {height:.2f} m: given; an average body was fitted as {tall:.2f} m"
     )
     return CameraRig(
-        {name: _scaled(one, scale) for name, one in cameras.items()},
+        cameras,
         dict(zip(files, rig.late.tolist(), strict=True)),
         rig.error,
         tall * scale,
@@ -203,12 +205,15 @@ def _filmed(name: str, file: KeypointsFile) -> FilmedPerson:
     )  # fmt: skip
 
 
-def _levelled(
-    rig: Rig, files: Mapping[str, KeypointsFile], body: BodyModel
-) -> Float[np.ndarray, "4 4"]:
-    """Maps the first camera's frame to a level world in which an average body has its size."""
-    names = keypoint_names(next(iter(files.values())).layout)
-    place = {name: rig.points[:, k] for k, name in enumerate(names)}
+def _level_frame(
+    rig: Rig, people: Sequence[FilmedPerson], layout: str, body: BodyModel
+) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """A rotation from the first camera's frame to a level world, and metres per unit of the rig.
+
+    Up is the mean of what the cameras' lines tell, else where shoulders are from ankles; the unit
+    is that with which the person is about as large as an average body.
+    """
+    place = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
     rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
     ratios = []
     for side in ("left", "right"):
@@ -218,57 +223,51 @@ def _levelled(
             if a is not None and b is not None:
                 length = np.nanmedian(np.linalg.norm(a - b, axis=-1))
                 ratios.append(np.linalg.norm(own[0] - own[1]) / length)
-    ups = [
-        T[:3, :3].T @ one.camera.path.T_world_camera[0, 2, :3]
-        for T, one in zip(rig.T_camera_world, files.values(), strict=True)
-        if one.camera.path is not None
-    ]
+    told = zip(rig.T_camera_world, people, strict=True)
+    ups = [T[:3, :3].T @ one.up for T, one in told if one.up is not None]
     if not ups:
         rise = [place[f"{s}_shoulder"] - place[f"{s}_ankle"] for s in ("left", "right")]
         ups = [np.nanmean(rise, axis=(0, 1))]
     up = np.mean(ups, axis=0)
-    up /= np.linalg.norm(up)
-    ahead = np.array([0.0, 0.0, 1.0]) - up * up[2]
-    ahead /= np.linalg.norm(ahead)
-    T = np.eye(4)
-    T[:3, :3] = float(np.median(ratios)) * np.stack((np.cross(ahead, up), ahead, up))
-    return T
+    return level_turn(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
 def _on_ground(
-    rig: Rig, T: Float[np.ndarray, "4 4"], files: Mapping[str, KeypointsFile], body: BodyModel
-) -> tuple[dict[str, CameraArrays], float]:
-    """The cameras above the ground, where a fit of the person finds it, and the person's height.
+    rig: Rig, files: Mapping[str, KeypointsFile], people: Sequence[FilmedPerson], body: BodyModel
+) -> tuple[dict[str, Float[np.ndarray, "4 4"]], float]:
+    """T_camera_world of every camera above the ground that a fit finds, and the person's height.
 
     Args:
         rig: the cameras in the frame of the first.
-        T: maps that frame to a level world, in metres.
-        files: what each camera saw.
+        files: what each camera saw, without distortion.
+        people: the same, as the rig was found from.
         body: that is fitted.
     """
-    scale = np.cbrt(np.linalg.det(T[:3, :3]))
-    turn = T[:3, :3] / scale
-    level = all(one.camera.path is not None for one in files.values())
-    posed = {}
-    for name, pose, focal in zip(files, rig.T_camera_world, rig.focal, strict=True):
-        moved = np.eye(4)
-        moved[:3, :3], moved[:3, 3] = pose[:3, :3] @ turn.T, scale * pose[:3, 3]
-        matrix = files[name].camera.camera_matrix.copy()
-        matrix[[0, 1], [0, 1]] = focal
-        posed[name] = CameraArrays(matrix, files[name].camera.image_size, None, moved[None])
-    fps = next(iter(files.values())).fps
-    seen = []
-    for name, late in zip(files, rig.late, strict=True):
-        file = replace(files[name], camera=posed[name], start_time=-late / fps)
-        seen.append(keypoints_of(file, body).derived(ground_known=False, level=level))
-    found = fit(seen, "pose", body=body, ground="unknown", between=_densest(files, fps))
+    first = next(iter(files.values()))
+    turn, unit = _level_frame(rig, people, first.layout, body)
+    level = all(one.up is not None for one in people)
+    poses: dict[str, Float[np.ndarray, "4 4"]] = {}
+    seen: list[Sensor] = []
+    own = zip(files.items(), rig.T_camera_world, rig.focal, rig.late, strict=True)
+    for (name, file), T, focal, late in own:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = T[:3, :3] @ turn.T, unit * T[:3, 3]
+        camera = replace(_with_focal_length(file.camera, focal), T_camera_world=pose[None])
+        shifted = replace(file, camera=camera, start_time=-late / first.fps)
+        seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))
+        poses[name] = pose
+    found = fit(seen, "pose", body=body, ground="unknown", between=_densest(files, first.fps))
     assert found.T_world_camera is not None
-    lifted = found.T_world_camera.double().numpy() @ posed[next(iter(files))].T_camera_world[0]
-    cameras = {
-        name: replace(one, T_camera_world=one.T_camera_world @ np.linalg.inv(lifted))
-        for name, one in posed.items()
-    }
-    return cameras, float(body.height(found.motion.shape))
+    moved = found.T_world_camera.double().numpy() @ next(iter(poses.values()))
+    lifted = {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()}
+    return lifted, float(body.height(found.motion.shape))
+
+
+def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
+    """The camera with another focal length, pixels, and nothing else known of it than its lens."""
+    matrix = camera.camera_matrix.copy()
+    matrix[[0, 1], [0, 1]] = focal
+    return CameraArrays(matrix, camera.image_size, camera.distortion)
 
 
 def _densest(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
@@ -279,11 +278,3 @@ def _densest(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, flo
         return None
     first = int(np.convolve(seen, np.ones(length), mode="valid").argmax())
     return first / fps, (first + length) / fps
-
-
-def _scaled(camera: CameraArrays, scale: float) -> CameraArrays:
-    """The camera in a world that is larger by a factor, about the origin."""
-    assert camera.T_camera_world is not None
-    moved = camera.T_camera_world.copy()
-    moved[:, :3, 3] *= scale
-    return replace(camera, T_camera_world=moved)

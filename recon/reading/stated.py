@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from recon.core.errors import ObservationError
 from recon.detections.reader import read_keypoints
@@ -145,10 +146,8 @@ def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str
     told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
     if told is None:
         return camera, ""
-    ahead = np.array([0.0, 0.0, 1.0]) - told.up * told.up[2]
-    ahead /= np.linalg.norm(ahead)
     T_world_camera = np.eye(4)
-    T_world_camera[:3, :3] = np.stack((np.cross(ahead, told.up), ahead, told.up))
+    T_world_camera[:3, :3] = level_turn(told.up)
     down, roll = (
         np.degrees(np.arcsin(-told.up[2])), np.degrees(np.arctan2(told.up[0], -told.up[1]))
     )  # fmt: skip
@@ -163,3 +162,14 @@ def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str
     path = CameraPath(T_world_camera[None], metric=True, level=True)
     known = camera.focal_known or told.focal is not None
     return replace(camera, camera_matrix=matrix, focal_known=known, path=path), said
+
+
+def level_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation from a camera's frame to a level world, z up, in which the camera looks along y.
+
+    Args:
+        up: unit vector in the camera's frame, not along its viewing axis.
+    """
+    ahead = np.array([0.0, 0.0, 1.0]) - up * up[2]
+    ahead /= np.linalg.norm(ahead)
+    return np.stack((np.cross(ahead, up), ahead, up))

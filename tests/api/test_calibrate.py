@@ -14,7 +14,7 @@ from recon.core.layouts import keypoint_names
 from recon.formats.calibration import load_cameras
 from recon.formats.cameras import CameraArrays
 from recon.reading.rig import FilmedPerson, rig_of_person
-from tests.keypoint_scene import camera, figure, image, write_openpose
+from tests.keypoint_scene import camera, figure, image, write_openpose, write_toml
 
 LAYOUT, FPS, FRAMES = "openpose25", 30.0, 60
 NOISE = 2.0
@@ -130,6 +130,21 @@ def test_calibration_is_written_and_read(tmp_path: Path):
         assert np.linalg.inv(pose)[2, 3] == pytest.approx(1.2, abs=0.25)
     spread = np.linalg.norm(np.linalg.inv(poses[0])[:3, 3] - np.linalg.inv(poses[1])[:3, 3])
     assert spread == pytest.approx(2 * 4 * np.sin(np.radians(35)), rel=0.1)
+
+
+def test_known_lenses_keep_their_distortion(tmp_path: Path):
+    bent = [replace(one, distortion=camera(0.0).distortion) for one in TRUE]
+    folders = [
+        write_openpose(tmp_path / f"cam{k}", [[one] for one in images(camera_, k)])
+        for k, camera_ in enumerate(bent)
+    ]
+    named = {one.name: camera_ for one, camera_ in zip(folders, bent, strict=True)}
+    lenses = write_toml(tmp_path / "lenses.toml", named)
+    rig = recon.calibrate(folders, camera=lenses, frame_rate=FPS, layout=LAYOUT, height=TALL)
+    for found, true in zip(rig.cameras.values(), bent, strict=True):
+        assert found.distortion == pytest.approx(true.distortion)
+        assert found.camera_matrix[0, 0] == pytest.approx(900.0, rel=0.01)
+    check_poses([one.T_camera_world[0] for one in rig.cameras.values()], degrees=1.5, share=0.04)  # pyright: ignore[reportOptionalSubscript]
 
 
 def test_one_view_is_refused():
