@@ -186,8 +186,8 @@ class Collocation(Prior[PoseVariables]):
         Tolerances were chosen on the validation windows. Where all joints are seen, ten times
         smaller ones take longer and leave the errors as they are. Where legs are never seen,
         smaller ones make the errors of the legs larger: the networks alone decide there, and their
-        optimum is not the truth. Limbs that are hidden for a while need smaller ones, and so do
-        clouds, which hide limbs without saying so, unless only images are fitted.
+        optimum is not the truth. Limbs that are hidden for a while need smaller ones, unless only
+        images are fitted. So do clouds, in which limbs may be hidden without being marked so.
         """
         del noise, body, method  # the weights were given to the constructor
         w = self.weights

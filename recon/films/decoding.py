@@ -87,6 +87,10 @@ class Film:
         """Number of frames of this clock, from the first picture to the last."""
         return self.clock.frames
 
+    def in_film(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
+        """Pixels of the film for those of an image, which may have been shrunk."""
+        return pixels * self.shrunk + (self.shrunk - 1) / 2
+
     def __iter__(self) -> Iterator[FilmFrame]:
         """Decode the film; damaged pictures are left out, and said in `notes`."""
         losses: list[str] = []

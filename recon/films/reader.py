@@ -71,9 +71,11 @@ def read_film(
     existing_file(path)
     key = "" if kept is None else _key(path, frame_rate, layout, detector)
     file = None if kept is None else _kept_file(path, kept, key)
-    if file is not None and file.is_file() and str(load_arrays(file).get("made_of")) == key:
-        seen, notes = read_detection_arrays(file), load_arrays(file)["notes"].tolist()
-        return replace(seen, name=path.name, decisions=(*notes, *seen.decisions))
+    if file is not None and file.is_file():
+        arrays = load_arrays(file)
+        if str(arrays.get("made_of")) == key:
+            seen, notes = read_detection_arrays(file), arrays["notes"].tolist()
+            return replace(seen, name=path.name, decisions=(*notes, *seen.decisions))
     film = open_film(path, frame_rate=frame_rate)
     frames = _Watched(film, watch)
     unfinished = None
@@ -121,8 +123,7 @@ class _Watched:
         every = max(1, self.film.frames // _IMAGES_WITH_LINES)
         for frame in self.film:
             if frame.number % every == every // 2:
-                shift = (self.film.shrunk - 1) / 2
-                ends = straight_segments(frame.image) * self.film.shrunk + shift
+                ends = self.film.in_film(straight_segments(frame.image))
                 self.segments[frame.number] = frame.shot, ends
             yield frame
             self.times[frame.number] = frame.time
@@ -185,10 +186,9 @@ def _detections(
             f"{film.path}: nobody was found in any of its {film.frames} frames; a person should "
             "be seen from head to foot and be at least a tenth of the image high"
         )
-    shift = (film.shrunk - 1) / 2
     scaled: list[Row] = []
     for number, points, person in rows:
-        pixels = points[:, :2] * film.shrunk + shift
+        pixels = film.in_film(points[:, :2])
         inside = ((pixels >= 0) & (pixels <= np.array(film.image_size) - 1)).all(1)
         seen = np.where(inside, points[:, 2], 0.0)
         scaled.append((number, np.column_stack((pixels, seen)), person))

@@ -7,14 +7,14 @@ one frame to the next, so that the sequence in which they move least tells which
 together; which of the two sides is left is then decided by the majority of all frames.
 """
 
-from itertools import groupby
-
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 
 from recon.detections.records import Row
 from recon.films.blazepose import MIRRORED
 from recon.films.tracking import Sight
+from recon.solver.viterbi import cheapest_path
 
 _SPREADS = (0.01, 0.05)
 """Least and largest distance that landmarks usually move from frame to frame, in sizes of the
@@ -38,15 +38,11 @@ _LEAST_SEEN = 0.05
 
 
 def rows_of_sights(sights: list[Sight]) -> list[Row]:
-    """A row for every person and frame, by frame."""
-    rows: list[Row] = []
-    ordered = sorted(sights, key=lambda one: one.track)
-    for _, track in groupby(ordered, key=lambda one: one.track):
-        rows += _rows_of_track(list(track))
-    return sorted(rows, key=lambda row: row[0])
+    """A row for every frame in which one person was seen.
 
-
-def _rows_of_track(sights: list[Sight]) -> list[Row]:
+    Args:
+        sights: of the person, by frame.
+    """
     seen = np.stack([(sight.pose.pixels, sight.mirrored.pixels) for sight in sights])
     size = _BODY * np.array([sight.pose.region.side for sight in sights])
     frames = np.array([sight.frame for sight in sights])
@@ -63,10 +59,10 @@ def _named(
     size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],
 ) -> tuple[Float[np.ndarray, "frames 33 2"], Float[np.ndarray, "frames 33 2"]]:
-    """The landmarks of a person with their right names, and those of the other image.
+    """The landmarks of a person with left and right as decided, and a second opinion on each.
 
-    The first are of either the image or its mirror image; the others have the names that are
-    nearer to these.
+    The first come from the image or from its mirror image; the second from the other of these two,
+    with left and right named so that both lie nearer together.
 
     Args:
         seen: by the image and by its mirror image, pixels.
@@ -74,7 +70,7 @@ def _named(
         frames: their numbers, rising.
     """
     hypotheses = np.concatenate((seen, seen[:, :, MIRRORED]), 1)
-    path = _cheapest_path(hypotheses, size, frames)
+    path = _likeliest_hypotheses(hypotheses, size, frames)
     rows = np.arange(len(path))
     chosen, other = hypotheses[rows, path], seen[rows, 1 - path % 2]
     turned = other[:, MIRRORED]
@@ -82,12 +78,12 @@ def _named(
     return chosen, np.where((crossed < apart)[:, None, None], turned, other)
 
 
-def _cheapest_path(
+def _likeliest_hypotheses(
     hypotheses: Float[np.ndarray, "frames 4 33 2"],
     size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
-    """The hypothesis of every frame, by the Viterbi algorithm."""
+    """The hypothesis of every frame with which the landmarks move least."""
     # two votes against an exchange where image and mirror image agree, else one for each side
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
@@ -99,17 +95,10 @@ def _cheapest_path(
     usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
     spread = np.clip(usual, *_SPREADS) * np.diff(frames)
     far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
-    steps = _INDEPENDENT * np.square(far).sum(-1) / 2
-    cost, before = votes[0], np.zeros((len(frames), hypotheses.shape[1]), int)
-    for t, step in enumerate(steps, start=1):
-        way = cost + step
-        before[t] = way.argmin(1)
-        cost = way.min(1) + votes[t]
-    path = np.zeros(len(frames), int)
-    path[-1] = cost.argmin()
-    for t in range(len(frames) - 1, 0, -1):
-        path[t - 1] = before[t, path[t]]
-    return path
+    # from a hypothesis to one of the next frame
+    change = (_INDEPENDENT * np.square(far).sum(-1) / 2).swapaxes(-1, -2)
+    path = cheapest_path(torch.from_numpy(votes)[None], torch.from_numpy(change)[None])
+    return path[0].numpy()
 
 
 def _median_in_time(

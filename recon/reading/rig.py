@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from recon.core.errors import ObservationError
+from recon.reading.tracks import nearest_to_rays
 
 _SEEN = 0.3
 """Confidence from which on a keypoint takes part."""
@@ -27,28 +28,29 @@ _MOST_POINTS = 600
 _FEWEST_POINTS = 60
 """Points that two views must share: three moments of a whole body."""
 _OFF = 0.008
-"""Distance of a keypoint from the line on which another view expects it, of the focal length, up
-to which the two agree."""
+"""Distance of a keypoint from its epipolar line, as a share of the focal length, up to which two
+views agree."""
 _FIRST_OFF = 4 * _OFF
-"""The same before focal lengths are refined, which may be a quarter off."""
+"""Reprojection error, as a share of the focal length, up to which a keypoint of a further view
+agrees; focal lengths, not refined by then, may be a quarter off."""
 _AGREEING = 0.5
 """Share of the points of two views that must agree."""
 _SAMPLED = 200
 """Points of two views that are looked at for each shift in time."""
 _COARSE = 12
-"""Shifts to either side that are tried; the best one is refined with the poses."""
+"""Shifts in time to either side that are tried; the best one is refined with the poses."""
 _BETTER = 0.97
-"""The disagreement after a shift over that of films that begin together, to believe the shift."""
+"""A shift in time is believed where it makes the disagreement smaller by this factor."""
 _ROUNDS = 200
 """Samples of five points that propose an essential matrix."""
 _DETECTOR = 0.004
-"""Standard deviation of a keypoint, of the focal length."""
+"""Standard deviation of a keypoint, as a share of the focal length."""
 _FOCAL_STD = {True: 0.002, False: 0.25}
 """Standard deviation of the logarithm of a known and of a guessed focal length."""
 _UP_STD = np.radians(1.5)
 """Standard deviation of the vertical that lines of an image tell."""
 _LATE_STD = 4.0
-"""Standard deviation of a shift in time about the one that was tried, frames."""
+"""Standard deviation of the true shift in time about the one that was tried, frames."""
 _UNKNOWNS = 8
 """Of a camera: a turn, a translation, the logarithm of its focal length's correction, and the
 frames by which it is late."""
@@ -90,7 +92,7 @@ class Rig:
     points: Float[np.ndarray, "frames points 3"]
     """NaN where fewer than two views saw a point."""
     error: float
-    """Median distance of a keypoint from the image of its point, of the focal length."""
+    """Median reprojection error of a keypoint, as a share of the focal length."""
 
 
 def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
@@ -107,7 +109,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     views = [view.shifted(frames) for view, frames in zip(views, late, strict=True)]
     frames, points = views[0].confidence.shape
     seen = np.stack([view.confidence.reshape(-1) > _SEEN for view in views])
-    places = np.stack([_sights(view).reshape(-1, 2) for view in views])
+    places = np.stack([_normalised(view).reshape(-1, 2) for view in views])
     speeds = np.stack([_speeds(view).reshape(-1, 2) for view in views])
     used = np.flatnonzero(seen.sum(0) >= 2)
     if len(used) > _MOST_POINTS:
@@ -135,8 +137,8 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     )
 
 
-def _sights(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
-    """Keypoints as places in the plane at distance 1 of the camera."""
+def _normalised(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
+    """Normalised image coordinates of the keypoints: x/z and y/z in the camera's frame."""
     return (view.pixels - view.centre) / view.focal
 
 
@@ -145,7 +147,7 @@ def _speeds(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
-    return np.where(three[..., None], np.gradient(_sights(view), axis=0), 0.0)
+    return np.where(three[..., None], np.gradient(_normalised(view), axis=0), 0.0)
 
 
 def _shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
@@ -160,7 +162,7 @@ def _shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
 
 
 def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
-    """Mean distance of points from the lines on which another view expects them (Sampson's).
+    """Mean Sampson distance of shared points from their epipolar lines.
 
     In standard deviations of a detector, each at most two; infinite where the views share too few.
     """
@@ -169,7 +171,7 @@ def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
         return np.inf
     some = np.flatnonzero(seen)
     some = some[np.linspace(0, len(some) - 1, min(len(some), _SAMPLED)).astype(int)]
-    a, b = (_sights(view).reshape(-1, 2)[some] for view in (one, other))
+    a, b = (_normalised(view).reshape(-1, 2)[some] for view in (one, other))
     matrix, _ = _essential(a, b, _DETECTOR)
     a, b = (np.concatenate((x, np.ones((len(x), 1))), -1) for x in (a, b))
     there, here = a @ matrix.T, b @ matrix
@@ -264,15 +266,8 @@ def _nearest_points(
     places: Float[np.ndarray, "views points 2"],
     seen: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Points of which these are the images, NaN where fewer than two views see one.
-
-    A view with pose P gives the equations u P3 - P1 and v P3 - P2 (Hartley and Zisserman, 12.2).
-    """
-    rows = places[..., None] * poses[:, None, 2:] - poses[:, None, :2]
-    rows = np.where(seen[..., None, None], rows, 0.0)
-    equations = rows.swapaxes(0, 1).reshape(places.shape[1], -1, 4)
-    last = np.linalg.svd(equations)[2][:, -1]
-    points = last[:, :3] / last[:, 3:]
+    """Points of which these are the images, NaN where fewer than two views see one."""
+    points = nearest_to_rays(places, poses[:, None], seen)
     return np.where((seen.sum(0) >= 2)[:, None], points, np.nan)
 
 

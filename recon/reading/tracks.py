@@ -195,11 +195,7 @@ class Triangulated:
 
 
 def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
-    """Keypoints of one track of every view as the points nearest to their rays.
-
-    Each ray (u, v) of a camera P = [R | t] gives two equations, u P3 - P1 and v P3 - P2; the
-    point is the right singular vector of least singular value (Hartley and Zisserman, 12.2).
-    """
+    """Keypoints of one track of every view as the points nearest to their rays."""
     layouts = [keypoint_names(view.layout) for view, _ in members]
     names = tuple(name for name in layouts[0] if all(name in other for other in layouts))
     frames = members[0][0].tracks[members[0][1]].frame
@@ -211,16 +207,37 @@ def triangulated(members: Sequence[tuple[TrackedView, int]]) -> Triangulated:
     if seen.sum() < _FEWEST_POINTS:
         nothing = np.zeros((*seen.shape, 3))
         return Triangulated(nothing, np.zeros_like(seen), names, nothing[None, ..., 0])
-    equations = [
-        one.rays[..., None] * one.pose[:, None, None, 2] - one.pose[:, None, :2] for one in sights
-    ]
-    solution = np.linalg.svd(np.concatenate(equations, -2))[2][..., -1, :]
-    scale = solution[..., 3:]
-    points = solution[..., :3] / np.where(np.abs(scale) > 1e-9, scale, 1e-9)
-    points = np.where(seen[..., None], points, 0.0)
+    rays, poses = (
+        np.stack([one.rays for one in sights]), np.stack([one.pose[:, None, :3] for one in sights])
+    )  # fmt: skip
+    met = nearest_to_rays(rays, poses, np.broadcast_to(seen, rays.shape[:-1]))
+    points = np.where(seen[..., None], met, 0.0)
     return Triangulated(
         points, seen, names, np.stack([_distance_from_rays(points, one) for one in sights])
     )
+
+
+def nearest_to_rays(
+    rays: Float[np.ndarray, "*rays 2"],
+    poses: Float[np.ndarray, "*poses 3 4"],
+    seen: Bool[np.ndarray, "*rays"],
+) -> Float[np.ndarray, "*points 3"]:
+    """The points in the world nearest to their rays; any place where fewer than two views see one.
+
+    A ray (u, v) of a camera with the pose P = [R | t] gives two equations, u P3 - P1 and
+    v P3 - P2; the point is the right singular vector of least singular value (Hartley and
+    Zisserman, 12.2).
+
+    Args:
+        rays: x/z and y/z of points in the frames of cameras, axes (views, ...).
+        poses: world to camera, axes (views, ...) of the same number.
+        seen: which rays count.
+    """
+    equations = rays[..., None] * poses[..., 2:, :] - poses[..., :2, :]
+    equations = np.moveaxis(np.where(seen[..., None, None], equations, 0.0), 0, -3)
+    solution = np.linalg.svd(equations.reshape(*equations.shape[:-3], -1, 4))[2][..., -1, :]
+    scale = solution[..., 3:]
+    return solution[..., :3] / np.where(np.abs(scale) > 1e-9, scale, 1e-9)
 
 
 @dataclass(frozen=True)
