@@ -26,26 +26,36 @@ def seen(frames: int, camera: Camera, first: int = 0) -> KeypointsFile:
     )
 
 
-@pytest.mark.numerics
-def test_camera_that_was_found_draws_the_result_on_its_images(tmp_path: Path) -> None:
-    camera = cameras(walk(), 1)[0].replace(distortion=LENS)
-    file = seen(24, camera)
+FILMED = cameras(walk(), 1)[0].replace(distortion=LENS)
+
+
+@pytest.fixture(scope="module")
+def back(tmp_path_factory: pytest.TempPathFactory) -> MotionFile:
+    """A part of what a camera of unknown pose saw, fitted, written and read."""
+    folder, file = tmp_path_factory.mktemp("filmed"), seen(24, FILMED)
     lost = replace(file, camera=replace(file.camera, T_camera_world=None), start_time=2.0)
-    save_observation(tmp_path / "left.npz", lost)
-    result = recon.fit(tmp_path / "left.npz", "pose", between=(2.2, 2.7))
-    result.save(tmp_path / "motion.npz")
-    back = load_motion(tmp_path / "motion.npz")
+    save_observation(folder / "left.npz", lost)
+    recon.fit(folder / "left.npz", "pose", between=(2.2, 2.7)).save(folder / "motion.npz")
+    return load_motion(folder / "motion.npz")
+
+
+def test_lens_and_clock_of_a_camera_are_kept(back: MotionFile) -> None:
     (kept,) = back.cameras
     assert kept.name == "left"
     assert kept.start_time == 2.0  # of the first picture, not of the part that was cut out
-    assert kept.camera.image_size == camera.image_size
+    assert kept.camera.image_size == FILMED.image_size
     assert kept.camera.distortion is not None
     assert torch.equal(kept.camera.distortion[:5], LENS)
+
+
+@pytest.mark.numerics
+def test_camera_that_was_found_draws_the_result_on_its_images(back: MotionFile) -> None:
+    (kept,) = back.cameras
     assert back.T_world_camera is not None
     assert torch.allclose(kept.camera.T_world_camera, back.T_world_camera, atol=1e-6)
     assert back.joints is not None
     later = walk(back.motion.frames, 6)
-    truth = camera.project(bundled().pose(later).joints).pixels
+    truth = FILMED.project(bundled().pose(later).joints).pixels
     drawn = kept.camera.project(back.joints).pixels
     assert float((drawn - truth).norm(dim=-1).median()) < 4.0  # pixels
 
