@@ -177,8 +177,8 @@ def _camera_of_one_view(
         said = (
             f"image size {size[0]} x {size[1]}: {reason}",
             f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
-            "that of a phone's main camera (28 mm for 35 mm film), which the fit "
-            + ("corrects" if track is None else "keeps, as the camera moves"),
+            "that of a phone's main camera (28 mm for 35 mm film)"
+            + ("" if track is None else ", which the fit keeps, as the camera moves"),
         )
     return Calibration({view_name(path): camera}, "m", said)
 

@@ -5,6 +5,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -142,6 +143,19 @@ def test_a_fit_keeps_detections_beside_its_result(film, tmp_path, capsys):
     (kept,) = (tmp_path / "motion.detections").iterdir()
     assert kept.name.startswith("cam-")
     assert len(recon.load_motion(out).motion.translation) == FRAMES
+    sheet = cv2.imread(str(tmp_path / "motion.sheet.png"))
+    assert sheet is not None
+    assert sheet.shape[1] > 3 * sheet.shape[0] / 2, "two rows of four moments"
+
+
+def test_a_sheet_that_cannot_be_drawn_leaves_the_result(film, tmp_path, capsys):
+    (tmp_path / "motion.sheet.png").write_bytes(b"of somebody else")
+    out = tmp_path / "motion.npz"
+    line = ["fit", str(film), "--prior", "pose", "--checks", "none", "--out", str(out)]
+    assert cli.run(line) == cli.OK
+    assert "no sheet of moments was drawn: " in capsys.readouterr().err
+    assert out.is_file()
+    assert (tmp_path / "motion.sheet.png").read_bytes() == b"of somebody else"
 
 
 class Corners:
