@@ -73,7 +73,10 @@ def test_what_the_image_cuts_off_is_not_seen(tmp_path):
     assert (found.confidence[:, [11, 12, 23, 24]] > 0.5).all()
 
 
-def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path):
+def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path, monkeypatch):
+    """Once all sights of a film were written anew with every part."""
+    monkeypatch.setattr("recon.films.reader._SAVED_EVERY", 2)
+
     def interrupt(done: int, _: int) -> None:
         seen.append(done)
         if done == 5 and len(seen) == 5:
@@ -82,11 +85,13 @@ def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path):
     whole, seen = read_film(film), list[int]()
     with pytest.raises(KeyboardInterrupt):
         read_film(film, kept=tmp_path, watch=interrupt)
-    assert [one.name.endswith("-unfinished.npz") for one in tmp_path.iterdir()] == [True]
+    (parts,) = tmp_path.iterdir()
+    count = {one.name: len(load_arrays(one)["sights"]) for one in parts.iterdir()}
+    assert count == {"000000000.npz": 2, "000000002.npz": 2, "000000004.npz": 1}
     again = read_film(film, kept=tmp_path, watch=interrupt)
     assert seen == [*range(1, 6), *range(1, FRAMES + 1)]
     np.testing.assert_allclose(again.pixels, whole.pixels)
-    assert [one.name.endswith("-unfinished.npz") for one in tmp_path.iterdir()] == [False]
+    assert [one.suffix for one in tmp_path.iterdir()] == [".npz"]
 
 
 def test_kept_detections_are_of_the_content_of_a_film(film, tmp_path, monkeypatch):
