@@ -4,6 +4,7 @@ import hashlib
 import importlib.util
 import sys
 from pathlib import Path
+from unittest.mock import ANY
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from recon import cli
 from recon.films.blazepose import BlazePose
 from recon.films.reader import read_film
 from recon.formats.opening import load_arrays
+from recon.reading.places import expand
 from tests.films.painted import FRAMES, LANDMARKS, RATE, SIZE, walker, write
 
 MODELS = Path(__file__).parents[2] / "film-models"
@@ -161,6 +163,20 @@ def test_a_sheet_that_cannot_be_drawn_leaves_the_result(film, tmp_path, capsys):
     assert "no sheet of moments was drawn: " in capsys.readouterr().err
     assert out.is_file()
     assert (tmp_path / "motion.sheet.png").read_bytes() == b"of somebody else"
+
+
+def test_a_folder_of_films_is_the_views_of_one_clip(film, tmp_path, capsys):
+    """It was refused with `give one of its files`, and several films after all were looked at."""
+    views = tmp_path / "views"
+    views.mkdir()
+    for name in ("cam1.mp4", "cam2.mp4"):
+        (views / name).write_bytes(film.read_bytes())
+    (views / "Calib.toml").write_text("")
+    assert expand([views]) == ([views / "cam1.mp4", views / "cam2.mp4"], ANY)
+    assert cli.run(["fit", str(views), "--out", str(tmp_path / "a.npz")]) == cli.BAD_INPUT
+    said = " ".join(capsys.readouterr().err.split())
+    assert all(word in said for word in ("--camera", "`recon calibrate`", "`recon batch`"))
+    assert [one.name for one in tmp_path.iterdir()] == ["views"]
 
 
 class Corners:
