@@ -9,7 +9,7 @@ export = command_function(
         "recon.export.motion:export_file",
         (
             Place("glb"), Place("usd"), Place("bvh"), Place("trc"), Place("mot"),
-            Place("angles"), Place("joints"), Place("robot"), Place("smpl"),
+            Place("forces"), Place("angles"), Place("joints"), Place("robot"), Place("smpl"),
             Place("ply", folder_output), Place("html"),
         ),
     ),

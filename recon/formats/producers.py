@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.core.errors import FormatError
-from recon.formats.opening import files_of
 
 
 @dataclass(frozen=True)
@@ -360,7 +359,7 @@ def films_at(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path] if is_film(path) else []
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
-    films = files_of(path, FILMS)
+    films = sorted(one for one in inside if is_film(one))
     others = [one for one in inside if one.suffix.lower() not in _BESIDE_FILMS]
     return films if len(others) == len(films) else []
 
