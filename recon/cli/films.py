@@ -7,7 +7,7 @@ from typing import Any
 
 from recon.cli import console
 from recon.fitting.settings import FitSettings
-from recon.formats.producers import is_film
+from recon.formats.producers import films_at
 
 
 def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -24,8 +24,11 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
     if not films:
         return dict(given)
     from recon.films.reader import read_film
+    from recon.reading.views import check_calibrated
 
     settings = given.get("settings")
+    if settings is not None:
+        check_calibrated(films, settings)
     how = given if settings is None else vars(settings)
     folder = Path(how["detections"] or out.with_name(f"{out.stem}.detections"))
     with console.progress_bars() as bars:
@@ -46,7 +49,7 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
 def films_given(given: Mapping[str, Any]) -> list[Path]:
     """The films among a verb's arguments."""
     paths = given.get("observations", (given.get("film"),))
-    return [path for path in paths if isinstance(path, Path) and is_film(path)]
+    return [film for path in paths if isinstance(path, Path) for film in films_at(path)]
 
 
 def draw_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None:
