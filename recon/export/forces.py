@@ -1,16 +1,22 @@
 """Writes forces of the ground as OpenSim's external loads (.mot, .sto) or CSV."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
+from recon.core.motion import Motion, MotionFile
 from recon.core.units import to_z_up
 from recon.export.tables import write_storage
-from recon.physics.forces import GroundForces
+from recon.mocap.force_plates import read_force_plates
+from recon.physics.forces import GroundForces, ground_forces
+from recon.physics.plates import MeasuredForces, forces_under_feet
 
 ENDINGS = (".mot", ".sto", ".csv")
 
@@ -25,13 +31,52 @@ def check_ending(option: str, path: Path | None) -> None:
         raise ReconError(f"--{option} {path}: expected a file that ends in {', '.join(ENDINGS)}")
 
 
-def write_forces(path: Path, motion: Motion, forces: GroundForces) -> None:
+@dataclass(frozen=True)
+class Loads:
+    """Estimated forces of the ground, and those that plates measured."""
+
+    estimated: GroundForces
+    measured: MeasuredForces | None
+    decisions: tuple[str, ...]
+    """What was said of reading the plates."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong with either."""
+        return (*self.estimated.warnings, *(self.measured.warnings if self.measured else ()))
+
+    def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """How far both are apart, by foot; empty without plates."""
+        return {"beside plates": self.measured.compared(self.estimated)} if self.measured else {}
+
+    def report(self) -> dict[str, Any]:
+        """What a file's report says."""
+        decisions = (*self.estimated.notes, *self.decisions)
+        return {"decisions": decisions, "warnings": self.warnings, **self.tables()}
+
+
+def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path | None) -> Loads:
+    """Forces on the feet of a motion, and those of the plates of its C3D file.
+
+    Raises:
+        ValueError: when there are none; the message says why.
+    """
+    found = ground_forces(file, body, mass=mass)
+    if plates is None:
+        return Loads(found, None, ())
+    read = read_force_plates(plates)
+    return Loads(found, forces_under_feet(read, found, file.motion), read.decisions)
+
+
+def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
     """Write a row per frame, right foot first; newtons, metres, newton metres, y up.
 
     `ground_force_r_vx` is the force on the right foot, `ground_force_r_px` its centre of pressure,
     `ground_torque_r_x` the moment about it (zero). `std_force_r_x` and `std_centre_r` are standard
     deviations; no name of theirs begins as the identifiers of OpenSim's external loads do.
+    With plates there are `plate_force_r_x`, `plate_centre_r_x` and `plate_known_r` (0 or 1), too.
     """
+    forces, plates = loads.estimated, loads.measured
     columns: dict[str, Float[np.ndarray, " time"]] = {}
     for end, side in (("r", 1), ("l", 0)):
         columns |= _axes(f"ground_force_{end}_v", forces.force[:, side])
@@ -42,6 +87,10 @@ def write_forces(path: Path, motion: Motion, forces: GroundForces) -> None:
         widths = _axes(f"std_force_{end}_", forces.force_std[:, side])
         columns |= {name: np.abs(values) for name, values in widths.items()}
         columns[f"std_centre_{end}"] = forces.centre_std[:, side].numpy()
+        if plates is not None:
+            columns |= _axes(f"plate_force_{end}_", torch.from_numpy(plates.force[:, side]))
+            columns |= _axes(f"plate_centre_{end}_", torch.from_numpy(plates.centre[:, side]))
+            columns[f"plate_known_{end}"] = plates.known[:, side].astype(float)
     write_storage(path, "Ground reaction forces", motion, columns)
 
 

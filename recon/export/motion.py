@@ -10,7 +10,7 @@ from recon.body.motion_files import load_motion_of
 from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.export.forces import check_ending, write_forces
+from recon.export.forces import Loads, check_ending, loads_of, write_forces
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import markers_of, write_angles, write_mot
@@ -21,7 +21,6 @@ from recon.formats.reports import checksums, versions
 from recon.formats.scans import write_ply_sequence
 from recon.formats.writing import writing
 from recon.mocap.marker_tables import write_trc
-from recon.physics.forces import GroundForces, ground_forces
 from recon.view.files import draw_html, show_of_files
 
 
@@ -54,6 +53,7 @@ def export_file(
     markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
     model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
     mass: float | None = None,
+    plates: Path | None = None,
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Axis = "y",
     smplx: Path | None = None,
@@ -82,6 +82,8 @@ def export_file(
             markers, Plug-in Gait or the 105 markers of BSM (SKEL).
         model: whose coordinates --mot has.
         mass: kg, for --forces; default: that of the body's shape.
+        plates: C3D file of the motion's recording, whose force plates are written beside --forces
+            and compared with it.
         unit: of --trc.
         up: axis that points up in --trc; y is OpenSim's.
         smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
@@ -103,9 +105,9 @@ def export_file(
     if ply is None and all(target is None for target in targets.values()):
         options = ", ".join(f"--{name}" for name in targets)
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
-    _refuse_alone({"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}, trc)
-    if mass is not None and forces is None:
-        raise ReconError("--mass is an option of --forces FILE, which is missing")
+    of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
+    _refuse_alone(of_trc, trc, "trc")
+    _refuse_alone({"mass": mass is not None, "plates": plates is not None}, forces, "forces")
     check_ending("forces", forces)
     if (robot is None) != (smplx is None):
         raise ReconError(
@@ -122,7 +124,7 @@ def export_file(
     file = load_motion_of(motion, own)
     moved, name = file.motion, motion.stem
 
-    ground = None if forces is None else ground_forces(file, own, mass=mass)
+    loads = None if forces is None else loads_of(file, own, mass, plates)
 
     def write_markers(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
@@ -139,7 +141,7 @@ def export_file(
         (
             forces,
             OutputKind.FILE,
-            lambda path: write_forces(path, moved, cast(GroundForces, ground)),
+            lambda path: write_forces(path, moved, cast(Loads, loads)),
         ),
         (angles, OutputKind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (
@@ -154,24 +156,25 @@ def export_file(
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
-        "inputs": checksums([one for one in (motion, body, smplx, onto) if one is not None]),
+        "inputs": checksums([one for one in (motion, body, smplx, onto, plates) if one]),
         "versions": versions(),
-        **({"decisions": ground.notes, "warnings": ground.warnings} if ground else {}),
+        **({} if loads is None else loads.report()),
     }
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         for path, (_, write) in zip(staged, asked, strict=True):
             write(path)
-    if ground is None:
+    if loads is None:
         return None
-    return Exported(", ".join(str(output.path) for output in outputs), ground.warnings)
+    place = ", ".join(str(output.path) for output in outputs)
+    return Exported(place, loads.warnings, loads.tables())
 
 
-def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
-    """Refuse options of the TRC file if none is written.
+def _refuse_alone(given: dict[str, bool], target: Path | None, name: str) -> None:
+    """Refuse options of an output if it is not written.
 
     Raises:
         ReconError: naming the option.
     """
-    if trc is None and (said := [name for name, by_user in given.items() if by_user]):
-        raise ReconError(f"--{said[0]} is an option of --trc FILE, which is missing")
+    if target is None and (said := [one for one, by_user in given.items() if by_user]):
+        raise ReconError(f"--{said[0]} is an option of --{name} FILE, which is missing")

@@ -155,7 +155,7 @@ def _with_measures(figure: Figure) -> Figure:
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 
-def draw_html(path: Path, show: Show, overlay: Path | None) -> None:
+def draw_html(path: Path, show: Show, overlay: Path | None = None) -> None:
     """Draw the page; imports the code of its player, which is slow to load."""
     from recon.view.html import write_html
 

@@ -1,5 +1,7 @@
 """Files for OpenSim: markers and coordinates as a strict reader of its formats takes them."""
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -271,3 +273,31 @@ def test_forces_are_a_storage_with_y_up_and_csv_has_the_same_columns(
     assert "--forces FILE, which is missing" in capsys.readouterr().err
     assert cli.run([*asked, str(tmp_path / "grf.txt")]) != 0
     assert ".mot, .sto, .csv" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not os.environ.get("RECON_DATA"), reason="needs real recordings: RECON_DATA")
+def test_force_plates_stand_beside_the_estimate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trial = Path(os.environ["RECON_DATA"]) / "observations" / "rehazenter" / "2014001_C1_01.c3d"
+    motion, mot = tmp_path / "walk.npz", tmp_path / "grf.mot"
+    assert cli.run(["convert", str(trial), str(motion), "--quiet"]) == cli.OK
+    asked = ["export", str(motion), "--forces", str(mot), "--mass", "67", "--plates", str(trial)]
+    assert cli.run(asked) == cli.OK
+    report = json.loads((tmp_path / "grf.mot.json").read_text())
+    for row in report["beside plates"].values():
+        assert row["vertical_rms_percent"] < 12
+        assert abs(row["impulse_percent"]) < 8
+        assert row["centre_cm"] < 3
+    lines = mot.read_text().splitlines()
+    names = lines[lines.index("endheader") + 1].split("\t")
+    rows = np.array([x.split("\t") for x in lines[lines.index("endheader") + 2 :]], dtype=float)
+    measured = rows[rows[:, names.index("plate_known_r")] > 0, names.index("plate_force_r_y")]
+    assert measured.mean() == pytest.approx(540, abs=30)  # N
+
+
+def test_a_page_can_be_exported(clip: Path) -> None:
+    """It failed since pages can have a film over which the body is drawn."""
+    page = clip.with_suffix(".html")
+    assert cli.run(["export", str(clip), "--html", str(page)]) == cli.OK
+    assert page.stat().st_size > 10_000
