@@ -92,6 +92,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "calibrate": (
         "recon calibrate left.mp4 right.mp4 --height 1.80 --out rig.toml",
+        "recon calibrate board1.mp4 board2.mp4 --board 9x6 --square 25mm --out rig.toml",
         "recon calibrate cam1_json/ cam2_json/ cam3_json/ --frame-rate 60 --out rig.toml",
     ),
     "info": (

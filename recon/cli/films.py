@@ -21,7 +21,7 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
         FileNotFoundError, ValueError: as `recon.films.reader.read_film`.
     """
     films = films_given(given)
-    if not films:
+    if not films or given.get("board") is not None:
         return dict(given)
     from recon.films.reader import read_film
     from recon.reading.views import check_calibrated
