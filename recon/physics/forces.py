@@ -133,7 +133,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
     centre = centre_of_pressure(points, points.new_ones(points.shape[-2]), SOLE_DECAY)
     contact = standing_feet(points, motion.fps)
-    target, load = (_held(one, step) for one in (zmp(moving), relative_load(moving)))
+    target, load = (held_at_ends(one, step) for one in (zmp(moving), relative_load(moving)))
     share = _shares(centre, contact, target)
     away = ((share[..., None] * centre).sum(-2) - target).norm(dim=-1)
     carried = contact.any(-1) & ((away < OUT_OF_REACH_M) | (load < FULL_LOAD))
@@ -204,7 +204,10 @@ def _split(
     moving: Dynamics, centre: Tensor, share: Tensor, step: int
 ) -> Float[Tensor, "time 2 3"]:
     """Forces of both feet: the vertical shared as told, the horizontal by `ground_forces`."""
-    acceleration, mass_centre = _held(moving.acceleration, step), _held(moving.centre, step)
+    acceleration, mass_centre = (
+        held_at_ends(moving.acceleration, step),
+        held_at_ends(moving.centre, step),
+    )
     whole = moving.mass * acceleration
     up = share * (whole[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
     height = mass_centre[:, None, 2:].clamp(min=LEAST_HEIGHT_M)
@@ -267,7 +270,7 @@ def _force_std(
     return found
 
 
-def _held(values: Tensor, step: int) -> Tensor:
+def held_at_ends(values: Tensor, step: int) -> Tensor:
     """Values of the inner frames, the first and the last repeated at the ends."""
     ends = [values[:1].expand(step, *values.shape[1:]), values]
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))
