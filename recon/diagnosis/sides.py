@@ -92,8 +92,8 @@ def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:
     Of several views only those under whose new names all rays meet: a view that is wrong in
     another way is not put right by other names.
     """
-    flags = np.zeros(images.confidence.shape[:2], dtype=bool)
-    views, moments = flags.shape
+    views, moments = images.confidence.shape[:2]
+    flags = np.zeros((views, moments), dtype=bool)
     if not images.sided.any() or moments == 0:
         return flags
     first = np.argsort(-images.seen.sum((1, 2)), kind="stable")[:_TOGETHER].tolist()
