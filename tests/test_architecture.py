@@ -14,11 +14,12 @@ PACKAGES = ("recon", "priors", "observations")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SURVIVES = {
     ROOT / "recon" / "batch" / "workers.py": ("BaseException",),
+    ROOT / "recon" / "cli" / "films.py": ("BaseException",),
     ROOT / "recon" / "live" / "lines.py": ("BaseException",),
     ROOT / "recon" / "live" / "stream.py": ("BaseException",),
 }
 """Files that catch what is not known, and what not even they catch: whatever goes wrong with one
-of many jobs, or with one moment of a stream, is its own."""
+of many jobs, with one moment of a stream, or with a picture beside a result, is its own."""
 TREE = [
     *SOURCES,
     *(p for f in ("benchmarks", "scripts", "examples", "tests") for p in (ROOT / f).rglob("*.py")),

@@ -83,7 +83,7 @@ def _parsed_row(row: Mapping[str, Any]) -> ManifestRow:
 
 
 def stretches_to_teach(
-    path: Path, rows: Sequence[ManifestRow] | None, lesson: Lesson
+    path: Path, rows: Sequence[ManifestRow] | None, lesson: Lesson, with_contacts: bool = True
 ) -> list[MotionFile]:
     """The stretches of a clip that are fit for training; contacts only where they are reliable.
 
@@ -91,14 +91,15 @@ def stretches_to_teach(
         path: of the motion.
         rows: of the clip in the manifest; None is a corpus without one.
         lesson: what is to be learned. Neighbours that both teach it are one stretch, unless
-            contacts are taught in one of them alone.
+            contacts are wanted and taught in one of them alone.
+        with_contacts: whether contacts are wanted.
     """
     file = load_motion(path)
     if rows is None:
         return [file]
     runs: list[tuple[int, int, bool]] = []
     for row in (row for row in rows if getattr(row, lesson)):
-        contacts = row.contacts if lesson == "steps" else False
+        contacts = row.contacts and with_contacts
         if runs and runs[-1][1] == row.first and runs[-1][2] == contacts:
             runs[-1] = (runs[-1][0], row.stop, contacts)
         else:

@@ -48,7 +48,9 @@ class CorpusSettings:
             if own == part and (self.data == "nc" or splits.is_open(name))
         }
 
-    def taught(self, part: Part, lesson: Lesson) -> Iterator[tuple[str, Path, MotionFile]]:
+    def taught(
+        self, part: Part, lesson: Lesson, with_contacts: bool = True
+    ) -> Iterator[tuple[str, Path, MotionFile]]:
         """Name, file and stretches of the clips of one part that teach something.
 
         Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
@@ -70,7 +72,7 @@ class CorpusSettings:
                     )
             elif lesson != "poses" and not is_flat(path):
                 continue
-            for stretch in stretches_to_teach(path, rows, lesson):
+            for stretch in stretches_to_teach(path, rows, lesson, with_contacts):
                 yield name, path, stretch
 
     def load_clips(
@@ -79,7 +81,7 @@ class CorpusSettings:
         """Stretches of one split fit for training, resampled; single frames are dropped."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
-        for name, _, file in self.taught(part, lesson):
+        for name, _, file in self.taught(part, lesson, with_contacts=False):
             motion = file.motion.resample(fps)
             if motion.frames > 1:
                 clips.append(CorpusClip(name, splits.subject(name), motion))

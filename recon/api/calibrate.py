@@ -1,4 +1,4 @@
-"""`recon.calibrate`: poses and focal lengths of cameras that filmed one person."""
+"""`recon.calibrate`: poses and focal lengths of cameras that filmed one person or a board."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,10 +21,12 @@ from recon.fitting.settings import ReadOptions
 from recon.formats.calibration import camera_table
 from recon.formats.cameras import CameraArrays, ImageSize
 from recon.formats.observations import KeypointsFile
+from recon.formats.producers import is_film
 from recon.formats.writing import writing_file
 from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors
 from recon.reading.images import keypoints_of, undistorted
+from recon.reading.places import expand
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
 from recon.reading.stated import level_turn
 from recon.reading.views import Views, read_views
@@ -40,17 +42,18 @@ _HEIGHTS = (0.5, 2.5)
 
 @dataclass(frozen=True, repr=False)
 class CameraRig:
-    """Cameras in one world: metres, z up, the ground at z = 0."""
+    """Cameras in one world: metres, z up, the ground at z = 0; a single one has no pose."""
 
     cameras: Mapping[str, CameraArrays]
     """By the names of their films."""
     late: Mapping[str, float]
     """Frames by which each film begins after the first."""
     error: float
-    """Median distance of a keypoint from where all views place it, as a share of the focal
-    length."""
-    person: float
-    """Height of the person, metres: as given, or as the fit of an average body says."""
+    """Median distance of a keypoint, or mean one of a board's corner, from where all views place
+    it, as a share of the focal length."""
+    person: float | None
+    """Height of the person, metres: as given, or as the fit of an average body says; None where a
+    board was filmed."""
     decisions: tuple[str, ...]
     """What was found, and what was assumed."""
     tables: ClassVar[Tables] = {}
@@ -81,12 +84,14 @@ class CameraRig:
 
     def __repr__(self) -> str:
         """The cameras, where they stand and their focal lengths."""
-        lines = [f"{len(self.cameras)} cameras; the person is {self.person:.2f} m tall"]
+        seen = "a board" if self.person is None else f"a person of {self.person:.2f} m"
+        lines = [f"{len(self.cameras)} cameras that saw {seen}"]
         for name, camera in self.cameras.items():
-            assert camera.T_camera_world is not None
-            place = np.linalg.inv(camera.T_camera_world[0])[:3, 3]
+            where = "pose not known"
+            if camera.T_camera_world is not None:
+                where = f"at {np.linalg.inv(camera.T_camera_world[0])[:3, 3].round(2)} m"
             focal = camera.camera_matrix[0, 0]
-            lines.append(f"  {name}: at {place.round(2)} m, focal length {focal:.0f} pixels")
+            lines.append(f"  {name}: {where}, focal length {focal:.0f} pixels")
         return "\n".join(lines)
 
 
@@ -99,12 +104,20 @@ def calibrate(
     person: int | None = None,
     camera: str | Path | None = None,
     image_size: ImageSize | None = None,
+    detector: str | None = None,
+    detections: str | None = None,
+    board: str | None = None,
+    square: str | None = None,
 ) -> CameraRig:
-    """Find the poses and focal lengths of still cameras from a person who was seen by all.
+    """Find the poses and focal lengths of still cameras from a person or a board that all see.
 
     The person should walk about, so that keypoints fill the space where all cameras look. Films
     may begin up to a second apart. Directions and focal lengths come from the keypoints, the unit
     of length from the height of the person, and the ground from where the feet stand.
+
+    A checkerboard (`board` and `square`) tells more exactly, and the distortion of lenses, too.
+    Move and tilt it before all cameras, then lay it on the floor for a second, which becomes the
+    ground. Films begin at one moment. One film alone tells its lens.
 
     Args:
         observations: films, or files or folders of 2D keypoints, one per camera.
@@ -116,13 +129,20 @@ def calibrate(
         camera: calibration of the lenses, whose focal lengths are then kept and whose distortion
             is taken away; default: phones, whose focal lengths are found.
         image_size: width and height, pixels, where files do not tell.
+        detector: of people in films, as of `recon.detect`.
+        detections: folder in which detections are kept, as of `recon.detect`.
+        board: inner corners of a checkerboard along its two sides, 9x6, which is filmed instead of
+            a person.
+        square: side of its squares: 25mm.
 
     Raises:
         ReconError: when there are fewer than two views, or they do not tell how the cameras stand;
             says what to do.
         FileNotFoundError: when there is nothing there.
     """
-    paths = paths_given(observations)
+    paths, _ = expand(paths_given(observations))
+    if board is not None or square is not None:
+        return _calibrated_by_board(paths, board or "", square)
     if len(paths) < 2:
         raise ObservationError(
             f"expected films or files of 2D keypoints of two or more cameras, got {len(paths)}"
@@ -134,7 +154,7 @@ def calibrate(
     how = ReadOptions.of(
         {
             "frame_rate": frame_rate, "layout": layout, "person": person, "camera": camera,
-            "image_size": image_size,
+            "image_size": image_size, "detector": detector, "detections": detections,
         }
     )  # fmt: skip
     with format_errors():
@@ -162,6 +182,16 @@ def calibrate(
         tall * scale,
         (*(said for view in views for said in view.decisions), assumed),
     )
+
+
+def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) -> CameraRig:
+    from recon.films.board import Board, cameras_of_board  # decoders are needed here only
+
+    known = Board.of(board, square)
+    if others := [str(path) for path in paths if not is_film(path)]:
+        raise ObservationError(f"board: expected films of it, got {', '.join(others)}")
+    cameras, error, said = cameras_of_board(paths, known)
+    return CameraRig(cameras, dict.fromkeys(cameras, 0.0), error, None, said)
 
 
 def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:

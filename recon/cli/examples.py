@@ -84,6 +84,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": (
         "recon export motion.npz --glb motion.glb",
         "recon export motion.npz --trc motion.trc --markers opencap --mot motion.mot",
+        "recon export motion.npz --forces grf.mot --moments id.sto --mass 70",
     ),
     "register": (
         "recon register left/ right/ --camera lens.npz --frame-rate 30 --out rig",
@@ -91,6 +92,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "calibrate": (
         "recon calibrate left.mp4 right.mp4 --height 1.80 --out rig.toml",
+        "recon calibrate board1.mp4 board2.mp4 --board 9x6 --square 25mm --out rig.toml",
         "recon calibrate cam1_json/ cam2_json/ cam3_json/ --frame-rate 60 --out rig.toml",
     ),
     "info": (

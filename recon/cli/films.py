@@ -1,12 +1,13 @@
-"""Detects people in the films that a verb is given, with progress, before it reads them."""
+"""What verbs do with films: they detect people before they read, and draw a sheet afterwards."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from recon.cli import console
-from recon.formats.producers import is_film
+from recon.fitting.settings import FitSettings
+from recon.formats.producers import films_at
 
 
 def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -19,13 +20,15 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `recon.films.reader.read_film`.
     """
-    paths = given.get("observations", (given.get("film"),))
-    films = [path for path in paths if isinstance(path, Path) and is_film(path)]
-    if not films:
+    films = films_given(given)
+    if not films or given.get("board") is not None:
         return dict(given)
     from recon.films.reader import read_film
+    from recon.reading.views import check_calibrated
 
     settings = given.get("settings")
+    if settings is not None:
+        check_calibrated(films, settings)
     how = given if settings is None else vars(settings)
     folder = Path(how["detections"] or out.with_name(f"{out.stem}.detections"))
     with console.progress_bars() as bars:
@@ -41,3 +44,34 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
     if settings is None:
         return {**given, "detections": str(folder)}
     return {**given, "settings": replace(settings, detections=str(folder))}
+
+
+def films_given(given: Mapping[str, Any]) -> list[Path]:
+    """The films among a verb's arguments."""
+    paths = given.get("observations", (given.get("film"),))
+    return [film for path in paths if isinstance(path, Path) for film in films_at(path)]
+
+
+def draw_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None:
+    """Draw eight moments of every film with the body over it beside a result: OUT.sheet.png.
+
+    What goes wrong is said, and the result stays as it is.
+
+    Args:
+        films: to which the result was fitted; nothing is drawn where there are none.
+        out: motion file of the result, or a folder of several, each of which gets a sheet.
+        settings: of the fit.
+    """
+    if not films:
+        return
+    from recon.view.files import view
+
+    for motion in sorted(out.glob("*.npz")) if out.is_dir() else [out]:
+        name = motion.stem if motion == out else f"{out.name}.{motion.stem}"
+        try:
+            view(
+                motion, film=tuple(films), png=out.with_name(f"{name}.sheet.png"),
+                frame_rate=settings.frame_rate, body=settings.body,
+            )  # fmt: skip
+        except Exception as error:  # a picture is no reason to lose a fit
+            console.print_warning(f"no sheet of moments was drawn: {error}")

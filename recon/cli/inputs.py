@@ -28,6 +28,7 @@ EXPECTED = {
     "observation": _OBSERVATION,
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
     "onto": "a SMPL-family file (.npz, .pkl)",
+    "plates": "a C3D file with force plates (.c3d)",
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat)",
     "predictions": "a folder with one prediction for every window of `recon bench`",
     "recordings": "a folder of recordings (.bvh, .amc, .c3d, .trc, .mat)",

@@ -8,7 +8,7 @@ from typing import Any
 
 from recon.cli import console
 from recon.cli.errors import Failed
-from recon.cli.films import with_films_detected
+from recon.cli.films import draw_sheets, films_given, with_films_detected
 from recon.cli.looks import look_at
 
 
@@ -48,7 +48,10 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     inputs = input_checksums(how | options)
     with console.stage_progress_bars({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))
-    write_and_tell(result, given[written[0]], inputs, options, given)
+    out = given[written[0]]
+    write_and_tell(result, out, inputs, options, given)
+    if settings is not None:
+        draw_sheets(films_given(given), out, settings)
 
 
 def write_and_tell(

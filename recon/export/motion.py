@@ -1,14 +1,16 @@
 """`recon export`'s function: writes a motion file in formats of other programs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
+from recon.export.forces import Loads, check_ending, loads_of, write_forces, write_moments
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import markers_of, write_angles, write_mot
@@ -22,6 +24,17 @@ from recon.mocap.marker_tables import write_trc
 from recon.view.files import draw_html, show_of_files
 
 
+@dataclass(frozen=True)
+class Exported:
+    """Files that were written, and what to know of them."""
+
+    place: str
+    """Their paths."""
+    warnings: tuple[str, ...] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    """Tables of numbers, by title."""
+
+
 def export_file(
     motion: Path,
     *,
@@ -30,6 +43,8 @@ def export_file(
     bvh: Path | None = None,
     trc: Path | None = None,
     mot: Path | None = None,
+    forces: Path | None = None,
+    moments: Path | None = None,
     angles: Path | None = None,
     joints: Path | None = None,
     robot: Path | None = None,
@@ -38,13 +53,15 @@ def export_file(
     html: Path | None = None,
     markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
     model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
+    mass: float | None = None,
+    plates: Path | None = None,
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Axis = "y",
     smplx: Path | None = None,
     onto: Path | None = None,
     body: Path | None = None,
     overwrite: bool = False,
-) -> None:
+) -> Exported | None:
     """Write a motion for Blender, game engines, biomechanics tools or mesh viewers.
 
     Args:
@@ -54,6 +71,11 @@ def export_file(
         bvh: skeleton animation.
         trc: markers for OpenSim and others; which of them says --markers.
         mot: coordinates of an OpenSim model, degrees and metres.
+        forces: estimated forces of the ground on the feet and their centres of pressure, with
+            standard deviations, as OpenSim's external loads (.mot, .sto) or CSV; N, m, y up.
+        moments: moments of hips, knees and ankles by inverse dynamics, in the coordinates of
+            --model, with standard deviations (.mot, .sto, .csv); from plates where they measured,
+            else from estimated forces: a column says which.
         angles: joint angles after the ISB as CSV, degrees.
         joints: positions of the 22 joints as CSV, metres, with their standard deviations.
         robot: SMPL-X .npz for GMR and like loaders, 30 Hz, soles on z = 0; needs --smplx.
@@ -62,7 +84,10 @@ def export_file(
         html: self-contained page, as `recon view` writes.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
             markers, Plug-in Gait or the 105 markers of BSM (SKEL).
-        model: whose coordinates --mot has.
+        model: whose coordinates --mot and --moments have.
+        mass: kg, for --forces and --moments; default: that of the body's shape.
+        plates: C3D file of the motion's recording, whose force plates are written beside --forces,
+            compared with it, and taken for --moments.
         unit: of --trc.
         up: axis that points up in --trc; y is OpenSim's.
         smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
@@ -79,12 +104,19 @@ def export_file(
     """
     targets = {
         "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles,
+        "forces": forces, "moments": moments,
         "joints": joints, "robot": robot, "smpl": smpl, "html": html,
     }  # fmt: skip
     if ply is None and all(target is None for target in targets.values()):
         options = ", ".join(f"--{name}" for name in targets)
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
-    _refuse_alone({"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}, trc)
+    of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
+    _refuse_alone(of_trc, trc, "trc")
+    _refuse_alone(
+        {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
+    )
+    check_ending("forces", forces)
+    check_ending("moments", moments)
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "
@@ -100,6 +132,8 @@ def export_file(
     file = load_motion_of(motion, own)
     moved, name = file.motion, motion.stem
 
+    loads = loads_of(file, own, mass, plates) if forces or moments else None
+
     def write_markers(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
 
@@ -112,6 +146,16 @@ def export_file(
         (bvh, OutputKind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
         (trc, OutputKind.FILE, write_markers),
         (mot, OutputKind.FILE, lambda path: write_mot(path, moved, own, model)),
+        (
+            forces,
+            OutputKind.FILE,
+            lambda path: write_forces(path, moved, cast(Loads, loads)),
+        ),
+        (
+            moments,
+            OutputKind.FILE,
+            lambda path: write_moments(path, moved, own, cast(Loads, loads), model),
+        ),
         (angles, OutputKind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (
             joints,
@@ -125,20 +169,25 @@ def export_file(
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
-        "inputs": checksums([one for one in (motion, body, smplx, onto) if one is not None]),
+        "inputs": checksums([one for one in (motion, body, smplx, onto, plates) if one]),
         "versions": versions(),
+        **({} if loads is None else loads.report()),
     }
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         for path, (_, write) in zip(staged, asked, strict=True):
             write(path)
+    if loads is None:
+        return None
+    place = ", ".join(str(output.path) for output in outputs)
+    return Exported(place, loads.warnings, loads.tables())
 
 
-def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
-    """Refuse options of the TRC file if none is written.
+def _refuse_alone(given: dict[str, bool], target: Path | None, name: str) -> None:
+    """Refuse options of an output if it is not written.
 
     Raises:
         ReconError: naming the option.
     """
-    if trc is None and (said := [name for name, by_user in given.items() if by_user]):
-        raise ReconError(f"--{said[0]} is an option of --trc FILE, which is missing")
+    if target is None and (said := [one for one, by_user in given.items() if by_user]):
+        raise ReconError(f"--{said[0]} is an option of --{name} FILE, which is missing")

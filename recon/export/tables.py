@@ -36,16 +36,7 @@ def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) 
         ValueError: when the body is another one.
     """
     columns = opensim_coordinates(motion, body, model)
-    header = [
-        f"Coordinates of {MODEL_NAMES[model]}",
-        "version=1",
-        f"nRows={motion.frames}",
-        f"nColumns={len(columns) + 1}",
-        "inDegrees=yes",
-        "endheader",
-        "\t".join(("time", *columns)),
-    ]
-    _write_table(path, header, motion, columns, "\t")
+    write_storage(path, f"Coordinates of {MODEL_NAMES[model]}", motion, columns, degrees=True)
 
 
 def write_angles(
@@ -71,6 +62,38 @@ def write_angles(
         known = zip(ISB_ANGLES, std.double().cpu().numpy().T, strict=True)
         columns |= {f"{name}_std": values for name, values in known}
     _write_table(path, [",".join(("time", *columns))], motion, columns, ",")
+
+
+def write_storage(
+    path: Path,
+    title: str,
+    motion: Motion,
+    columns: Mapping[str, Float[np.ndarray, " time"]],
+    *,
+    degrees: bool = False,
+) -> None:
+    """Write columns over the motion's times as OpenSim's storage, or as CSV where PATH says so.
+
+    Args:
+        path: file to write; .csv has no header but the names of the columns.
+        title: first line of a storage.
+        motion: whose times they have.
+        columns: numbers of every frame, by name.
+        degrees: whether angles are in degrees.
+    """
+    if path.suffix.lower() == ".csv":
+        _write_table(path, [",".join(("time", *columns))], motion, columns, ",")
+        return
+    header = [
+        title,
+        "version=1",
+        f"nRows={motion.frames}",
+        f"nColumns={len(columns) + 1}",
+        f"inDegrees={'yes' if degrees else 'no'}",
+        "endheader",
+        "\t".join(("time", *columns)),
+    ]
+    _write_table(path, header, motion, columns, "\t")
 
 
 def _write_table(

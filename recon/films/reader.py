@@ -82,7 +82,7 @@ def read_film(
     if detector is None or detector.endswith(_NETWORK):
         networks = BlazePose(None if detector is None else Path(detector))
         if file is not None:
-            unfinished = Unfinished(file.with_name(f"{file.stem}-unfinished.npz"), key)
+            unfinished = Unfinished(file.with_name(f"{file.stem}-unfinished"), key)
         sights = sorted(
             _sights(frames, film.frame_rate, networks, unfinished), key=lambda one: one.track
         )
@@ -103,7 +103,7 @@ def read_film(
             **detection_arrays(found), "made_of": np.array(key), "notes": np.array(film.notes, str)
         })  # fmt: skip
         if unfinished is not None:
-            unfinished.path.unlink(missing_ok=True)
+            unfinished.remove()
     return found
 
 
@@ -149,7 +149,7 @@ def _sights(
     if state is not None:
         tracker.go_on(state)
     after = -1 if state is None else state.frame
-    done = False
+    kept, done = len(sights), False
     try:
         for count, frame in enumerate(frames, start=1):
             if frame.number <= after:
@@ -157,12 +157,13 @@ def _sights(
             sights += tracker.step(frame.image, frame.number, frame.shot)
             state = tracker.state()
             if unfinished is not None and count % _SAVED_EVERY == 0:
-                unfinished.save(sights, state)
+                unfinished.add(sights[kept:], kept, state)
+                kept = len(sights)
         done = True
     finally:
         if unfinished is not None and state is not None and not done:
             # an interruption between two statements may have left sights of a further frame
-            unfinished.save([one for one in sights if one.frame <= state.frame], state)
+            unfinished.add([one for one in sights[kept:] if one.frame <= state.frame], kept, state)
     return sights
 
 

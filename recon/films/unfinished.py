@@ -1,5 +1,6 @@
 """Keeps what was seen in a film until an interruption."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,18 +19,25 @@ and angle of the region, and points of the next one."""
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A file with sights of people, and where the tracker stands."""
+    """A folder with sights of people in parts, and where the tracker stood after each."""
 
-    path: Path
+    folder: Path
     key: str
     """Checksum of what the sights depend on."""
 
-    def save(self, sights: list[Sight], state: TrackerState) -> None:
-        """Write the file anew."""
+    def add(self, sights: list[Sight], before: int, state: TrackerState) -> None:
+        """Write a further part.
+
+        Args:
+            sights: those that no part has.
+            before: number of sights in all parts before; a part with as many before it is
+                replaced.
+            state: after the last frame of this part.
+        """
         rows = [(*_packed(one.pose), *_packed(one.mirrored)) for one in sights]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
         save_arrays(
-            self.path,
+            self.folder / f"{before:09}.npz",
             {
                 "made_of": np.array(self.key),
                 "sights": np.array([(one.frame, one.track) for one in sights]).reshape(-1, 2),
@@ -40,20 +48,26 @@ class Unfinished:
         )
 
     def load(self) -> tuple[list[Sight], TrackerState | None]:
-        """What was kept; nothing where there is no file, or one of another film."""
-        if not self.path.is_file():
-            return [], None
-        arrays = load_arrays(self.path)
-        if str(arrays.get("made_of")) != self.key:
-            return [], None
-        sights = [
-            Sight(int(frame), int(track), _unpacked(pose), _unpacked(mirrored))
-            for (frame, track), (pose, mirrored) in zip(
-                arrays["sights"], arrays["poses"], strict=True
-            )
-        ]
-        frame, shot, fresh, next_search = arrays["counters"].tolist()
-        return sights, TrackerState(frame, shot, fresh, next_search, arrays["tracks"])
+        """What all parts have; nothing where there is none, or one is of another film."""
+        sights, state = list[Sight](), None
+        for path in sorted(self.folder.glob("*.npz")):
+            arrays = load_arrays(path)
+            if str(arrays.get("made_of")) != self.key or int(path.stem) != len(sights):
+                self.remove()
+                return [], None
+            sights += [
+                Sight(int(frame), int(track), _unpacked(pose), _unpacked(mirrored))
+                for (frame, track), (pose, mirrored) in zip(
+                    arrays["sights"], arrays["poses"], strict=True
+                )
+            ]
+            frame, shot, fresh, next_search = arrays["counters"].tolist()
+            state = TrackerState(frame, shot, fresh, next_search, arrays["tracks"])
+        return sights, state
+
+    def remove(self) -> None:
+        """Delete all parts."""
+        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _packed(pose: Pose) -> Float[np.ndarray, " numbers"]:

@@ -60,15 +60,21 @@ def toml_cameras(path: Path) -> dict[str, CameraFields]:
 
 
 def camera_table(name: str, camera: CameraArrays) -> str:
-    """A still camera as a table of TOML, as Pose2Sim writes it and `--camera` reads it."""
-    assert camera.T_camera_world is not None
+    """A still camera as a table of TOML, as Pose2Sim writes it and `--camera` reads it.
+
+    Without a pose it has neither rotation nor translation.
+    """
     distortion = [0.0] * 4 if camera.distortion is None else camera.distortion.tolist()
-    turn = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
+    pose = ""
+    if camera.T_camera_world is not None:
+        turn = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
+        place = camera.T_camera_world[0, :3, 3]
+        pose = f"rotation = {turn.tolist()}\ntranslation = {place.tolist()}\n"
     label, size = json.dumps(name), [float(one) for one in camera.image_size]
     return (
         f"[{label}]\nname = {label}\nsize = {size}\n"
         f"matrix = {camera.camera_matrix.tolist()}\ndistortions = {distortion}\n"
-        f"rotation = {turn.tolist()}\ntranslation = {camera.T_camera_world[0, :3, 3].tolist()}\n"
+        f"{pose}"
         "fisheye = false\n"
     )
 

@@ -63,6 +63,8 @@ FILMS = (
     ".mpeg", ".wmv", ".flv", ".mxf", ".gif",
 )  # fmt: skip
 """Endings of films."""
+_BESIDE_FILMS = (".toml", ".yml", ".yaml", ".txt", ".md")
+"""Endings of files that may lie in a folder of films: calibrations and texts."""
 PRODUCERS = (
     Producer(
         "FreeMoCap", POINTS_3D, "session folder with `mediapipe_body_3d_xyz.npy` or `.csv`, or "
@@ -342,13 +344,24 @@ def refuse_others(path: Path, verb: str) -> None:
         )
     if verb not in found.verbs and not (verb == "info" and found.verbs):
         raise FormatError(f"{path}: {found.how_to_read()}")
-    if path.is_dir() and not found.folder and "/" not in found.endings:
+    one_file = not found.folder and "/" not in found.endings
+    if path.is_dir() and one_file and not (verb == "fit" and films_at(path)):
         raise FormatError(f"{path}: give one of its files; {found.how_to_read()}")
 
 
 def is_film(path: Path) -> bool:
     """Whether a path is a file with the ending of a film."""
     return path.suffix.lower() in FILMS and path.is_file()
+
+
+def films_at(path: Path) -> list[Path]:
+    """The film at a path, or those of a folder that holds nothing else but a calibration."""
+    if not path.is_dir():
+        return [path] if is_film(path) else []
+    inside = [one for one in path.iterdir() if not one.name.startswith(".")]
+    films = sorted(one for one in inside if is_film(one))
+    others = [one for one in inside if one.suffix.lower() not in _BESIDE_FILMS]
+    return films if len(others) == len(films) else []
 
 
 def holds_sam3d_body(path: Path) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import JOINTS, SAMPLES
@@ -50,6 +51,8 @@ class _Header:
     data_start: int
     """Block, from 1."""
     rate: float
+    analog_rows: int
+    """Samples of every analog channel per frame of points."""
 
     @property
     def order(self) -> str:
@@ -208,7 +211,8 @@ def _read_header(data: bytes, path: Path) -> _Header:
     empty = words[0] == 0  # without points the scale may be anything
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
-    return _Header(processor, words[0], words[1], words[2], words[3], scale, words[7], rate)
+    sizes = words[0], words[1], words[2], words[3]
+    return _Header(processor, *sizes, scale, words[7], rate, words[8])
 
 
 def _floats(data: bytes, processor: int) -> np.ndarray:
@@ -264,6 +268,22 @@ def _read_points(
     data: bytes, header: _Header, trial: _Parameters, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read positions (frames, points, 3) in the file's unit, and residuals (negative: unseen)."""
+    JOINTS.check(header.points, path, "header")
+    # analog samples follow the points of every frame
+    values = _read_numbers(data, header, trial, path, slice(4 * header.points))
+    values = values.reshape(len(values), -1, 4)
+    return values[..., :3] * (1.0 if header.scale < 0 else header.scale), values[..., 3]
+
+
+def _read_numbers(
+    data: bytes,
+    header: _Header,
+    trial: _Parameters,
+    path: Path,
+    columns: slice,
+    integer: str = "i2",
+) -> np.ndarray:
+    """Read some numbers of every frame (frames, columns), as they are stored."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
     first, last = header.bounds(trial)
@@ -276,15 +296,71 @@ def _read_points(
             f"{start + size} bytes in all; the file has {len(data)}, which hold {whole} frames, "
             "and is cut short or damaged"
         )
-    JOINTS.check(header.points, path, "header")
     SAMPLES.check(frames * header.points, path, "header")
-    kind = header.order + ("f4" if real else "i2")
+    kind = header.order + ("f4" if real else integer)
     table = np.frombuffer(data, kind, frames * width, start).reshape(frames, width)
-    # analog samples follow the points of every frame
-    table = np.ascontiguousarray(table[:, : 4 * header.points])
-    values = _floats(table.tobytes(), header.processor) if real else table.astype(np.float64)
-    values = values.reshape(frames, -1, 4)
-    return values[..., :3] * (1.0 if real else header.scale), values[..., 3]
+    table = np.ascontiguousarray(table[:, columns])
+    if not real:
+        return table.astype(np.float64)
+    return _floats(table.tobytes(), header.processor).reshape(table.shape)
+
+
+@dataclass(frozen=True)
+class AnalogChannels:
+    """Analog channels of a C3D file in their units, and the groups of parameters about them."""
+
+    values: Float[np.ndarray, "frames samples channels"]
+    """Numbers after offset and scale; every frame of points has several samples."""
+    fps: float
+    """Frames per second."""
+    start_time: float
+    """Time of the first sample, seconds of the markers' clock."""
+    groups: Mapping[str, _Parameters]
+
+    def numbers(self, group: str, key: str, *shape: int) -> np.ndarray:
+        """A parameter's numbers, the last index of the file first; empty where it is missing."""
+        value = self.groups.get(group, {}).get(key)
+        size = math.prod(abs(one) for one in shape)
+        if not isinstance(value, np.ndarray) or value.size % size:
+            return np.zeros((0, *(max(0, one) for one in shape[1:])))
+        return value.astype(np.float64).reshape(shape)
+
+    def texts(self, group: str, key: str) -> tuple[str, ...]:
+        """A parameter's words."""
+        return _texts(self.groups.get(group, {}), key)
+
+
+def read_analog(path: Path) -> AnalogChannels:
+    """Read the analog channels of a .c3d file.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or has no analog channels.
+    """
+    data = read_binary(path)
+    try:
+        header = _read_header(data, path)
+        groups = _read_parameters(data, header)
+    except (struct.error, IndexError) as error:
+        raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
+    analog, trial = groups.get("ANALOG", {}), groups.get("TRIAL", {})
+    if header.analog == 0 or header.analog_rows == 0:
+        raise FormatError(f"{path}: expected a C3D file with analog channels, but it has none")
+    integer = "u2" if "".join(_texts(analog, "FORMAT")).upper() == "UNSIGNED" else "i2"
+    after = slice(4 * header.points, None)
+    raw = _read_numbers(data, header, trial, path, after, integer)
+    values = raw.reshape(len(raw), header.analog_rows, -1)
+    fps = stated_rate(_positive(groups.get("POINT", {}), "RATE") or header.rate, path, "rate")[0]
+    first = max(1, header.bounds(trial)[0])
+    made = AnalogChannels(values, fps, (first - 1) / fps, groups)
+    channels = values.shape[-1]
+    scale = np.ones(channels)
+    offset = np.zeros(channels)
+    for target, key in ((scale, "SCALE"), (offset, "OFFSET")):
+        stated = made.numbers("ANALOG", key, -1)[:channels]
+        target[: len(stated)] = stated
+    scaled = (values - offset) * (scale * (_positive(analog, "GEN_SCALE") or 1.0))
+    return replace(made, values=np.nan_to_num(scaled, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def _positive(group: _Parameters, key: str) -> float:

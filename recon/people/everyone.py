@@ -1,5 +1,6 @@
 """Everybody in detections of one or several views: an observation of each person."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,16 +75,27 @@ def people_in(
                 )
         if settings.masks is not None:
             raise ObservationError("--masks are of one person; leave them out with --person all")
-        seen = read_views(paths, settings)
+        seen = read_views(paths, settings, settings.between)
         found = everyone(seen)
         people: list[PersonClip] = []
+        first, last = settings.between or (-math.inf, math.inf)
+        elsewhen: list[str] = []
         for one in found.people:
             files = list(zip(one.views.names, one.views.files, strict=True))
             clip = clip_of_files(files, [one.note], settings, body)
             times = np.concatenate([seen_times(view) for view in clip.observations])
-            people.append(PersonClip(one.number, clip_between(clip, times.min(), times.max())))
+            span = max(times.min(), first), min(times.max(), last)
+            if span[1] - span[0] < _LEAST_SECONDS and settings.between is not None:
+                elsewhen.append(f"left out, hardly seen from {first:g} to {last:g} s: {one.note}")
+            else:
+                people.append(PersonClip(one.number, clip_between(clip, *span)))
+        if not people:
+            raise ObservationError(
+                f"--between {first:g} {last:g}: nobody is seen for {_LEAST_SECONDS} s in it; "
+                f"there are {'; '.join(one.note for one in found.people)}"
+            )
     notes = [decision for one in projects for decision in one.decisions]
-    return tuple(people), (*notes, *seen.decisions, *found.decisions)
+    return tuple(people), (*notes, *seen.decisions, *found.decisions, *elsewhen)
 
 
 def everyone(seen: SeenViews) -> Everyone:

@@ -146,7 +146,7 @@ def fit_files(
     if shape is not None:
         raise ReconError("--shape describes one person; leave it out with --person all")
     model, plane = body_given(body), ground if isinstance(ground, tuple) else None
-    names = [one.name for one in fields(ReadOptions)]
+    names = ["between", *(one.name for one in fields(ReadOptions))]
     reading = {name: how.pop(name) for name in names if name in how}
     reading |= {"person": "all", "ground": plane, "robust": None if robust == "auto" else robust}
     people, notes = people_in(paths_given(observations), FitSettings.of(reading), model)

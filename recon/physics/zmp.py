@@ -140,14 +140,14 @@ ALPHA = 100.0
 """Per metre below the ground."""
 
 
-def pressure(heights: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+def pressure(heights: Float[Tensor, "*shape"], decay: float = GAMMA) -> Float[Tensor, "*shape"]:
     """Pressure at height h: exp(-γ h) above the ground, 1 - α h below it (HUMOS, IPMAN)."""
-    above = (-GAMMA * heights.clamp(min=0)).exp()
+    above = (-decay * heights.clamp(min=0)).exp()
     return above + ALPHA * (-heights).clamp(min=0)
 
 
 def centre_of_pressure(
-    points: Float[Tensor, "*batch points 3"], areas: Float[Tensor, " points"]
+    points: Float[Tensor, "*batch points 3"], areas: Float[Tensor, " points"], decay: float = GAMMA
 ) -> Float[Tensor, "*batch 2"]:
     """Mean of skin points on the ground plane, weighted by pressure × area; metres.
 
@@ -157,5 +157,5 @@ def centre_of_pressure(
     heights = points[..., 2]
     # lowering a flying body to the ground changes no ratio of weights, and avoids underflow
     floor = heights.detach().amin(-1, keepdim=True).clamp(min=0)
-    weights = pressure(heights - floor) * areas
+    weights = pressure(heights - floor, decay) * areas
     return (weights[..., None] * points[..., :2]).sum(-2) / weights.sum(-1, keepdim=True)

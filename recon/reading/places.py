@@ -16,6 +16,7 @@ from recon.formats.depth_images import read_png
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
 from recon.formats.opening import files_of
+from recon.formats.producers import films_at
 from recon.reading.masks import PackedMask, read_packed_masks
 
 FEWEST_KEYPOINTS = 4
@@ -119,9 +120,9 @@ _NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
 def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     """The files or folders of single views, and notes on how folders were read.
 
-    A file is a view, and so is a folder of .json files. A folder of such folders, or of one .csv
-    table per camera, stands for them; a project for those of its first folder among `annots`,
-    `pose-associated`, `pose-sync`, `pose`.
+    A file is a view, and so is a folder of .json files. A folder of such folders, of films, or of
+    one .csv table per camera, stands for them; a project for those of its first folder among
+    `annots`, `pose-associated`, `pose-sync`, `pose`.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -133,6 +134,7 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file or folder")
         inside = [path] if path.is_file() or files_of(path, (".json",)) else _views_in(path)
+        inside = inside or films_at(path)
         project = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
         if len(inside) == 0 and project is not None:
             inside = [project] if files_of(project, (".json",)) else _views_in(project)

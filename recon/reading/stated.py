@@ -158,7 +158,7 @@ def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str
     if told.focal is not None:
         matrix = matrix * np.array([[told.focal / focal], [told.focal / focal], [1.0]])
         matrix[:2, 2] = camera.camera_matrix[:2, 2]
-        said += f", and a focal length of {told.focal:.0f} pixels"
+        said += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
     path = CameraPath(T_world_camera[None], metric=True, level=True)
     known = camera.focal_known or told.focal is not None
     return replace(camera, camera_matrix=matrix, focal_known=known, path=path), said

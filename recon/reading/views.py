@@ -69,11 +69,7 @@ def read_views(
             message says what was expected and which option decides.
     """
     folders, notes = expand(paths)
-    if how.camera is None and len(folders) > 1:
-        raise ObservationError(
-            f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
-            "file with --camera, or one view alone, whose camera is then guessed"
-        )
+    check_calibrated(folders, how)
     known = {path: one for path in folders if (one := with_image_size(path, how)) is not None}
     fps = how.frame_rate or stated_rate(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
@@ -148,6 +144,20 @@ def read_views(
     )
 
 
+def check_calibrated(views: Sequence[Path], how: ReadOptions) -> None:
+    """Refuse several views without a calibration.
+
+    Raises:
+        ObservationError: says how to get one, and what to do with views that are not of one clip.
+    """
+    if how.camera is None and len(views) > 1:
+        raise ObservationError(
+            f"several views ({', '.join(map(str, views))}) need calibrated cameras; give their "
+            "file with --camera, which `recon calibrate` finds from one person or a checkerboard. "
+            "Films of other moments are fitted one by one, a folder of them by `recon batch`"
+        )
+
+
 def _camera_of_one_view(
     path: Path, known: Detections | None, track: CameraTrack | None, how: ReadOptions
 ) -> Calibration:
@@ -177,8 +187,8 @@ def _camera_of_one_view(
         said = (
             f"image size {size[0]} x {size[1]}: {reason}",
             f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
-            "that of a phone's main camera (28 mm for 35 mm film), which the fit "
-            + ("corrects" if track is None else "keeps, as the camera moves"),
+            "that of a phone's main camera (28 mm for 35 mm film)"
+            + ("" if track is None else ", which the fit keeps, as the camera moves"),
         )
     return Calibration({view_name(path): camera}, "m", said)
 

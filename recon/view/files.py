@@ -33,6 +33,7 @@ def view(
     compare: Path | None = None,
     beside: Path | None = None,
     film: tuple[Path, ...] = (),
+    frame_rate: float | None = None,
     body: Path | None = None,
     std: bool = False,
     overwrite: bool = False,
@@ -57,6 +58,7 @@ def view(
         film: films of the motion, one for each of its cameras, told by their names or else in the
             order of the cameras: the body is drawn over them, with limbs that were not seen or
             are unsure in colours of their own. A picture has eight moments.
+        frame_rate: pictures per second that the camera took, where the motion was fitted with it.
         body: the SMPL-family file of the motions' body; default: the bundled body.
         std: draw a sphere of one standard deviation around every joint. A page has these spheres
             in any case, as a layer to switch on.
@@ -71,19 +73,21 @@ def view(
             `overwrite`.
     """
     draw_png, draw_mp4 = (write_sheet, write_overlay) if film else (write_png, write_mp4)
-    every = ((html, draw_html), (png, draw_png), (mp4, draw_mp4), (rrd, write_rrd))
+    every = ((mp4, draw_mp4), (html, draw_html), (png, draw_png), (rrd, write_rrd))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     if not asked:
         raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
     show = show_of_files(
-        motion, obs=obs, compare=compare, side=beside, film=film, body=body, certainty=std
-    )
+        motion, obs=obs, compare=compare, side=beside, film=film, frame_rate=frame_rate,
+        body=body, certainty=std,
+    )  # fmt: skip
     read = [path for path in (motion, *obs, compare, beside, *film, body) if path is not None]
     report = {"inputs": checksums(read), "versions": versions()}
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
+        overlay = staged[0] if film and mp4 else None
         for path, (_, draw) in zip(staged, asked, strict=True):
-            draw(path, show)
+            draw(path, show, *([overlay] if draw is draw_html else []))
 
 
 def show_of_files(
@@ -93,6 +97,7 @@ def show_of_files(
     compare: Path | None = None,
     side: Path | None = None,
     film: Sequence[Path] = (),
+    frame_rate: float | None = None,
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
@@ -132,7 +137,7 @@ def show_of_files(
         from recon.view.film import views_of_cameras, with_films  # it loads the decoder of films
 
         cameras = with_films(
-            cameras or views_of_cameras(file.cameras), film, file.motion, str(motion)
+            cameras or views_of_cameras(file.cameras), film, file.motion, str(motion), frame_rate
         )
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
     return Show(motion.stem, tuple(figures), points, cloud, cameras, ground, certainty)
@@ -150,11 +155,11 @@ def _with_measures(figure: Figure) -> Figure:
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 
-def draw_html(path: Path, show: Show) -> None:
+def draw_html(path: Path, show: Show, overlay: Path | None = None) -> None:
     """Draw the page; imports the code of its player, which is slow to load."""
     from recon.view.html import write_html
 
-    write_html(path, show)
+    write_html(path, show, overlay)
 
 
 def _at_times_of_first(file: MotionFile, motion: Motion, path: Path) -> Motion:

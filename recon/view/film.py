@@ -59,7 +59,11 @@ def views_of_cameras(cameras: Sequence[FilmingCamera]) -> tuple[View, ...]:
 
 
 def with_films(
-    views: Sequence[View], films: Sequence[Path], motion: Motion, name: str
+    views: Sequence[View],
+    films: Sequence[Path],
+    motion: Motion,
+    name: str,
+    frame_rate: float | None = None,
 ) -> tuple[View, ...]:
     """The views that have a film, with it.
 
@@ -71,6 +75,7 @@ def with_films(
         films: paths.
         motion: which the films show.
         name: of the motion, for messages.
+        frame_rate: as of `open_film`.
 
     Raises:
         FileNotFoundError: when there is no such film.
@@ -91,19 +96,24 @@ def with_films(
         chosen = names
     by_name = dict(zip(chosen, films, strict=True))
     return tuple(
-        replace(view, film=_checked_film(by_name[view.name], view, motion, name))
+        replace(
+            view,
+            film=_checked_film(
+                open_film(by_name[view.name], frame_rate=frame_rate), view, motion, name
+            ),
+        )
         for view in views
         if view.name in by_name
     )
 
 
-def _checked_film(path: Path, view: View, motion: Motion, name: str) -> FilmOnClock:
+def _checked_film(film: Film, view: View, motion: Motion, name: str) -> FilmOnClock:
     """The film of a camera.
 
     Raises:
-        FileNotFoundError, ValueError: as `with_films` does.
+        ValueError: as `with_films` does.
     """
-    film = open_film(path)
+    path = film.path
     size, wanted = film.image_size, view.camera.image_size
     # copies in another resolution are the same film
     if abs(size[0] * wanted[1] - size[1] * wanted[0]) > max(*size, *wanted):

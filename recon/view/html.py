@@ -64,11 +64,16 @@ DEEPEN = 0.82
 """Factor on colours: the player's lights brighten them by about its inverse."""
 
 
-def write_html(path: str | Path, show: Show) -> None:
+def write_html(path: str | Path, show: Show, overlay: Path | None = None) -> None:
     """Write a page with a timeline, a view that can be turned, and layers to switch.
 
     The page holds everything it needs and asks no server for anything. A body is stored once
     and skinned in the browser (its pose-dependent offsets, if it has any, are left out).
+
+    Args:
+        path: file to write.
+        show: what is drawn.
+        overlay: what `write_overlay` wrote of it; None where it is to be drawn.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
@@ -83,7 +88,7 @@ def write_html(path: str | Path, show: Show) -> None:
         title = f"<title>{html.escape(visible(show.title))}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
         page = page.replace(
-            "</body>", _legend_html(show) + films_html(show, Path(path)) + "</body>", 1
+            "</body>", _legend_html(show) + films_html(show, Path(path), overlay) + "</body>", 1
         )
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)

@@ -16,25 +16,31 @@ EMBEDDED_FRAMES = 3000
 """Frames up to which a film is part of the page: about 10 MB at most."""
 
 
-def films_html(show: Show, page: Path) -> str:
+def films_html(show: Show, page: Path, overlay: Path | None = None) -> str:
     """HTML of the films of a scene, with the body over them; "" where there are none.
 
     Long films are not part of the page: it plays the files themselves, without the body, from
     where they lie as seen from the page.
+
+    Args:
+        show: the scene.
+        page: file of the page.
+        overlay: what `write_overlay` wrote of the scene; None where it is to be drawn.
     """
     if not any(view.film for view in show.cameras):
         return ""
-    videos = _embedded(show) if show.frames <= EMBEDDED_FRAMES else _linked(show, page)
+    videos = _embedded(show, overlay) if show.frames <= EMBEDDED_FRAMES else _linked(show, page)
     assets = resources.files("recon") / "assets"
     style = (assets / "films.css").read_text(encoding="utf-8")
     script = (assets / "films.js").read_text(encoding="utf-8")
     return f'<style>{style}</style><div id="recon-films">{videos}</div><script>{script}</script>'
 
 
-def _embedded(show: Show) -> str:
+def _embedded(show: Show, overlay: Path | None) -> str:
     with tempfile.TemporaryDirectory() as folder:
-        write_overlay(path := Path(folder) / "films.mp4", show)
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        if overlay is None:
+            write_overlay(overlay := Path(folder) / "films.mp4", show)
+        data = base64.b64encode(overlay.read_bytes()).decode("ascii")
     # the middle of a frame, since browsers show the one before at its beginning
     return _video(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
 

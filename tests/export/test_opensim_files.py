@@ -1,5 +1,7 @@
 """Files for OpenSim: markers and coordinates as a strict reader of its formats takes them."""
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from recon.core.motion import Motion, MotionFile
 from recon.export.tables import markers_of, places_of
 from recon.formats.motions import save_motion
 from recon.mocap.marker_tables import read_trc
+from tests.standing_body import path, standing, times
 
 
 def words(text: str) -> list[str]:
@@ -242,3 +245,65 @@ def test_options_of_a_file_that_is_not_asked_for_are_refused(clip, tmp_path, cap
     assert "--markers is an option of --trc" in capsys.readouterr().err
     assert not (tmp_path / "m.bvh").exists()
     assert set(landmarks()) >= {"left_rib", "right_thumb", "left_heel_below"}
+
+
+def test_forces_are_a_storage_with_y_up_and_csv_has_the_same_columns(
+    body: BodyModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Identifiers of external loads must find three columns each: OpenSim refuses more."""
+    still = standing(body, path(like=times(1.0)))
+    save_motion(tmp_path / "clip.npz", MotionFile(still, body.name, body.checksum))
+    mot, csv = tmp_path / "grf.mot", tmp_path / "grf.csv"
+    asked = ["export", str(tmp_path / "clip.npz"), "--mass", "70", "--forces"]
+    assert cli.run([*asked, str(mot)]) == cli.run([*asked, str(csv)]) == cli.OK
+    lines = mot.read_text().splitlines()
+    end = lines.index("endheader")
+    assert "inDegrees=no" in lines
+    names = lines[end + 1].split("\t")
+    rows = np.array([line.split("\t") for line in lines[end + 2 :]], dtype=float)
+    assert csv.read_text().splitlines()[0].split(",") == names
+    for side in "rl":
+        for part in (f"ground_force_{side}_v", f"ground_force_{side}_p", f"ground_torque_{side}_"):
+            assert [name[-1] for name in names if name.startswith(part)] == ["x", "y", "z"]
+    up = [names.index(f"ground_force_{side}_vy") for side in "rl"]
+    assert rows[:, up].sum(1) == pytest.approx(70 * 9.81, rel=1e-5)
+    assert (rows[:, names.index("ground_force_r_py")] == 0).all()
+    capsys.readouterr()
+    assert cli.run(["export", str(tmp_path / "clip.npz"), "--mass", "70", "--mot", str(mot)]) != 0
+    assert "--forces FILE, which is missing" in capsys.readouterr().err
+    assert cli.run([*asked, str(tmp_path / "grf.txt")]) != 0
+    assert ".mot, .sto, .csv" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not os.environ.get("RECON_DATA"), reason="needs real recordings: RECON_DATA")
+def test_force_plates_stand_beside_the_estimate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trial = Path(os.environ["RECON_DATA"]) / "observations" / "rehazenter" / "2014001_C1_01.c3d"
+    motion, mot = tmp_path / "walk.npz", tmp_path / "grf.mot"
+    assert cli.run(["convert", str(trial), str(motion), "--quiet"]) == cli.OK
+    asked = ["export", str(motion), "--forces", str(mot), "--mass", "67", "--plates", str(trial)]
+    assert cli.run([*asked, "--moments", str(tmp_path / "id.sto")]) == cli.OK
+    table = (tmp_path / "id.sto").read_text().split("endheader\n")[1].splitlines()
+    moments = np.array([line.split("\t") for line in table[1:]], dtype=float).T
+    named = dict(zip(table[0].split("\t"), moments, strict=True))
+    on = named["plate_known_r"] > 0
+    assert -1.6 < named["ankle_angle_r_moment"][on].min() / 67 < -0.8  # push-off, N m/kg
+    assert (named["ankle_angle_r_std"][on] > 0).all()
+    report = json.loads((tmp_path / "grf.mot.json").read_text())
+    for row in report["beside plates"].values():
+        assert row["vertical_rms_percent"] < 12
+        assert abs(row["impulse_percent"]) < 8
+        assert row["centre_cm"] < 3
+    lines = mot.read_text().splitlines()
+    names = lines[lines.index("endheader") + 1].split("\t")
+    rows = np.array([x.split("\t") for x in lines[lines.index("endheader") + 2 :]], dtype=float)
+    measured = rows[rows[:, names.index("plate_known_r")] > 0, names.index("plate_force_r_y")]
+    assert measured.mean() == pytest.approx(540, abs=30)  # N
+
+
+def test_a_page_can_be_exported(clip: Path) -> None:
+    """It failed since pages can have a film over which the body is drawn."""
+    page = clip.with_suffix(".html")
+    assert cli.run(["export", str(clip), "--html", str(page)]) == cli.OK
+    assert page.stat().st_size > 10_000

@@ -36,10 +36,10 @@ def walker() -> tuple[np.ndarray, np.ndarray]:
     return np.stack(images), np.stack(pixels)
 
 
-def write(path, images):
+def write(path, images, rate=RATE):
     """Write images as a film with hardly any loss."""
     with av.open(str(path), "w") as film:
-        stream = film.add_stream("libx264", rate=RATE, options={"crf": "10"})
+        stream = film.add_stream("libx264", rate=rate, options={"crf": "10"})
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in images:

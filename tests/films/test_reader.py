@@ -4,7 +4,9 @@ import hashlib
 import importlib.util
 import sys
 from pathlib import Path
+from unittest.mock import ANY
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from recon import cli
 from recon.films.blazepose import BlazePose
 from recon.films.reader import read_film
 from recon.formats.opening import load_arrays
+from recon.reading.places import expand
 from tests.films.painted import FRAMES, LANDMARKS, RATE, SIZE, walker, write
 
 MODELS = Path(__file__).parents[2] / "film-models"
@@ -72,7 +75,10 @@ def test_what_the_image_cuts_off_is_not_seen(tmp_path):
     assert (found.confidence[:, [11, 12, 23, 24]] > 0.5).all()
 
 
-def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path):
+def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path, monkeypatch):
+    """Once all sights of a film were written anew with every part."""
+    monkeypatch.setattr("recon.films.reader._SAVED_EVERY", 2)
+
     def interrupt(done: int, _: int) -> None:
         seen.append(done)
         if done == 5 and len(seen) == 5:
@@ -81,11 +87,13 @@ def test_an_interrupted_film_goes_on_where_it_was(film, tmp_path):
     whole, seen = read_film(film), list[int]()
     with pytest.raises(KeyboardInterrupt):
         read_film(film, kept=tmp_path, watch=interrupt)
-    assert [one.name.endswith("-unfinished.npz") for one in tmp_path.iterdir()] == [True]
+    (parts,) = tmp_path.iterdir()
+    count = {one.name: len(load_arrays(one)["sights"]) for one in parts.iterdir()}
+    assert count == {"000000000.npz": 2, "000000002.npz": 2, "000000004.npz": 1}
     again = read_film(film, kept=tmp_path, watch=interrupt)
     assert seen == [*range(1, 6), *range(1, FRAMES + 1)]
     np.testing.assert_allclose(again.pixels, whole.pixels)
-    assert [one.name.endswith("-unfinished.npz") for one in tmp_path.iterdir()] == [False]
+    assert [one.suffix for one in tmp_path.iterdir()] == [".npz"]
 
 
 def test_kept_detections_are_of_the_content_of_a_film(film, tmp_path, monkeypatch):
@@ -142,6 +150,33 @@ def test_a_fit_keeps_detections_beside_its_result(film, tmp_path, capsys):
     (kept,) = (tmp_path / "motion.detections").iterdir()
     assert kept.name.startswith("cam-")
     assert len(recon.load_motion(out).motion.translation) == FRAMES
+    sheet = cv2.imread(str(tmp_path / "motion.sheet.png"))
+    assert sheet is not None
+    assert sheet.shape[1] > 3 * sheet.shape[0] / 2, "two rows of four moments"
+
+
+def test_a_sheet_that_cannot_be_drawn_leaves_the_result(film, tmp_path, capsys):
+    (tmp_path / "motion.sheet.png").write_bytes(b"of somebody else")
+    out = tmp_path / "motion.npz"
+    line = ["fit", str(film), "--prior", "pose", "--checks", "none", "--out", str(out)]
+    assert cli.run(line) == cli.OK
+    assert "no sheet of moments was drawn: " in capsys.readouterr().err
+    assert out.is_file()
+    assert (tmp_path / "motion.sheet.png").read_bytes() == b"of somebody else"
+
+
+def test_a_folder_of_films_is_the_views_of_one_clip(film, tmp_path, capsys):
+    """It was refused with `give one of its files`, and several films after all were looked at."""
+    views = tmp_path / "views"
+    views.mkdir()
+    for name in ("cam1.mp4", "cam2.mp4"):
+        (views / name).write_bytes(film.read_bytes())
+    (views / "Calib.toml").write_text("")
+    assert expand([views]) == ([views / "cam1.mp4", views / "cam2.mp4"], ANY)
+    assert cli.run(["fit", str(views), "--out", str(tmp_path / "a.npz")]) == cli.BAD_INPUT
+    said = " ".join(capsys.readouterr().err.split())
+    assert all(word in said for word in ("--camera", "`recon calibrate`", "`recon batch`"))
+    assert [one.name for one in tmp_path.iterdir()] == ["views"]
 
 
 class Corners:

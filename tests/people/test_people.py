@@ -77,6 +77,24 @@ def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:
     assert all(int(count) > 20 * FRAMES for count in means)
 
 
+def test_between_leaves_out_who_is_gone_by_then(film: Path, tmp_path: Path) -> None:
+    """A person who was seen outside of it alone made the fit of everybody fail."""
+    (tmp_path / "cam").mkdir()
+    for t, path in enumerate(sorted(film.iterdir())):
+        record = json.loads(path.read_text())
+        if t >= 16:
+            del record["people"][1 if t % 3 else 0]
+        (tmp_path / "cam" / path.name).write_text(json.dumps(record))
+    how = {"frame_rate": 30.0, "image_size": (1920, 1080)}
+    (one,) = load_people(tmp_path / "cam", between=(0.25, 0.8), **how)
+    (view,) = one.clip.observations
+    assert one.number == 1
+    assert view.start_time == pytest.approx(0.25, abs=0.03)
+    assert len(load_people(tmp_path / "cam", **how)) == 2
+    with pytest.raises(recon.ReconError, match=r"--between 5 6: nobody is seen"):
+        load_people(tmp_path / "cam", between=(5.0, 6.0), **how)
+
+
 def test_one_clip_is_of_one_person(film: Path) -> None:
     settings = FitSettings(frame_rate=30.0, person="all")
     with pytest.raises(recon.ReconError, match="recon fit --person all"):

@@ -62,7 +62,10 @@ def test_a_damaged_manifest_is_refused_by_its_line(tmp_path: Path) -> None:
 def test_each_lesson_takes_its_own_stretches(tmp_path: Path) -> None:
     path = corpus_with(tmp_path, "02_01") / "02_01.npz"
     rows = rows_of("02_01")
-    assert [file.motion.frames for file in stretches_to_teach(path, rows, "poses")] == [90]
+    (poses,) = stretches_to_teach(path, rows, "poses", with_contacts=False)
+    assert poses.motion.frames == 90
+    kept = stretches_to_teach(path, rows, "poses")
+    assert [(p.motion.frames, p.contacts is not None) for p in kept] == [(30, True), (60, False)]
     with_contacts, without = stretches_to_teach(path, rows, "steps")
     assert with_contacts.motion.frames == without.motion.frames == 30
     assert with_contacts.contacts is not None

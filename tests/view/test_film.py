@@ -1,5 +1,6 @@
 """Bodies drawn over films: a sheet of moments, a film, and films that do not belong."""
 
+import base64
 from pathlib import Path
 
 import av
@@ -45,6 +46,15 @@ def test_sheet_shows_the_body_over_the_film(fitted: Path, tmp_path: Path):
     assert 0.01 < body[rows].mean() < 0.6
     with av.open(str(tmp_path / "over.mp4")) as drawn:
         assert len(list(drawn.decode(video=0))) == 16
+
+
+def test_a_page_holds_the_film_that_was_drawn_beside_it(fitted: Path, tmp_path: Path, monkeypatch):
+    """Both drew the whole film with the body, which takes most of the time."""
+    grey = film(tmp_path / "walk.mp4", 16, (960, 540))
+    monkeypatch.setattr("recon.view.html_films.write_overlay", None)
+    page, over = tmp_path / "page.html", tmp_path / "over.mp4"
+    view(fitted, film=(grey,), html=page, mp4=over)
+    assert base64.b64encode(over.read_bytes()).decode("ascii") in page.read_text()
 
 
 def test_film_of_another_form_is_refused(fitted: Path, tmp_path: Path):

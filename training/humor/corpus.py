@@ -26,6 +26,7 @@ from recon.method.protocols import REFERENCE_FPS
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
 from training.humor.variation import chosen_rows, with_random_edits, with_upper_body_of
+from training.manifest import Lesson
 from training.recordings import mirrored_rotations
 from training.run import LOG
 from training.settings import TrainingSettings
@@ -109,26 +110,33 @@ class Corpus(TensorStruct):
     names: tuple[str, ...]
 
     @classmethod
-    def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "Corpus":
-        """All stretches of one part that are marked for training steps.
+    def load(
+        cls,
+        settings: TrainingSettings,
+        part: Part,
+        body: BodyModel,
+        lesson: Lesson = "steps",
+    ) -> "Corpus":
+        """All stretches of one part that may teach something.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
             part: which part.
             body: whose shape coefficients the clips have.
+            lesson: what they must be fit to teach.
 
         Raises:
             ValueError: when no clip remains.
         """
         found = [
             (name, kind_of(described_action(path)), _at_rate(piece))
-            for name, path, stretch in settings.taught(part, "steps")
+            for name, path, stretch in settings.taught(part, lesson)
             for piece in _between_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
+                f"{settings.corpus}: no {part} clip there teaches {lesson} ({settings.data})"
             )
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)

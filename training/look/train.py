@@ -258,7 +258,8 @@ def train(settings: LookTraining) -> Path:
     """
     with in_folder(settings):
         body = BodyModel.load()
-        learned = Corpus.load(settings, "train", body)
+        # poses on the ground and on furniture are worth seeing, though no steps are learned there
+        learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
         return LookRun(settings, learned, held_out).go()
 

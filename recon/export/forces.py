@@ -1,0 +1,119 @@
+"""Writes forces of the ground as OpenSim's external loads (.mot, .sto) or CSV."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.body.opensim import OpenSimModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion, MotionFile
+from recon.core.units import to_z_up
+from recon.export.tables import write_storage
+from recon.mocap.force_plates import read_force_plates
+from recon.physics.forces import GroundForces, ground_forces
+from recon.physics.moments import joint_moments
+from recon.physics.plates import MeasuredForces, forces_under_feet
+
+ENDINGS = (".mot", ".sto", ".csv")
+
+
+def check_ending(option: str, path: Path | None) -> None:
+    """Refuse a file of another kind than OpenSim's storage or CSV.
+
+    Raises:
+        ReconError: naming the option.
+    """
+    if path is not None and path.suffix.lower() not in ENDINGS:
+        raise ReconError(f"--{option} {path}: expected a file that ends in {', '.join(ENDINGS)}")
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Estimated forces of the ground, and those that plates measured."""
+
+    estimated: GroundForces
+    measured: MeasuredForces | None
+    decisions: tuple[str, ...]
+    """What was said of reading the plates."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong with either."""
+        return (*self.estimated.warnings, *(self.measured.warnings if self.measured else ()))
+
+    def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """How far both are apart, by foot; empty without plates."""
+        return {"beside plates": self.measured.compared(self.estimated)} if self.measured else {}
+
+    def report(self) -> dict[str, Any]:
+        """What a file's report says."""
+        decisions = (*self.estimated.notes, *self.decisions)
+        return {"decisions": decisions, "warnings": self.warnings, **self.tables()}
+
+
+def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path | None) -> Loads:
+    """Forces on the feet of a motion, and those of the plates of its C3D file.
+
+    Raises:
+        ValueError: when there are none; the message says why.
+    """
+    found = ground_forces(file, body, mass=mass)
+    if plates is None:
+        return Loads(found, None, ())
+    read = read_force_plates(plates)
+    return Loads(found, forces_under_feet(read, found, file.motion), read.decisions)
+
+
+def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
+    """Write a row per frame, right foot first; newtons, metres, newton metres, y up.
+
+    `ground_force_r_vx` is the force on the right foot, `ground_force_r_px` its centre of pressure,
+    `ground_torque_r_x` the moment about it (zero). `std_force_r_x` and `std_centre_r` are standard
+    deviations; no name of theirs begins as the identifiers of OpenSim's external loads do.
+    With plates there are `plate_force_r_x`, `plate_centre_r_x` and `plate_known_r` (0 or 1), too.
+    """
+    forces, plates = loads.estimated, loads.measured
+    columns: dict[str, Float[np.ndarray, " time"]] = {}
+    for end, side in (("r", 1), ("l", 0)):
+        columns |= _axes(f"ground_force_{end}_v", forces.force[:, side])
+        columns |= _axes(f"ground_force_{end}_p", forces.centre[:, side])
+    for end in "rl":
+        columns |= {f"ground_torque_{end}_{axis}": np.zeros(motion.frames) for axis in "xyz"}
+    for end, side in (("r", 1), ("l", 0)):
+        widths = _axes(f"std_force_{end}_", forces.force_std[:, side])
+        columns |= {name: np.abs(values) for name, values in widths.items()}
+        columns[f"std_centre_{end}"] = forces.centre_std[:, side].numpy()
+        if plates is not None:
+            columns |= _axes(f"plate_force_{end}_", torch.from_numpy(plates.force[:, side]))
+            columns |= _axes(f"plate_centre_{end}_", torch.from_numpy(plates.centre[:, side]))
+            columns[f"plate_known_{end}"] = plates.known[:, side].astype(float)
+    write_storage(path, "Ground reaction forces", motion, columns)
+
+
+def write_moments(
+    path: Path, motion: Motion, body: BodyModel, loads: Loads, model: OpenSimModel
+) -> None:
+    """Write moments of the legs' joints as OpenSim's inverse dynamics names them, newton metres.
+
+    `hip_flexion_r_moment` has its standard deviation in `hip_flexion_r_std`; `plate_known_r` is 1
+    where a plate measured the force on that foot, and 0 where it is estimated.
+    """
+    found = joint_moments(motion, body, loads.estimated, loads.measured, model)
+    columns = {f"{name}_moment": values for name, values in found.moments.items()}
+    columns |= {f"{name}_std": values for name, values in found.std.items()}
+    columns |= {
+        f"plate_known_{end}": found.measured[:, k] * 1.0 for k, end in ((1, "r"), (0, "l"))
+    }
+    write_storage(path, "Inverse Dynamics Generalized Forces", motion, columns)
+
+
+def _axes(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:
+    """Coordinates of vectors (time 3) with y up, by name and axis."""
+    turned = vectors.double().cpu().numpy() @ to_z_up("y")
+    return {f"{name}{axis}": turned[:, k] for k, axis in enumerate("xyz")}

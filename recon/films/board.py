@@ -1,0 +1,284 @@
+"""Lenses and poses of cameras from films of a checkerboard (Zhang 2000, by OpenCV)."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from recon.core.errors import ObservationError
+from recon.core.units import METRES
+from recon.films.decoding import Film, open_film
+from recon.formats.cameras import CameraArrays, guessed_camera
+
+_RATE = 5.0
+"""Moments per second at which the board is looked for."""
+_MOST, _FEWEST, _FEWEST_SHARED = 50, 8, 3
+"""Moments that a lens is found from at most and at least, and those in which two cameras must see
+the board."""
+_SURE = 0.02
+"""Relative standard deviation of a focal length up to which it is told."""
+_FAR_OFF = 3.0
+"""A moment whose corners are so many times farther off than usual is left out: it is blurred."""
+_STILL, _STILL_S = 0.5, 1.0
+"""Pixels by which corners of a board on the floor move from moment to moment at most, and seconds
+that it lies there at least."""
+_MOVED = 5.0
+"""Pixels by which a corner has moved, at least, since the last moment that counts for a lens."""
+_LENS = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
+Corners = Float[np.ndarray, "rows columns 2"]
+"""Inner corners of a board in an image, pixels."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A checkerboard."""
+
+    columns: int
+    """Inner corners along a row."""
+    rows: int
+    square: float
+    """Side of a square, metres."""
+
+    @classmethod
+    def of(cls, board: str, square: str | None) -> "Board":
+        """The board of "9x6" inner corners with squares of "25mm".
+
+        Raises:
+            ObservationError: when these are not what they should be.
+        """
+        size = re.fullmatch(r"(\d{1,2})\s*[xX]\s*(\d{1,2})", board.strip())
+        side = re.fullmatch(
+            r"(\d+\.?\d*|\.\d+)\s*(mm|cm|m|inch|in)", (square or "").strip().lower()
+        )
+        if size is None or min(int(size[1]), int(size[2])) < 3:
+            raise ObservationError(
+                f"board: expected its inner corners as 9x6, at least 3 each way, got {board!r}"
+            )
+        metres = float(side[1]) * METRES[side[2]] if side is not None else 0.0
+        if not 1e-3 <= metres <= 1.0:
+            raise ObservationError(
+                f"square: expected the side of the board's squares, 1 mm to 1 m, as 25mm; got "
+                f"{square!r}"
+            )
+        return cls(int(size[1]), int(size[2]), metres)
+
+    @property
+    def points(self) -> Float[np.ndarray, "corners 3"]:
+        """The corners on the board, row by row, metres."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        return np.stack((x, y, 0 * x), -1).reshape(-1, 3).astype(np.float32) * self.square
+
+    def seen_in(self, image: UInt8[np.ndarray, "height width 3"]) -> Corners | None:
+        """The corners in an image, from that of the board that has a dark square inside of it."""
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        there, found = cv2.findChessboardCornersSB(grey, (self.columns, self.rows))
+        if not there:
+            return None
+        corners = np.asarray(found, float).reshape(self.rows, self.columns, 2)
+        right, down = corners[0, 1] - corners[0, 0], corners[1, 0] - corners[0, 0]
+        if right[0] * down[1] < right[1] * down[0]:
+            corners = corners[:, ::-1]
+        middles = (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:] + corners[:-1, :-1]) / 4
+        x, y = middles.round().astype(int).T
+        bright = grey[y.clip(0, len(grey) - 1), x.clip(0, grey.shape[1] - 1)].T
+        dark = np.indices(bright.shape).sum(0) % 2 == 0
+        turned = bright[dark].mean() > bright[~dark].mean()
+        return corners[::-1, ::-1] if turned else corners
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """What one camera saw of the board, and its lens."""
+
+    seen: Mapping[int, Corners]
+    """By moment."""
+    camera: CameraArrays
+    error: float
+    """Distance of corners from where they should be, pixels."""
+    std: float
+    """Relative standard deviation of the focal length."""
+
+    @property
+    def lens(self) -> tuple[np.ndarray, np.ndarray]:
+        """The camera matrix and distortion."""
+        assert self.camera.distortion is not None
+        return self.camera.camera_matrix, self.camera.distortion
+
+
+def cameras_of_board(
+    paths: Sequence[Path], board: Board
+) -> tuple[dict[str, CameraArrays], float, tuple[str, ...]]:
+    """Lenses from films of a board, and poses where several cameras see it at once.
+
+    Several films begin at one moment. The ground is where the board lies still for a second.
+
+    Args:
+        paths: of films; their names are those of the cameras.
+        board: that is moved and tilted before them.
+
+    Returns:
+        The cameras by name, the mean distance of a corner from where it should be, as a share of
+        the focal length, and what was found.
+
+    Raises:
+        FileNotFoundError: when there is no such film.
+        ObservationError: when it does not show enough of the board; says what to do.
+    """
+    lenses = {path.stem: _lens(open_film(path), board) for path in paths}
+    if len(lenses) < len(paths):
+        raise ObservationError(
+            f"expected one name for each camera, got {', '.join(one.stem for one in paths)}"
+        )
+    said = [
+        f"{name}: focal length {one.camera.camera_matrix[0, 0]:.1f} pixels, standard deviation "
+        f"{one.std:.2%}, corners {one.error:.2f} pixels off in {len(one.seen)} moments"
+        for name, one in lenses.items()
+    ]
+    cameras = {name: one.camera for name, one in lenses.items()}
+    if len(lenses) > 1:
+        every = list(lenses.values())
+        poses, ground = _above_floor(_relative_poses(lenses, board), every, board)
+        named = zip(cameras.items(), poses, strict=True)
+        cameras = {name: replace(one, T_camera_world=T[None]) for (name, one), T in named}
+        said.append(ground)
+    shares = [one.error / one.camera.camera_matrix[0, 0] for one in lenses.values()]
+    return cameras, float(np.mean(shares)), tuple(said)
+
+
+def _lens(film: Film, board: Board) -> _Lens:
+    seen: dict[int, Corners] = {}
+    last = -1
+    for frame in film:
+        if (moment := round(frame.time * _RATE)) == last:
+            continue
+        last = moment
+        if (corners := board.seen_in(frame.image)) is not None:
+            seen[moment] = film.in_film(corners)
+    if len(seen) < _FEWEST:
+        raise ObservationError(
+            f"{film.path}: a board of {board.columns}x{board.rows} inner corners is seen in "
+            f"{len(seen)} moments, {_FEWEST} are needed; check --board, and film the whole board, "
+            "slowly moved and tilted, in good light"
+        )
+    moved = list[int]()
+    for moment, corners in seen.items():
+        # a board that lies still would count for many
+        if not moved or np.abs(corners - seen[moved[-1]]).max() > _MOVED:
+            moved.append(moment)
+    chosen = moved[:: -(-len(moved) // _MOST)]
+    found = _calibrated(film, board, [seen[k] for k in chosen])
+    off = found[1]
+    kept = [k for k, one in zip(chosen, off, strict=True) if one <= _FAR_OFF * np.median(off)]
+    camera, off, std = _calibrated(film, board, [seen[k] for k in kept])
+    if std > _SURE:
+        raise ObservationError(
+            f"{film.path}: the focal length is not told better than to {std:.0%}; tilt the board "
+            "by 30 to 45 degrees each way, and bring it near, into every part of the image"
+        )
+    return _Lens(seen, camera, float(np.sqrt(np.mean(np.square(off)))), std)
+
+
+def _calibrated(
+    film: Film, board: Board, seen: Sequence[Corners]
+) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
+    """The camera, the error of every moment, pixels, and the focal length's relative deviation."""
+    places = [one.reshape(-1, 1, 2).astype(np.float32) for one in seen]
+    guess = guessed_camera(film.image_size)
+    _, matrix, distortion, _, _, stds, _, off = cv2.calibrateCameraExtended(
+        [board.points] * len(places), places, film.image_size, guess.camera_matrix.copy(),
+        np.zeros(5), flags=_LENS,
+    )  # fmt: skip
+    camera = CameraArrays(matrix, film.image_size, distortion.ravel()[:5])
+    return camera, off.ravel(), float(stds[1, 0] / matrix[1, 1])
+
+
+def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.ndarray, "4 4"]]:
+    """Poses in the frame of the first camera, each by that with which it shares most moments."""
+    if (board.columns + board.rows) % 2 == 0:
+        raise ObservationError(
+            f"board: one of {board.columns}x{board.rows} corners looks the same upside down, so "
+            "that cameras cannot agree on it; one number must be odd and the other even"
+        )
+    every, names = list(lenses.values()), list(lenses)
+    poses = {0: np.eye(4)}
+    while len(poses) < len(every):
+        pairs = product(poses, [k for k in range(len(every)) if k not in poses])
+        shared = {pair: _shared(every[pair[0]], every[pair[1]]) for pair in pairs}
+        (known, new), moments = max(shared.items(), key=lambda one: len(one[1]))
+        if len(moments) < _FEWEST_SHARED:
+            raise ObservationError(
+                f"{names[new]}: sees the board at {len(moments)} moments at which another camera "
+                f"does, {_FEWEST_SHARED} are needed; start all films at one moment and hold the "
+                "board where two cameras see it, or calibrate each lens by itself"
+            )
+        one, other = every[known], every[new]
+        places = [
+            [np.float32(each.seen[k].reshape(-1, 1, 2)) for k in moments] for each in (one, other)
+        ]
+        found = cv2.stereoCalibrate(
+            [board.points] * len(moments), *places, *one.lens, *other.lens,
+            one.camera.image_size, flags=cv2.CALIB_FIX_INTRINSIC,
+        )  # fmt: skip
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = found[5], np.ravel(found[6])
+        poses[new] = step @ poses[known]
+    return [poses[k] for k in range(len(every))]
+
+
+def _shared(one: _Lens, other: _Lens) -> list[int]:
+    """Moments at which both see the board, at most so many, evenly spread."""
+    both = sorted(one.seen.keys() & other.seen.keys())
+    step = max(1, -(-len(both) // _MOST))
+    return both[::step]
+
+
+def _above_floor(
+    poses: Sequence[Float[np.ndarray, "4 4"]], lenses: Sequence[_Lens], board: Board
+) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
+    """T_camera_world above the floor on which the board lies longest, and a note on it."""
+    rests = [_longest_rest(lens.seen) for lens in lenses]
+    moments = max(rests, key=_lasts)
+    if _lasts(moments) < _STILL_S:
+        raise ObservationError(
+            f"the board never lies still for {_STILL_S:g} s, which tells where the ground is; lay "
+            "it on the floor at the end, where a camera sees it, before all films stop"
+        )
+    k = rests.index(moments)
+    lens = lenses[k]
+    mean = np.mean([lens.seen[one] for one in moments], axis=0).reshape(-1, 1, 2)
+    _, turn, place = cv2.solvePnP(board.points, mean, *lens.lens)
+    T_camera_board = np.eye(4)
+    T_camera_board[:3, :3], T_camera_board[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
+    # seen from above, the board's axes point right, towards its lower rim, and into the floor
+    T_first_world = np.linalg.inv(poses[k]) @ T_camera_board @ np.diag([1.0, -1.0, -1.0, 1.0])
+    note = (
+        f"the ground is where the board lies from {moments[0] / _RATE:.1f} to "
+        f"{moments[-1] / _RATE:.1f} s"
+    )
+    return [pose @ T_first_world for pose in poses], note
+
+
+def _longest_rest(seen: Mapping[int, Corners]) -> list[int]:
+    """The moments of the longest time in which the board does not move.
+
+    Pictures that repeat the one before are no moments, and neither are those that somebody hides.
+    """
+    runs: list[list[int]] = []
+    for moment in sorted(seen):
+        last = runs[-1][-1] if runs else -1
+        soon = bool(runs) and moment - last <= _STILL_S * _RATE
+        if soon and np.abs(seen[moment] - seen[last]).max() < _STILL:
+            runs[-1].append(moment)
+        else:
+            runs.append([moment])
+    return max(runs, key=_lasts)
+
+
+def _lasts(moments: Sequence[int]) -> float:
+    """Seconds from the first to the last moment."""
+    return (moments[-1] - moments[0]) / _RATE
