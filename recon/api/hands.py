@@ -228,7 +228,7 @@ def _unsure(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Findi
         return []
     why = "few of its points are seen"
     if alone:
-        why = "one view says little of depth, which follows from limits and habits of joints"
+        why = "one view says little of depth, and other bends of fingers may look the same"
     said = f"fingertips are known to about {1e3 * std:.0f} mm (standard deviation): {why}"
     return [Finding("hand", f"{side} hand: {said}", (f"{side}_wrist",), value=std)]
 

@@ -212,6 +212,31 @@ def pose_fingers(
     return torch.stack(places[count:], -2), torch.stack(turns[count:], -3)
 
 
+def finger_skin(
+    motion: Motion, body: BodyModel
+) -> tuple[Float[Tensor, "vertices 52"], Float[Tensor, "30 4 4"]]:
+    """Skinning weights of the 22 joints and the fingers, and the unposed skin seen from fingers.
+
+    The hand of the unposed skin is relaxed, not flat: the matrices take its points to the frames
+    of the finger joints. A body other than the bundled one has no fingers in its skin.
+    """
+    weights = torch.nn.functional.pad(body.weights.double(), (0, len(HAND_JOINTS)))
+    if body.checksum != BodyModel.load().checksum:
+        return weights.to(body.weights), torch.eye(4).repeat(len(HAND_JOINTS), 1, 1)
+    asset, shape = hand_arrays(), motion.shape.double()
+    points = asset["joint_template"] + asset["joint_directions"][..., : len(shape)] @ shape
+    binds = torch.eye(4, dtype=torch.float64).repeat(len(HAND_JOINTS), 1, 1)
+    joints = ROWS.unflatten(1, (5, 4))[:, :, :3].flatten(1)
+    for side, wrist in enumerate(WRISTS):
+        rows, turns = asset["vertices"][side], asset["straight"][side]
+        places = points[side].unflatten(0, (5, 4))[:, :3].flatten(0, 1)
+        binds[joints[side], :3, :3] = turns
+        binds[joints[side], :3, 3] = -(turns @ places[..., None])[..., 0]
+        columns = torch.cat((joints.new_tensor([wrist]), len(JOINTS) + joints[side]))
+        weights[rows[:, None], columns] = asset["weights"]
+    return (weights / weights.sum(-1, keepdim=True)).to(body.weights), binds.float()
+
+
 def hands_of_angles(
     angles: Float[Tensor, "time 2 22"], model: HandModel, lengths: Tensor | None = None
 ) -> Hands:

@@ -5,13 +5,17 @@ import pytest
 import torch
 
 import recon
+from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from recon.api.hands import with_fingers
 from recon.body.hands import LIMITS, RELAXED, HandModel
 from recon.core import rotations as so3
+from recon.core.camera import pose_looking_at as look_at
 from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS
 from recon.core.skeleton import JOINTS
 from recon.fitting.hands import HandView, _bend_precision, _Fingers
+from recon.keypoints3d.labels import _point_of_hand, fingers_apart
+from recon.keypoints3d.reader import read_session
 from tests.hands.made import FPS, hand_points, noisy, person, pose_table
 
 TIPS = [k for k, name in enumerate(FINGER_POINTS) if name.endswith("_tip")]
@@ -61,6 +65,67 @@ def test_forty_poses():
     away = (hand_points(found.motion, somebody.body) - somebody.points).norm(dim=-1)
     assert float(away[:, TIPS].mean()) < 0.008
     assert float((found.joints - without.joints).abs().max()) < 2e-4
+
+
+def views_of(somebody, count):
+    """Cameras about a person, and the points of hands in them with 2 px of noise."""
+    cameras = []
+    for k in range(count):
+        angle = torch.tensor(2.1 * k - 1.2)
+        place = torch.stack((3 * angle.sin(), -3 * angle.cos(), torch.tensor(1.4)))
+        T = look_at(place, torch.tensor([0.0, 0.0, 1.1]))
+        matrix = torch.tensor([[1400.0, 0, 960], [0, 1400.0, 540], [0, 0, 1]])
+        cameras.append(recon.Camera(matrix, (1920, 1080), None, T))
+    generator, sensors = torch.Generator().manual_seed(9), []
+    joints = somebody.body.pose(somebody.motion).joints
+    points = BodyPoints.of_layout("smpl22", somebody.body)
+    for camera in cameras:
+        seen = [camera.project(one).pixels for one in (joints, somebody.points)]
+        pixels, hands = (one + 2 * torch.randn(one.shape, generator=generator) for one in seen)
+        shown = torch.rand(hands.shape[:-1], generator=generator) > 0.3
+        fingers = torch.cat((hands, torch.ones_like(hands[..., :1])), -1) * shown[..., None]
+        sensors.append(recon.Keypoints2D(
+            pixels, torch.ones(pixels.shape[:-1]), points, camera, FPS, fingers=fingers
+        )[None])  # fmt: skip
+    return sensors
+
+
+@pytest.mark.numerics
+@pytest.mark.parametrize(("count", "within"), [(3, 0.012), (1, 0.08)])
+def test_fingertips_of_views(count, within):
+    """2 px of noise, 30 % missing: three views give depth, and of one it is said to be unsure."""
+    somebody = person(5, 4)
+    sensors = views_of(somebody, count)
+    where = torch.eye(4, dtype=torch.float64)
+    alone = somebody.motion.replace(hands=None)
+    found, said = with_fingers(alone, somebody.body, sensors, sensors, where)
+    away = (hand_points(found, somebody.body) - somebody.points).norm(dim=-1)
+    assert float(away[:, TIPS].mean()) < within
+    assert [("one view" in one.message) for one in said.diagnosis] == [True] * 2 * (count == 1)
+
+
+def test_session_with_hands(tmp_path):
+    """FreeMoCap writes hands beside the body, millimetres."""
+    generator = np.random.default_rng(0)
+    parts = {"body": 33, "left_hand": 21, "right_hand": 21}
+    arrays = {name: generator.normal(size=(9, count, 3)) for name, count in parts.items()}
+    for name, array in arrays.items():
+        np.save(tmp_path / f"mediapipe_{name}_3d_xyz.npy", array)
+    read = read_session(tmp_path)
+    _, hands = fingers_apart(read)
+    assert np.array_equal(hands.positions[:, 21:], arrays["right_hand"])
+
+
+@pytest.mark.parametrize(("label", "point"), [
+    ("left_hand_index_finger_mcp", "left_index1"), ("LIndexPIP", "left_index2"),
+    ("RIGHT_HAND_THUMB_CMC", "right_thumb1"), ("right_thumb_metacarpal", "right_thumb1"),
+    ("left_little_intermediate", "left_pinky2"), ("left_index3", "left_index3"),
+    ("left_index_finger_phalanx_distal", "left_index3"), ("r_ring_tip", "right_ring_tip"),
+    ("left_hand_wrist", "left_hand_wrist"), ("left_index", None), ("left_wrist", None),
+    ("left_index_metacarpal", None), ("nose", None),
+])  # fmt: skip
+def test_labels_of_points(label, point):
+    assert _point_of_hand(label) == point
 
 
 def test_tree_is_that_of_smplh():
