@@ -128,4 +128,4 @@ def test_a_film_of_somebody_else_is_refused(film, tmp_path):
     arrays["trans"][:, 0] += np.random.default_rng(0).normal(size=FRAMES)
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(recon.ReconError, match="nobody in the film moves like the estimate"):
-        recon.refine(tmp_path / "a.npz", "pose", film=film, up="y-down")
+        recon.refine(tmp_path / "a.npz", "pose", film=film, up="y-down", unit="m")
