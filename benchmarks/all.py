@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "retarget": ("retarget", "CORPUS", "--licence", "nc", "--weights", "open", "nc"),
     "speed": ("speed", "CORPUS"),
     "free_recordings": ("free_recordings", "DATA", "CORPUS"),
+    "forces": ("forces", "OBSERVATIONS"),
 }  # fmt: skip
 """Modules below benchmarks and their arguments. CORPUS, OBSERVATIONS and DATA are folders of data,
 other names in capitals are files or folders of runs below --out."""

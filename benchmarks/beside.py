@@ -133,7 +133,7 @@ class Runner:
         folder.mkdir(parents=True, exist_ok=True)
         files = case.see(window, folder)
         asked = {"verb": case.verb, "files": [str(f) for f in files], "how": case.how(window)}
-        ending = "" if case.verb == "predict" else ".npz"
+        ending = "" if case.verb in ("predict", "batch") else ".npz"
         results = [folder / f"{name}{ending}" for name in ("there", "here")]
         values: list[Values] = [{}, {}]
         seconds: list[float | None] = [None, None]

@@ -26,6 +26,7 @@ from benchmarks.slips.judging import claimed_samples, motion_error, truly_placed
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.points import point_names, values_of, weights_of
 from benchmarks.slips.recordings import SENSORS, Recording, Sensor, recording_of
+from benchmarks.speed import fitted_joints, manifest, there_and_back
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.windows import TrueWindows
 from recon.body.motion_files import with_equal_pelvis_path
@@ -48,6 +49,8 @@ _THIRD = {"hide_below": 0.9, "during": (0.67, 1.33)}
 _GAPS, _GAP_SECONDS = 0.3, (0.2, 1.0)
 """Share of every marker's positions that are in gaps, and how long these are."""
 _SHAPES = ("height=1.60", "height=1.90,weight=95", "woman,short", "man,heavy")
+BATCH = 16
+"""Clips of a batch, which two processes fit."""
 _SLIPS_EVERY = 3
 """A window has one slip in so many."""
 
@@ -122,6 +125,20 @@ def simulated(kind: Any, **options: Any) -> See:
         return list(made.save(folder / ("seen" if len(made) > 1 else "seen.npz"), overwrite=True))
 
     return see
+
+
+def a_minute(window: Window, folder: Path) -> list[Path]:
+    """Noisy joints of the clip run there and back for a minute."""
+    source = load_motion(window.source).motion.resample(window.truth.fps)
+    window.save(there_and_back(source, 60.0), folder / "truth.npz")
+    made = recon.simulate(folder / "truth.npz", "joints3d", noise=0.04, seed=window.number)
+    return list(made.save(folder / "seen.npz", overwrite=True))
+
+
+def a_batch(window: Window, folder: Path) -> list[Path]:
+    """A manifest of noisy joints of the window, drawn anew for every clip."""
+    manifest(folder, window.truth[None], BATCH)
+    return [folder / "all.jsonl"]
 
 
 def with_gaps(window: Window, folder: Path) -> list[Path]:
@@ -201,6 +218,22 @@ def of_stream(window: Window, _: Sequence[Path], out: Path) -> Values:
     with np.load(out) as file:
         away = torch.from_numpy(file["joints"]) - window.body.pose(window.truth).joints
     return {"error": float(away.norm(dim=-1).mean())}
+
+
+def of_minute(_: Window, files: Sequence[Path], out: Path) -> Values:
+    """Joints of the whole minute."""
+    return {"error": recon.evaluate(out, files[0].with_name("truth.npz"))["joints_all"]}
+
+
+def of_rate(window: Window, _: Sequence[Path], out: Path) -> Values:
+    """Joints at another rate than the truth's."""
+    return {"error": recon.evaluate(out, window.path)["joints_all"]}
+
+
+def of_batch(window: Window, _: Sequence[Path], out: Path) -> Values:
+    """Joints of all clips."""
+    away = fitted_joints(out, BATCH) - window.body.pose(window.truth).joints.double().numpy()
+    return {"error": float(np.linalg.norm(away, axis=-1).mean())}
 
 
 def of_retargeting(window: Window, files: Sequence[Path], out: Path) -> Values:
@@ -306,6 +339,11 @@ _PHONE: Mapping[str, Any] = {"noise": 3.0, "unknown_ground": True, **_THIRD}
 _SENSOR: Mapping[str, Any] = {"noise": 0.005, "left_over": ("ground",), **_THIRD}
 _ROWS = (
     Case("noisy", "noisy", "fit", simulated("joints3d", noise=0.04), evaluated("joints_all")),
+    Case("pose", "noisy, pose prior", "fit", simulated("joints3d", noise=0.04),
+         evaluated("joints_all"), _by_pose),
+    Case("minute", "a minute", "fit", a_minute, of_minute),
+    Case("rate", "300 Hz", "fit", simulated("joints3d", noise=0.04, fps=300.0), of_rate),
+    Case("batch", f"batch of {BATCH}", "batch", a_batch, of_batch),
     Case("hidden", "hidden", "fit", simulated("markers3d", hide_below=0.9),
          evaluated("observed_hidden")),
     Case("cameras", "one camera", "fit", simulated("keypoints2d", **_PHONE),

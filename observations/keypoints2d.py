@@ -20,6 +20,7 @@ from observations.checks import (
     seen_and_finite,
 )
 from observations.correspondences import BodyPoints
+from observations.fingers import checked_fingers
 from observations.noise import LIMITS, estimate_noise
 from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
@@ -49,7 +50,7 @@ class Keypoints2D(PointsOfBody):
 
     sees = "image"
     unit: ClassVar[Unit] = "pixels"
-    timed = ("pixels", "confidence")
+    timed = ("pixels", "confidence", "fingers")
     offset_unit: ClassVar[float] = OFFSET_UNIT
     pixels: Float[Tensor, "*batch moments points 2"]
     """Pixels without lens distortion; zero where the confidence is zero."""
@@ -81,6 +82,9 @@ class Keypoints2D(PointsOfBody):
     lens: tuple[float, ...] = ()
     """Coefficients of the distortion that was taken out of the pixels, as in `Camera`; no fit
     needs them, but who draws on the image does."""
+    fingers: Float[Tensor, "*batch moments 42 3"] | None = None
+    """Pixels (without distortion) and confidence of `recon.core.fingers.FINGER_POINTS`, to which
+    fingers are fitted after the body; zero where not seen."""
 
     def __init__(
         self,
@@ -97,6 +101,7 @@ class Keypoints2D(PointsOfBody):
         level: bool = False,
         unit_known: bool = True,
         lens: tuple[float, ...] = (),
+        fingers: Numbers | None = None,
     ) -> None:
         """Converts numpy arrays to float32 tensors and sets points that are not seen to zero.
 
@@ -113,7 +118,7 @@ class Keypoints2D(PointsOfBody):
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
             offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
-            lens=lens,
+            lens=lens, fingers=None if fingers is None else checked_fingers(fingers, pixels, 3),
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":

@@ -9,11 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.correspondences import TRUNK, BodyPoints
+from observations.fingers import body_points_only, checked_fingers, fingers_apart
 from observations.points import TrackedPoints
 from observations.start.rigid import rigid_start
 from observations.start.standing import planted_path
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.arrays import Numbers
+from recon.core.fingers import HANDS
 from recon.core.motion import Motion
 from recon.core.residuals import squared
 
@@ -35,6 +38,10 @@ class Keypoints3D(TrackedPoints):
     placed: bool = True
     """Whether positions are places in the world; false where every moment is relative to the
     body, for example to its pelvis."""
+    timed = (*TrackedPoints.timed, "fingers")
+    fingers: Float[Tensor, "*batch moments 42 4"] | None = None
+    """Position (metres) and confidence of `recon.core.fingers.FINGER_POINTS`, to which fingers are
+    fitted after the body; zero where not seen. Names that `points` lists may be among these."""
 
     def __init__(
         self,
@@ -49,6 +56,7 @@ class Keypoints3D(TrackedPoints):
         std: Numbers | float | None = None,
         level: bool = True,
         placed: bool = True,
+        fingers: Numbers | None = None,
     ) -> None:
         """Converts numpy arrays to float32 tensors and sets points that are not visible to zero.
 
@@ -59,16 +67,32 @@ class Keypoints3D(TrackedPoints):
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
+        names = () if isinstance(points, BodyPoints) else points
+        if names.endswith(HANDS) if isinstance(names, str) else not body_points_only(names):
+            points, positions, visible, std, fingers = fingers_apart(
+                points, positions, visible, std
+            )
         if isinstance(points, str):
             points = BodyPoints.of_layout(points, BodyModel.load())
         elif not isinstance(points, BodyPoints):
             points = BodyPoints.of_names(tuple(points), BodyModel.load())
+        if fingers is not None:
+            fingers = checked_fingers(fingers, positions, 4)
         # keypoints on the skin are vertices of the bundled mesh: other meshes do not have them
         self._set_measured(
             positions, visible, (fps, start_time), std, ("points", points.bones), points.known,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows, points=points,
-            level=level, placed=placed,
+            level=level, placed=placed, fingers=fingers,
         )  # fmt: skip
+
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints3D":
+        """The data after a rigid transform of the frame that they are given in, metres."""
+        moved = super().transformed(T_new_old)
+        if self.fingers is None:
+            return moved
+        T, places = torch.from_numpy(T_new_old).to(self.fingers), self.fingers[..., :3]
+        places = so3.transform(T, places).where(self.fingers[..., 3:] > 0, 0.0)
+        return moved.derived(fingers=torch.cat((places, self.fingers[..., 3:]), -1))
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """The joint whose bone moves each keypoint.

@@ -1,7 +1,7 @@
 """The result of a fit: the motion, its uncertainty, findings and report."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from time import monotonic
 from typing import Any
 
@@ -336,6 +336,11 @@ def result_of(
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
+    if any(getattr(one, "fingers", None) is not None for one in clip.observations):
+        from recon.api.hands import with_fingers  # few observations show hands
+
+        motion, said = with_fingers(motion, body, clip.observations, found.observations, T)
+        examined = replace(examined, found=examined.found + said)
     known = examined.described_at(motion)
     if belt is not None:
         # on a treadmill the prior's contacts are with the belt, not with the floor of the room

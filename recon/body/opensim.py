@@ -148,6 +148,34 @@ def _joint_coordinates(
     return {f"{n}{ending}": degrees[:, k] for k, n in enumerate(joint.names) if n}
 
 
+def leg_axes(
+    body: BodyModel, motion: Motion, model: OpenSimModel
+) -> dict[str, Float[np.ndarray, "time 3"]]:
+    """Axes of the hips', knees' and ankles' coordinates in the world, by name; unit vectors.
+
+    A coordinate grows when the distal segment turns about its axis: the first one of a joint goes
+    with the proximal segment, the last with the distal one, and one between is normal to both.
+
+    Raises:
+        ValueError: when the body is another one.
+    """
+    axes = posed_axes(opensim_axes(body, motion.shape), body, motion)
+    found: dict[str, Float[np.ndarray, "time 3"]] = {}
+    for end in ("r", "l"):
+        for joint in _LEGS[model]:
+            proximal = joint.proximal if joint.proximal in axes else f"{joint.proximal}_{end}"
+            about = [_mirrored_axis(axis) if end == "l" else axis for axis in joint.axes]
+            first = axes[proximal] @ (np.array(about[0]) / np.linalg.norm(about[0]))
+            last = axes[f"{joint.distal}_{end}"] @ (
+                np.array(about[-1]) / np.linalg.norm(about[-1])
+            )
+            middle = np.cross(last, first)
+            middle /= np.linalg.norm(middle, axis=-1, keepdims=True).clip(min=1e-9)
+            three = (first, middle, last) if len(about) == 3 else (first, last)
+            found |= {f"{n}_{end}": axis for n, axis in zip(joint.names, three, strict=False) if n}
+    return found
+
+
 def _mirrored_axis(axis: Axis3) -> Axis3:
     """The axis on the left side about which the same angle makes the mirror image."""
     return (-axis[0], -axis[1], axis[2])

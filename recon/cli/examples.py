@@ -84,7 +84,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": (
         "recon export motion.npz --glb motion.glb",
         "recon export motion.npz --trc motion.trc --markers opencap --mot motion.mot",
-        "recon export motion.npz --forces grf.mot --mass 70 --plates trial.c3d",
+        "recon export motion.npz --forces grf.mot --moments id.sto --mass 70",
     ),
     "register": (
         "recon register left/ right/ --camera lens.npz --frame-rate 30 --out rig",

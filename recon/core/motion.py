@@ -13,8 +13,10 @@ from recon.core.struct import TensorStruct
 
 if TYPE_CHECKING:
     from recon.core.camera import Camera
-else:  # imported for type checkers only: few motions have a camera
+    from recon.core.fingers import Hands
+else:  # imported for type checkers only: few motions have a camera or fingers
     from typing import Any as Camera
+    from typing import Any as Hands
 
 MOTION_FORMAT = 1
 """Version of the layout of motion files."""
@@ -36,6 +38,8 @@ class Motion(TensorStruct):
     """Frames per second."""
     start_time: float = 0.0
     """Time of the first frame, in seconds of the recording's clock."""
+    hands: Hands | None = None
+    """Fingers, where they are known; batches of clips have none."""
 
     @classmethod
     def create(
@@ -79,6 +83,7 @@ class Motion(TensorStruct):
             rotations=self.rotations[..., start:stop, :, :, :],
             valid=self.valid[..., start:stop],
             start_time=self.start_time + start / self.fps,
+            hands=self.hands and self.hands.window(start, stop),
         )
 
     def at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
@@ -113,6 +118,7 @@ class Motion(TensorStruct):
             valid=self.valid[..., before] & exists_after,
             fps=fps,
             start_time=float(times[0]) if len(times) > 0 else start,
+            hands=self.hands and self.hands.between(before, after, fraction),
         )
 
     def carried(
@@ -162,6 +168,7 @@ def padded_batch(motions: list[Motion]) -> Motion:
             translation=m.translation[held],
             rotations=m.rotations[held],
             valid=m.valid[held] & (index < m.frames),
+            hands=None,
         ).map(lambda tensor: tensor[None])
 
     rows = [lengthen(m) for m in motions]

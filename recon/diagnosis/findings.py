@@ -44,6 +44,7 @@ Code = Literal[
     "proposed",  # how limbs began that were not seen
     "preview",  # a network proposed the motion, which no fit has refined
     "unfamiliar",  # the data are far from what a network has learned from
+    "hand",  # points of a hand are of another, mirrored, too few, or not sure in depth
     "stopped",  # the caller ended the fit before it was done
 ]
 """The likeliest cause of a finding."""

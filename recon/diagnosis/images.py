@@ -153,10 +153,19 @@ class Images:
             views=tuple(self.views[v] for v in index),
         )
 
-    def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":
-        """The images with left and right exchanged in some views at some moments."""
+    def exchanged(
+        self,
+        flags: Bool[np.ndarray, "views moments"],
+        order: Int[np.ndarray, " points"] | None = None,
+    ) -> "Images":
+        """The images with names in another order in some views at some moments.
+
+        Args:
+            flags: which views, and when.
+            order: points whose places the points take; default: left and right exchanged.
+        """
         here = flags[..., None]
-        order = self.counterparts
+        order = self.counterparts if order is None else order
         return replace(
             self,
             pixels=np.where(here[..., None], self.pixels[:, :, order], self.pixels),
@@ -249,3 +258,35 @@ def _costs_of_views(
 
     found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
     return found.reports[-1].solution.value.double().numpy()
+
+
+_LONGER = 1.1
+"""Times a bone's length at the body's size that it may be in an image."""
+
+
+def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
+    """Pairs of neighbouring keypoints along a limb, and the keypoint at the limb's root."""
+    chains = [
+        [f"{side}_{part}" for part in limb]
+        for side in ("left", "right")
+        for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+    ]
+    rows = [[*map(images.points.index, chain)] for chain in chains if {*chain} <= {*images.points}]
+    return {(middle, end): root for root, middle, end in rows}
+
+
+def length_saved(
+    images: Images, view: int, pair: tuple[int, int]
+) -> Float[np.ndarray, " moments"]:
+    """By how many metres bones are too long with the given names, less with exchanged ones.
+
+    NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
+    """
+    root = neighbours_on_limbs(images).get(pair)
+    if root is None:
+        return np.zeros(images.pixels.shape[1])
+    there = images.seen[view][:, [root, *pair]].all(-1)
+    length = _LONGER * np.linalg.norm(images.rest[root] - images.rest[pair[0]])
+    ways = images.pixels[view, :, [root]] - images.pixels[view, :, list(pair)]
+    excess = (np.linalg.norm(ways, axis=-1) / images.scale[view] - length).clip(min=0.0)
+    return np.where(there, excess[0] - excess[1], np.nan)

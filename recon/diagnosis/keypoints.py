@@ -32,7 +32,7 @@ from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import plausible
 from recon.diagnosis.rays import Rays, scale_findings
 from recon.diagnosis.rigs import median_miss
-from recon.diagnosis.sides import repaired_pairs, repaired_sides
+from recon.diagnosis.sides import repaired_by_rays, repaired_pairs, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
 _MIN_HELD_MOMENTS = 4
@@ -355,7 +355,8 @@ def screened(images: Images) -> tuple[Images, Findings]:
         images, more = repaired_outliers(images)
         found += more
     names = (
-        all_mirrored, single_view_explained, repaired_names, repaired_sides, repaired_pairs
+        all_mirrored, single_view_explained, repaired_by_rays, repaired_names, repaired_sides,
+        repaired_pairs,
     )  # fmt: skip
     images, more = run_checks(images, names)
     images, grouped_views = checked_together(images)

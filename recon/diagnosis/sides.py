@@ -8,6 +8,7 @@ with exchanged names begins or ends; the bones of the limb show which part is wr
 make one of them longer than it is.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +16,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from recon.core.hands import facing_agreement
-from recon.diagnosis.findings import Finding, Findings, spans, stretches
-from recon.diagnosis.images import Images
+from recon.diagnosis.findings import Finding, Findings, listed, spans, stretches
+from recon.diagnosis.images import Images, length_saved, neighbours_on_limbs
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
 
@@ -120,40 +121,75 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
         for number in range(2 ** len(free))
     ])  # fmt: skip
-    here = np.stack([_misfit_per_frame(images, state) for state in states], -1)
-    stay, change = _costs_of_steps(images)
-    differ = states[:, None] ^ states
-    between = np.where(differ, (change + _CHANGE).T[:, None, None], stay.T[:, None, None]).sum(-1)
-    path = cheapest_path(torch.from_numpy(here)[None], torch.from_numpy(between[1:]))[0].numpy()
-
-    def cost(path: Int[np.ndarray, " moments"]) -> float:
-        steps = between[np.arange(1, len(path)), path[:-1], path[1:]]
-        return float(here[np.arange(len(path)), path].sum() + steps.sum())
-
-    return states[path if cost(0 * path) - cost(path) >= _MIN_SAVED_COST else 0 * path].T
+    met = [_met_under(images, state, images.counterparts) for state in states]
+    here = _costs_of_moments(met, states, images.sided[None])
+    if views > 1:
+        facing = [facing_agreement(images.points, points, exists) for points, exists, _ in met]
+        here -= _BACKWARDS_COST * np.stack(facing, -1)
+    between = _costs_of_changes(images, states, images.counterparts, images.sided[None])
+    return states[_cheapest_paths(here, between)[0]].T
 
 
-def _misfit_per_frame(
-    images: Images, exchanged: Bool[np.ndarray, " views"]
-) -> Float[np.ndarray, " moments"]:
-    """Misfit between the views in every frame when some of them have exchanged names."""
+def _met_under(
+    images: Images, exchanged: Bool[np.ndarray, " views"], order: Int[np.ndarray, " points"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points where rays meet when some views have names in another order, and a mask of them.
+
+    With the costs, (moments, points), of how far rays miss them; nothing where one view is all.
+    """
     moments = images.confidence.shape[1]
-    cost = np.full(moments, _EXCHANGED * exchanged.sum())
-    if len(exchanged) < 2:
-        return cost
-    named = images.exchanged(np.repeat(exchanged[:, None], moments, 1))
+    named = images.exchanged(np.repeat(exchanged[:, None], moments, 1), order)
     rays = Rays.of(named)
     points, exists = rays.triangulated()
     miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
     counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
-    cost += counted[:, named.sided].sum(-1)
-    return cost - _BACKWARDS_COST * facing_agreement(images.points, points, exists)
+    return points, exists, counted * (len(exchanged) > 1)
 
 
-def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
-    """Costs, per frame, of continuing with the same names and with exchanged names.
+def _costs_of_moments(
+    met: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    states: Bool[np.ndarray, "states views"],
+    groups: Bool[np.ndarray, "groups points"],
+) -> Float[np.ndarray, "groups moments states"]:
+    miss = np.stack([groups @ counted.T for *_, counted in met], -1)
+    return miss + _EXCHANGED * states.sum(-1)
 
-    Both (views, moments); the first moment has no cost. Points go on as they went before.
+
+def _costs_of_changes(
+    images: Images,
+    states: Bool[np.ndarray, "states views"],
+    order: Int[np.ndarray, " points"],
+    groups: Bool[np.ndarray, "groups points"],
+) -> Float[np.ndarray, "groups moments states states"]:
+    """Costs of going from one state of the frame before to one of this; 0 in the first frame."""
+    stay, change = (cost @ groups.T for cost in _costs_of_steps(images, order))
+    differ = (states[:, None] ^ states).astype(float)
+    more = np.einsum("abv,vtg->gtab", differ, change + _CHANGE - stay)
+    return stay.sum(0).T[..., None, None] + more
+
+
+def _cheapest_paths(
+    here: Float[np.ndarray, "groups moments states"],
+    between: Float[np.ndarray, "groups moments states states"],
+) -> Int[np.ndarray, "groups moments"]:
+    """The states that cost least; the first one in all frames unless that saves enough."""
+    paths = cheapest_path(torch.from_numpy(here), torch.from_numpy(between[:, 1:])).numpy()
+
+    def cost(paths: Int[np.ndarray, "groups moments"]) -> Float[np.ndarray, " groups"]:
+        group, moment = np.ogrid[: len(paths), : paths.shape[1]]
+        steps = between[group, moment[:, 1:], paths[:, :-1], paths[:, 1:]].sum(1)
+        return here[group, moment, paths].sum(1) + steps
+
+    saves = cost(0 * paths) - cost(paths) >= _MIN_SAVED_COST
+    return np.where(saves[:, None], paths, 0)
+
+
+def _costs_of_steps(
+    images: Images, order: Int[np.ndarray, " points"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Costs, per frame, of continuing with the same names and with names in another order.
+
+    Both (views, moments, points); the first moment has no cost. Points go on as they went before.
     """
     before, known = _extrapolated(images)
     away = np.linalg.norm(images.pixels - before, axis=-1) / images.scale[..., None]
@@ -166,10 +202,9 @@ def _costs_of_steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
         away = (images.pixels - there) / images.scale[..., None, None]
         squared = np.square(away / typical[:, None, None, None]).sum(-1)
         both = images.seen & known
-        counted = both & both[:, :, images.counterparts] & images.sided
-        return np.minimum(squared, _MAX_SQUARED_STDS).sum(-1, where=counted)
+        counted = both & both[:, :, order] & (order != np.arange(len(order)))
+        return np.where(counted, np.minimum(squared, _MAX_SQUARED_STDS), 0.0)
 
-    order = images.counterparts
     return cost(before, known), cost(before[:, :, order], known[:, :, order])
 
 
@@ -196,8 +231,6 @@ _USUAL = 5.0
 """Multiple of the usual distance from their paths by which both keypoints must leave them."""
 _FEW = 0.35
 """Share of the keypoints that may leave their paths at that moment; more is the whole body."""
-_LONGER = 1.1
-"""Times a bone's length at the body's size that it may be in an image."""
 _STRETCHED = 0.03
 """Metres by which bones of a limb are on average too long when two of its ends are exchanged
 throughout; in good windows of validation people exchanging never saves that."""
@@ -212,36 +245,97 @@ class ExchangedPair:
     first: int
     last: int
     distance: float
-    """Metres by which both jumped, or by which bones were too long."""
+    """Metres by which both jumped, bones were too long or rays missed each other."""
+
+
+def repaired_by_rays(images: Images) -> tuple[Images, Findings]:
+    """The images with names of pairs exchanged back in views, and the findings."""
+    return _repaired(images, {"rays of the views meet only then": exchanged_between_views})
 
 
 def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """The images with the names of keypoint pairs exchanged back, and the findings."""
-    found: list[Finding] = []
-    for find in (exchanged_for_a_while, exchanged_throughout):
-        for one in find(images):
-            pixels, confidence = images.pixels.copy(), images.confidence.copy()
-            when, both = slice(one.first, one.last + 1), list(one.points)
-            for values in (pixels, confidence):
-                values[one.view, when, both] = values[one.view, when, both[::-1]]
-            images = replace(images, pixels=pixels, confidence=confidence)
-            found.append(_pair_finding(images, one))
-    return images, Findings(tuple(found))
+    """The images with names of pairs exchanged back that single views tell, and the findings."""
+    jumps, bones = "they jump onto each other's path", "they stretch the limb"
+    return _repaired(images, {jumps: exchanged_for_a_while, bones: exchanged_throughout})
 
 
-def _pair_finding(images: Images, one: ExchangedPair) -> Finding:
-    a, b = (images.points[k] for k in one.points)
-    throughout = one.first == 0 and one.last == images.pixels.shape[1] - 1
-    frames = () if throughout else ((one.first, one.last),)
+def _repaired(
+    images: Images, checks: Mapping[str, Callable[[Images], list[ExchangedPair]]]
+) -> tuple[Images, Findings]:
+    said: dict[tuple[str, int, int, int], list[ExchangedPair]] = {}
+    for why, find in checks.items():
+        found = find(images)
+        images = _exchanged_back(images, found)
+        for one in found:
+            said.setdefault((why, one.view, one.first, one.last), []).append(one)
+    return images, Findings(tuple(_pair_finding(images, *key, own) for key, own in said.items()))
+
+
+def _exchanged_back(images: Images, found: Sequence[ExchangedPair]) -> Images:
+    pixels, confidence = images.pixels.copy(), images.confidence.copy()
+    for one in found:
+        when, both = slice(one.first, one.last + 1), [*one.points]
+        for values in (pixels, confidence):
+            values[one.view, when, both] = values[one.view, when, both[::-1]]
+    return replace(images, pixels=pixels, confidence=confidence)
+
+
+def _pair_finding(
+    images: Images, why: str, view: int, first: int, last: int, pairs: list[ExchangedPair]
+) -> Finding:
+    names = tuple(images.points[k] for one in pairs for k in one.points)
+    throughout = first == 0 and last == images.pixels.shape[1] - 1
+    frames = () if throughout else ((first, last),)
     when = "throughout" if throughout else f"in {spans(frames)}"
     return Finding(
         "points exchanged",
-        f"{a} and {b} carry each other's name {when}, as they jump onto each other's path or "
-        "stretch the limb; they were given back their names",
-        (a, b),
+        f"{listed(names)} have each other's name {when}, as {why}; names were exchanged back",
+        names,
         frames,
-        one.distance,
-    ).of(images.names[one.view])
+        max(one.distance for one in pairs),
+    ).of(images.names[view])
+
+
+def exchanged_between_views(images: Images) -> list[ExchangedPair]:
+    """Pairs of keypoints of a view whose rays meet others only under exchanged names.
+
+    Left and right, or neighbours along a limb. Where nothing in a view speaks for its sides,
+    `repaired_sides` decides. Rays do not tell which of two views is wrong: the one whose points
+    jump is; else the body shall face where it is in front, and `repaired_names` looks at bones.
+    """
+    if (views := len(images.names)) < 2 or (moments := images.confidence.shape[1]) == 0:
+        return []
+    states = np.eye(views + 1, views, -1, dtype=bool)
+    order = np.arange(len(images.points))
+    halves = [[*neighbours_on_limbs(images)][k::2] for k in (0, 1)]
+    sides = [(a, b) for a, b in enumerate(images.counterparts.tolist()) if a < b]
+    found: list[ExchangedPair] = []
+    for pairs in filter(None, (sides, *halves)):
+        turned, own = order.copy(), np.array(pairs)
+        turned[own], groups = own[:, ::-1], np.isin(order, own) & (order == own[:, :1])
+        groups[np.arange(len(own)), own[:, 1]] = True
+        met = [_met_under(images, state, turned) for state in states]
+        here = _costs_of_moments(met, states, groups)
+        paths = _cheapest_paths(here, _costs_of_changes(images, states, turned, groups))
+        for pair, path, cost in zip(pairs, paths, here, strict=True):
+            for v in range(views):
+                for first, last in stretches(path == v + 1):
+                    when = slice(first, last + 1)
+                    against = (here[:, when, 0] - here[:, when, v + 1]).sum(1).min()
+                    meet = cost[when, v + 1].mean() <= 2 * views * (_MEET / _MISS) ** 2
+                    if meet and (pairs is not sides or against < -_MIN_SAVED_COST):
+                        away = np.sqrt(cost[when, 0].mean() / (2 * views)) * _MISS
+                        found.append(ExchangedPair(v, pair, first, last, float(away)))
+    always = [one for one in found if (one.first, one.last) == (0, moments - 1)]
+    if views == 2 and always:
+        other = [replace(one, view=1 - one.view) if one in always else one for one in found]
+
+        def facing(some: list[ExchangedPair]) -> float:
+            met = Rays.of(_exchanged_back(images, some)).triangulated()
+            return float(facing_agreement(images.points, *met).mean())
+
+        found = max(found, other, key=facing)
+    return found
 
 
 def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
@@ -256,7 +350,7 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
             exchanged = np.zeros(images.pixels.shape[1], dtype=bool)
             for t in jumps:
                 exchanged[t:] ^= True
-            saved = np.nan_to_num(_saved_length(images, v, pair))
+            saved = np.nan_to_num(length_saved(images, v, pair))
             inside, outside = saved[exchanged].sum(), saved[~exchanged].sum()
             if outside > inside or (outside == inside and exchanged.mean() > 0.5):
                 exchanged = ~exchanged
@@ -270,8 +364,8 @@ def exchanged_throughout(images: Images) -> list[ExchangedPair]:
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):
-        for pair in _neighbours(images):
-            saved = _saved_length(images, v, pair)
+        for pair in neighbours_on_limbs(images):
+            saved = length_saved(images, v, pair)
             known = saved[np.isfinite(saved)]
             if known.size and (mean := float(known.mean())) > _STRETCHED:
                 found.append(ExchangedPair(v, pair, 0, last, mean))
@@ -304,31 +398,3 @@ def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], d
                     continue
             found.setdefault((int(both[0]), int(both[1])), {})[t] = away
     return found
-
-
-def _neighbours(images: Images) -> dict[tuple[int, int], int]:
-    """Pairs of neighbouring keypoints along a limb, and the keypoint at the limb's root."""
-    chains = [
-        [f"{side}_{part}" for part in limb]
-        for side in ("left", "right")
-        for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-    ]
-    rows = [[*map(images.points.index, chain)] for chain in chains if {*chain} <= {*images.points}]
-    return {(middle, end): root for root, middle, end in rows}
-
-
-def _saved_length(
-    images: Images, view: int, pair: tuple[int, int]
-) -> Float[np.ndarray, " moments"]:
-    """By how many metres bones are too long with the given names, less with exchanged ones.
-
-    NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
-    """
-    root = _neighbours(images).get(pair)
-    if root is None:
-        return np.zeros(images.pixels.shape[1])
-    there = images.seen[view][:, [root, *pair]].all(-1)
-    length = _LONGER * np.linalg.norm(images.rest[root] - images.rest[pair[0]])
-    ways = images.pixels[view, :, [root]] - images.pixels[view, :, list(pair)]
-    excess = (np.linalg.norm(ways, axis=-1) / images.scale[view] - length).clip(min=0.0)
-    return np.where(there, excess[0] - excess[1], np.nan)

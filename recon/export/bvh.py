@@ -1,6 +1,7 @@
 """Writes recordings and motions as BVH."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +24,8 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     The tip of a bone, `<joint>_end`, is the vertex of its skin that is farthest from the joint:
     the crown, the toes, the fingertips.
     """
+    if motion.hands is not None:
+        return _with_fingers(motion, body, name)
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
@@ -40,6 +43,33 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
         fps=motion.fps,
         decisions=(),
     )
+
+
+def _with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
+    """As `skeleton_of`; fingers end in their tips, and wrists no more in one."""
+    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
+    from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
+
+    alone = skeleton_of(motion.replace(hands=None), body, name)
+    count, joints = len(JOINTS), len(HAND_JOINTS)
+    wrists = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
+    ends = [k for k in range(count, len(alone.parents)) if alone.parents[k] not in wrists]
+    places, turns = (one.detach().double().cpu().numpy() for one in pose_fingers(motion, body))
+    offsets = finger_offsets(motion, body).detach().double().cpu().numpy()
+    tips = np.array(HAND_PARENTS[joints:]) - count
+    names = [*HAND_JOINTS, *(f"{HAND_JOINTS[k]}_end" for k in tips)]
+
+    def joined(of_body: np.ndarray, of_fingers: np.ndarray, axis: int) -> np.ndarray:
+        kept = (np.take(of_body, range(count), axis), of_fingers, np.take(of_body, ends, axis))
+        return np.concatenate(kept, axis)
+
+    return replace(
+        alone, joint_names=(*JOINTS, *names, *(alone.joint_names[k] for k in ends)),
+        parents=(*PARENTS, *HAND_PARENTS, *(alone.parents[k] for k in ends)),
+        rest_offsets=joined(alone.rest_offsets, offsets, 0),
+        positions=joined(alone.positions, places, 1),
+        orientations=joined(alone.orientations, np.concatenate((turns, turns[:, tips]), 1), 1),
+    )  # fmt: skip
 
 
 def _end_of_bone(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:

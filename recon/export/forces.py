@@ -10,12 +10,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.body.opensim import OpenSimModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion, MotionFile
 from recon.core.units import to_z_up
 from recon.export.tables import write_storage
 from recon.mocap.force_plates import read_force_plates
 from recon.physics.forces import GroundForces, ground_forces
+from recon.physics.moments import joint_moments
 from recon.physics.plates import MeasuredForces, forces_under_feet
 
 ENDINGS = (".mot", ".sto", ".csv")
@@ -92,6 +94,23 @@ def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
             columns |= _axes(f"plate_centre_{end}_", torch.from_numpy(plates.centre[:, side]))
             columns[f"plate_known_{end}"] = plates.known[:, side].astype(float)
     write_storage(path, "Ground reaction forces", motion, columns)
+
+
+def write_moments(
+    path: Path, motion: Motion, body: BodyModel, loads: Loads, model: OpenSimModel
+) -> None:
+    """Write moments of the legs' joints as OpenSim's inverse dynamics names them, newton metres.
+
+    `hip_flexion_r_moment` has its standard deviation in `hip_flexion_r_std`; `plate_known_r` is 1
+    where a plate measured the force on that foot, and 0 where it is estimated.
+    """
+    found = joint_moments(motion, body, loads.estimated, loads.measured, model)
+    columns = {f"{name}_moment": values for name, values in found.moments.items()}
+    columns |= {f"{name}_std": values for name, values in found.std.items()}
+    columns |= {
+        f"plate_known_{end}": found.measured[:, k] * 1.0 for k, end in ((1, "r"), (0, "l"))
+    }
+    write_storage(path, "Inverse Dynamics Generalized Forces", motion, columns)
 
 
 def _axes(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:

@@ -11,8 +11,7 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
-from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
+from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 
 INFLUENCES = 4
@@ -30,25 +29,23 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
         ReconError: when the motion has a batch axis.
     """
     motion = one_clip(motion)
-    rest = body.rest_joints(motion.shape).detach()
-    file = _Buffer()
-    mesh = file.mesh(body.rest_vertices(motion.shape).detach(), body)
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
-    inverse[:, :3, 3] = -_array(rest)
-    matrices = file.add(inverse.transpose(0, 2, 1).reshape(-1, 16), gltf.FLOAT, gltf.MAT4)
-    animation = file.animation(motion, rest)
-    offsets = rest_offsets(_array(rest))
+    skeleton, file = Skeleton.of(motion, body), _Buffer()
+    mesh = file.mesh(body.rest_vertices(motion.shape).detach(), body, skeleton)
+    inverse = skeleton.binds.transpose(0, 2, 1).reshape(-1, 16)
+    matrices = file.add(inverse, gltf.FLOAT, gltf.MAT4)
+    animation = file.animation(motion, skeleton)
+    count = len(skeleton.names)
     nodes = [
         gltf.Node(
             name=name,
-            translation=offsets[j].tolist(),
-            children=[c for c, p in enumerate(PARENTS) if p == j] or None,
+            translation=skeleton.offsets[j].tolist(),
+            children=[c for c, p in enumerate(skeleton.parents) if p == j] or None,
         )
-        for j, name in enumerate(JOINTS)
+        for j, name in enumerate(skeleton.names)
     ]
     nodes.append(gltf.Node(name="body", mesh=0, skin=0))
     nodes.append(gltf.Node(name="z_up", rotation=[-_HALF, 0.0, 0.0, _HALF], children=[0]))
-    skin = gltf.Skin(joints=list(range(len(JOINTS))), inverseBindMatrices=matrices, skeleton=0)
+    skin = gltf.Skin(joints=list(range(count)), inverseBindMatrices=matrices, skeleton=0)
     paint = gltf.PbrMetallicRoughness(
         baseColorFactor=[0.55, 0.65, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
     )
@@ -58,7 +55,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
         ),
         scene=0,
         # a skinned mesh must be a root node, since only its joints move it
-        scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],
+        scenes=[gltf.Scene(nodes=[count, count + 1])],
         nodes=nodes,
         meshes=[mesh],
         skins=[skin],
@@ -104,9 +101,11 @@ class _Buffer:
         )
         return len(self.accessors) - 1
 
-    def mesh(self, vertices: Float[Tensor, "vertices 3"], body: BodyModel) -> Any:
+    def mesh(
+        self, vertices: Float[Tensor, "vertices 3"], body: BodyModel, skeleton: Skeleton
+    ) -> Any:
         """Append the body at rest with its skinning weights as a mesh."""
-        weights, joints = influences(body, INFLUENCES)
+        weights, joints = influences(skeleton.weights, INFLUENCES)
         normals = _array(tensor_normals(vertices.double(), body.faces))
         attributes = gltf.Attributes(
             POSITION=self.add(_array(vertices), gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
@@ -123,13 +122,14 @@ class _Buffer:
             primitives=[gltf.Primitive(attributes=attributes, indices=indices, material=0)],
         )
 
-    def animation(self, motion: Motion, rest: Float[Tensor, "22 3"]) -> Any:
+    def animation(self, motion: Motion, skeleton: Skeleton) -> Any:
         """Append an animation of all joints' rotations and the pelvis' path."""
         times = (np.arange(motion.frames) / motion.fps).astype(np.float32)
         clock = self.add(times, gltf.FLOAT, gltf.SCALAR)
-        turns = _array(quaternions(motion.rotations.double()))
-        tracks = [(0, "translation", _array(motion.translation + rest[0]), gltf.VEC3)]
-        tracks += [(j, "rotation", turns[:, j], gltf.VEC4) for j in range(len(JOINTS))]
+        turns = _array(quaternions(skeleton.rotations.double()))
+        places = _array(motion.translation) + skeleton.offsets[0]
+        tracks = [(0, "translation", places, gltf.VEC3)]
+        tracks += [(j, "rotation", turns[:, j], gltf.VEC4) for j in range(turns.shape[1])]
         samplers, channels = [], []
         for node, property_, values, kind in tracks:
             output = self.add(values, gltf.FLOAT, kind)

@@ -10,7 +10,7 @@ from recon.body.motion_files import load_motion_of
 from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
-from recon.export.forces import Loads, check_ending, loads_of, write_forces
+from recon.export.forces import Loads, check_ending, loads_of, write_forces, write_moments
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
 from recon.export.tables import markers_of, write_angles, write_mot
@@ -44,6 +44,7 @@ def export_file(
     trc: Path | None = None,
     mot: Path | None = None,
     forces: Path | None = None,
+    moments: Path | None = None,
     angles: Path | None = None,
     joints: Path | None = None,
     robot: Path | None = None,
@@ -72,6 +73,9 @@ def export_file(
         mot: coordinates of an OpenSim model, degrees and metres.
         forces: estimated forces of the ground on the feet and their centres of pressure, with
             standard deviations, as OpenSim's external loads (.mot, .sto) or CSV; N, m, y up.
+        moments: moments of hips, knees and ankles by inverse dynamics, in the coordinates of
+            --model, with standard deviations (.mot, .sto, .csv); from plates where they measured,
+            else from estimated forces: a column says which.
         angles: joint angles after the ISB as CSV, degrees.
         joints: positions of the 22 joints as CSV, metres, with their standard deviations.
         robot: SMPL-X .npz for GMR and like loaders, 30 Hz, soles on z = 0; needs --smplx.
@@ -80,10 +84,10 @@ def export_file(
         html: self-contained page, as `recon view` writes.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
             markers, Plug-in Gait or the 105 markers of BSM (SKEL).
-        model: whose coordinates --mot has.
-        mass: kg, for --forces; default: that of the body's shape.
-        plates: C3D file of the motion's recording, whose force plates are written beside --forces
-            and compared with it.
+        model: whose coordinates --mot and --moments have.
+        mass: kg, for --forces and --moments; default: that of the body's shape.
+        plates: C3D file of the motion's recording, whose force plates are written beside --forces,
+            compared with it, and taken for --moments.
         unit: of --trc.
         up: axis that points up in --trc; y is OpenSim's.
         smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
@@ -100,15 +104,19 @@ def export_file(
     """
     targets = {
         "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles,
-        "forces": forces, "joints": joints, "robot": robot, "smpl": smpl, "html": html,
+        "forces": forces, "moments": moments,
+        "joints": joints, "robot": robot, "smpl": smpl, "html": html,
     }  # fmt: skip
     if ply is None and all(target is None for target in targets.values()):
         options = ", ".join(f"--{name}" for name in targets)
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
     of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
     _refuse_alone(of_trc, trc, "trc")
-    _refuse_alone({"mass": mass is not None, "plates": plates is not None}, forces, "forces")
+    _refuse_alone(
+        {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
+    )
     check_ending("forces", forces)
+    check_ending("moments", moments)
     if (robot is None) != (smplx is None):
         raise ReconError(
             "--robot and --smplx go together: the first is the file to write, the second the "
@@ -124,7 +132,7 @@ def export_file(
     file = load_motion_of(motion, own)
     moved, name = file.motion, motion.stem
 
-    loads = None if forces is None else loads_of(file, own, mass, plates)
+    loads = loads_of(file, own, mass, plates) if forces or moments else None
 
     def write_markers(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
@@ -142,6 +150,11 @@ def export_file(
             forces,
             OutputKind.FILE,
             lambda path: write_forces(path, moved, cast(Loads, loads)),
+        ),
+        (
+            moments,
+            OutputKind.FILE,
+            lambda path: write_moments(path, moved, own, cast(Loads, loads), model),
         ),
         (angles, OutputKind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (

@@ -1,5 +1,7 @@
 """Skeleton, skinning weights and quaternions of a motion, for all exporters."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -9,7 +11,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.core.skeleton import PARENTS
+from recon.core.skeleton import JOINTS, PARENTS
 
 
 def one_clip(motion: Motion) -> Motion:
@@ -29,16 +31,55 @@ def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
     return rest - np.where(root, rest.dtype.type(0), rest[list(PARENTS)])
 
 
+@dataclass(frozen=True)
+class Skeleton:
+    """The joints of a motion for a file: 22 of the body, and 30 of fingers where it has any."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """-1 for the root."""
+    offsets: Float[np.ndarray, "joints 3"]
+    """From the parent in the rest pose, metres; of the root, from the origin."""
+    rotations: Float[Tensor, "time joints 3 3"]
+    """Relative to the parent."""
+    weights: Float[Tensor, "vertices joints"]
+    """Of the skin."""
+    binds: Float[np.ndarray, "joints 4 4"]
+    """From the unposed skin to the frame of every joint at rest."""
+
+    @classmethod
+    def of(cls, motion: Motion, body: BodyModel) -> "Skeleton":
+        """The skeleton of one clip; the rest pose of fingers is flat, that of the skin relaxed."""
+        rest = body.rest_joints(motion.shape).detach().float().numpy()
+        binds = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
+        binds[:, :3, 3] = -rest
+        offsets = rest_offsets(rest)
+        if motion.hands is None:
+            return cls(JOINTS, PARENTS, offsets, motion.rotations, body.weights, binds)
+        from recon.body.hands import finger_offsets, finger_skin  # few motions have fingers
+        from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
+
+        count = len(HAND_JOINTS)
+        weights, fingers = finger_skin(motion, body)
+        ways = finger_offsets(motion, body)[:count].detach().float().numpy()
+        return cls(
+            (*JOINTS, *HAND_JOINTS), (*PARENTS, *HAND_PARENTS[:count]),
+            np.concatenate((offsets, ways)),
+            torch.cat((motion.rotations, motion.hands.rotations), 1),
+            weights, np.concatenate((binds, fingers.numpy())),
+        )  # fmt: skip
+
+
 def influences(
-    body: BodyModel, most: int | None = None
+    weights: Float[Tensor, "vertices joints"], most: int | None = None
 ) -> tuple[Float[np.ndarray, "vertices some"], Int[np.ndarray, "vertices some"]]:
     """The largest skinning weights of every vertex, scaled to sum to one, and their joints.
 
     Args:
-        body: whose skin it is.
+        weights: of the skin.
         most: weights of a vertex; None takes as many as the vertex with the most has.
     """
-    weights, joints = body.weights.double().cpu().sort(dim=-1, descending=True, stable=True)
+    weights, joints = weights.double().cpu().sort(dim=-1, descending=True, stable=True)
     count = int((weights > 0).sum(-1).max()) if most is None else most
     weights, joints = weights[:, :count], joints[:, :count]
     weights = weights / weights.sum(-1, keepdim=True)

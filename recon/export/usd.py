@@ -128,7 +128,7 @@ def _write_skin(
     mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([pxr.Gf.Vec3f(*_COLOUR)])
     mesh.CreateExtentAttr(_bounding_box(pxr, vertices))
-    weights, joints = influences(body)
+    weights, joints = influences(body.weights)
     count = weights.shape[1]
     binding = pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])

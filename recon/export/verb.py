@@ -9,8 +9,8 @@ export = command_function(
         "recon.export.motion:export_file",
         (
             Place("glb"), Place("usd"), Place("bvh"), Place("trc"), Place("mot"),
-            Place("forces"), Place("angles"), Place("joints"), Place("robot"), Place("smpl"),
-            Place("ply", folder_output), Place("html"),
+            Place("forces"), Place("moments"), Place("angles"), Place("joints"), Place("robot"),
+            Place("smpl"), Place("ply", folder_output), Place("html"),
         ),
     ),
 )  # fmt: skip

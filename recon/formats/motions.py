@@ -1,7 +1,7 @@
 """Reads and writes motions as AMASS .npz files with arrays that recon adds.
 
-Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22 (hands, jaw,
-eyes), which are left out; a file may give `root_orient` and `pose_body` instead.
+Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22, of which
+fingers are kept; a file may give `root_orient`, `pose_body` and `pose_hand` instead.
 """
 
 from dataclasses import fields
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _GENDERS = ("neutral", "male", "female")
-
-
 _EXTRA = {
     "joints": ("time", 22, 3),
     "contacts": ("time", 22),
@@ -63,6 +61,8 @@ _RANGES: dict[str, Limit] = {
     "observed": limits.PROBABILITY,
 }
 """Plausible ranges of the arrays that hold one quantity each."""
+_FINGERS = (156, 165)
+"""Columns of `poses` where it has those of fingers."""
 _UNIT_NORMAL = 0.01
 """How far the length of the ground's normal may be from one."""
 
@@ -130,11 +130,15 @@ def motion_from(
     fps = snapped_rate(_scalar(path, numeric, rate, 0.0, limits.FRAME_RATE))
     motion = Motion.create(
         translation=torch.from_numpy(translation).to(dtype),
-        rotations=so3.exp(torch.from_numpy(poses).double()).to(dtype),
+        rotations=so3.exp(torch.from_numpy(poses[:, :66].reshape(-1, 22, 3))).to(dtype),
         shape=torch.from_numpy(_betas(path, numeric)).to(dtype),
         fps=fps,
         start_time=_scalar(path, numeric, "start_time", 0.0, limits.TIME),
     )
+    if "pose_hand" in numeric or poses.shape[1] in _FINGERS:
+        from recon.core.fingers import hands_of_arrays  # few motions have fingers
+
+        motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
     gender = _text(arrays, "gender", "neutral").lower()
     extra = {
         key: _tensor(_array(path, numeric, key, shape, time=len(poses)), dtype)
@@ -191,6 +195,9 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
         "body_checksum": np.array(file.checksum or ""),
         "format_version": np.array(file.format_version),
     }
+    if motion.hands is not None:
+        arrays |= (hands := motion.hands.window(0, frames).arrays())
+        arrays["poses"] = np.concatenate((arrays["poses"], hands["pose_hand"]), -1)
     for key, shape in _EXTRA.items():
         value: Tensor | None = getattr(file, key)
         if value is not None:
@@ -285,7 +292,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             f"{poses.shape}"
         )
     _check_finite(path, "poses", poses)
-    return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
+    return poses.astype(np.float64)
 
 
 def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:

@@ -63,6 +63,8 @@ class PositionsFile(_File):
     """Whether z points up; false in the frame of a camera that may be tilted."""
     placed: bool = True
     """Whether positions are places in the world; false where they are relative to the body."""
+    fingers: Float[np.ndarray, "time 42 4"] | None = None
+    """Position and confidence of the points of hands (`recon.core.fingers.FINGER_POINTS`)."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,14 @@ def _positions_file(
         limits.POINT_DEVIATION.check(std * metres, arrays.path, "std", seen=visible)
         std = np.where(visible, std, 0.0)
     names = arrays.checked("names", visible.shape[1:], "US")
+    fingers = arrays.optional("fingers", (len(visible), 42, 4))
+    if fingers is not None:
+        limits.POSITION.check(
+            fingers[..., :3] * metres, arrays.path, "fingers", seen=fingers[..., 3] > 0
+        )
+        fingers[..., :3] = fingers[..., :3] @ arrays.rotation_to_z_up().T
     return PositionsFile(
+        fingers=fingers,
         kind=kind,
         positions=np.where(visible[..., None], positions @ arrays.rotation_to_z_up().T, 0.0),
         visible=visible,

@@ -2,10 +2,15 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from recon.core.fingers import FINGER_POINTS
 from recon.core.layouts import JOINT, LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.detections.tables import plain_part_name
+from recon.keypoints3d.records import Points3D
 
 _PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")
 _ABBREVIATED = re.compile(
@@ -40,6 +45,63 @@ _MOST = 0.6
 _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
     f"{joint}{JOINT}" for joint in JOINTS
 }
+
+
+def fingers_apart(points: Points3D) -> tuple[Points3D, Points3D | None]:
+    """The points without those of hands, and 42 of hands, NaN where a file has none or no such."""
+    meant = [_point_of_hand(name) for name in points.names]
+    rows = {one: k for k, one in enumerate(meant) if one is not None and one not in meant[:k]}
+    if len(rows) < _FEWEST:
+        return points, None
+    hands = np.full((len(points.positions), len(FINGER_POINTS), 3), np.nan)
+    for name, k in rows.items():
+        hands[:, FINGER_POINTS.index(name)] = points.positions[:, k]
+    kept = [k for k, one in enumerate(meant) if one is None]
+    body = replace(
+        points, names=tuple(points.names[k] for k in kept), positions=points.positions[:, kept],
+        decisions=(*points.decisions, f"{len(rows)} points of hands, which fingers are fitted to"),
+    )  # fmt: skip
+    return body, replace(points, names=FINGER_POINTS, positions=hands)
+
+
+def _point_of_hand(label: str) -> str | None:
+    """The point of a hand that a label means: left_index2, LIndexPIP, RIGHT_HAND_THUMB_CMC, ...
+
+    Joints of the thumb from the wrist on are cmc, mcp and ip, or metacarpal, proximal and distal
+    (OpenXR); those of fingers mcp, pip and dip, or proximal, intermediate and distal.
+    """
+    word = re.sub(
+        r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", label.rsplit(":", 1)[-1]
+    )
+    word = re.sub(r"[^a-z0-9]+", "_", word.lower()).strip("_")
+    word = re.sub(r"(?<=[a-z])([123])$", r"_\1", word)
+    if word.endswith(("left_hand_wrist", "right_hand_wrist")):
+        return word
+    if (found := _OF_HAND.match(word)) is None:
+        return None
+    side, finger, place = found.groups()
+    side = "left" if side.startswith("l") else "right"
+    finger = "pinky" if finger in ("little", "small") else finger
+    number = _PLACES_OF_THUMB.get(place, 0) if finger == "thumb" else _PLACES.get(place, 0)
+    if place == "tip":
+        return f"{side}_{finger}_tip"
+    return f"{side}_{finger}{number}" if number else None
+
+
+_FEWEST = 6
+"""Points of hands, fewer of which are no fingers: some skeletons have the tips of thumbs."""
+_OF_HAND = re.compile(
+    r"^(left|right|l|r)_(?:hand_)?(thumb|index|middle|ring|pinky|little|small)_(?:finger_)?"
+    r"(?:phalanx_)?([a-z]+|[123])(?:_joint)?$"
+)
+_PLACES = {
+    "mcp": 1, "pip": 2, "dip": 3, "proximal": 1, "intermediate": 2, "distal": 3,
+    "1": 1, "2": 2, "3": 3,
+}  # fmt: skip
+_PLACES_OF_THUMB = {
+    "cmc": 1, "mcp": 2, "ip": 3, "metacarpal": 1, "proximal": 2, "distal": 3,
+    "1": 1, "2": 2, "3": 3,
+}  # fmt: skip
 
 
 def meant_keypoints(labels: Sequence[str]) -> list[str | None]:

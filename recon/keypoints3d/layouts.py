@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
+from recon.core.fingers import FINGER_POINTS
 from recon.core.layouts import LAYOUTS, left_right_pairs
 from recon.keypoints3d.records import Points3D
 
 
 def _hand_keypoints(side: str) -> tuple[str, ...]:
     fingers = ("thumb", "index", "middle", "ring", "pinky")
-    places = ("tip", "first_joint", "second_joint", "third_joint")
-    return tuple(f"{side}_{one}_{place}" for one in fingers for place in places)
+    return tuple(f"{side}_{one}{place}" for one in fingers for place in ("_tip", "3", "2", "1"))
 
 
 _FOOT = ("big_toe", "small_toe", "heel")
@@ -19,7 +19,7 @@ MHR70 = (
     *_hand_keypoints("right"), "right_wrist", *_hand_keypoints("left"), "left_wrist",
     *left_right_pairs("olecranon", "cubital_fossa", "acromion"), "neck",
 )  # fmt: skip
-"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); fingers are kept and not fitted."""
+"""Names of the keypoints (sam_3d_body/metadata/mhr70.py); of a finger first the tip."""
 ZED38 = (
     "pelvis", "spine_1", "spine_2", "spine_3", "neck", "nose",
     *left_right_pairs(
@@ -30,20 +30,26 @@ ZED38 = (
 """Names of `sl.BODY_38_PARTS` of Stereolabs' ZED SDK."""
 _COCO18 = tuple(LAYOUTS["openpose25"][k] for k in (*range(8), *range(9, 19)))
 _LABELS = {18: _COCO18, 38: ZED38, 70: MHR70}
-_BODIES = {133: 23, 136: 26}
-"""Points at the head of COCO-WholeBody and HALPE with faces and hands that are the body's."""
+_WHOLE = {133: ("coco133", 91), 136: ("halpe26", 94), 75: ("mediapipe33", 33)}
+"""Layout at the head of COCO-WholeBody, HALPE with faces and hands, and MediaPipe with hands, and
+the place from which on the 21 points of the left and of the right hand follow."""
 _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
 
 
 def with_names(points: Points3D) -> Points3D:
-    """The points, named where their number determines the layout; faces and hands left out."""
+    """The points, named where their number determines the layout; faces are left out."""
     count = points.positions.shape[1]
     if points.names or points.layout:
         return points
-    if kept := _BODIES.get(count, 0):
-        said = f"the first {kept} of {count} points are the body's"
-        positions = points.positions[:, :kept]
-        return replace(points, positions=positions, decisions=(*points.decisions, said))
+    if count in _WHOLE:
+        layout, hands = _WHOLE[count]
+        kept = len(LAYOUTS[layout])
+        said = f"the first {kept} of {count} points are the body's, from {hands} on those of hands"
+        rows = [*range(kept), *range(hands, hands + len(FINGER_POINTS))]
+        return replace(
+            points, positions=points.positions[:, rows], decisions=(*points.decisions, said),
+            names=(*LAYOUTS[layout], *FINGER_POINTS),
+        )  # fmt: skip
     if count not in _LABELS:
         return points
     said = f"{count} points are in the order of {_PROGRAMS[count]}"

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from recon.core.errors import FormatError
+from recon.core.fingers import FINGER_POINTS, SIDES
+from recon.core.layouts import LAYOUTS
 from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.detections.tables import holds_detections
@@ -59,7 +61,7 @@ def read_session(folder: Path) -> Points3D:
             f"{folder}: expected FreeMoCap's output_data with mediapipe_body_3d_xyz.npy or "
             "body_3d_xyz.csv"
         )
-    points = (read_array if path.suffix == ".npy" else read_table)(path)
+    points = _with_hands((read_array if path.suffix == ".npy" else read_table)(path), path)
     said = f"FreeMoCap session: {path.relative_to(folder)}, millimetres"
     points = replace(points, unit="mm", decisions=(*points.decisions, said))
     stamps = time_stamps(folder)
@@ -76,6 +78,22 @@ def read_session(folder: Path) -> Points3D:
         return points  # without a frame rate, which the user must then give
     first = np.unique(frames, return_index=True)[1]
     return points.with_rate_of_times(times[first], stamps.name)
+
+
+def _with_hands(points: Points3D, path: Path) -> Points3D:
+    """MediaPipe's points of a session's body, with those of the hands that lie beside its file."""
+    layout = LAYOUTS["mediapipe33"]
+    parts = [path.with_name(path.name.replace("body", f"{side}_hand", 1)) for side in SIDES]
+    if points.positions.shape[1] != len(layout) or not all(one.exists() for one in parts):
+        return points
+    hands = [(read_array if one.suffix == ".npy" else read_table)(one).positions for one in parts]
+    if any(one.shape != (len(points.positions), 21, 3) for one in hands):
+        raise FormatError(
+            f"{path}: expected 21 points of each hand in {len(points.positions)} frames beside "
+            f"the body, got {', '.join(str(one.shape) for one in hands)}"
+        )
+    positions = np.concatenate((points.positions, *hands), 1)
+    return replace(points, positions=positions, names=(*layout, *FINGER_POINTS))
 
 
 _TABLES = (".csv", ".tsv", ".txt")

@@ -86,7 +86,8 @@ def _averaged(sensor: S, pace: float) -> S:
     own: dict[str, Any] = {sensor.timed[0]: found, "fps": sensor.fps / step}
     for name in sensor.timed[1:]:
         value = getattr(sensor, name)
-        if value is None:
+        if value is None or value.ndim > shown.ndim:
+            own[name] = None  # other points, such as those of fingers, are not fitted here
             continue
         if value.dtype == torch.bool:
             own[name] = shown

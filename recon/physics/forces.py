@@ -3,6 +3,7 @@
 Newton gives the whole force, and the zero-moment point says how two feet that stand share it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,11 +38,23 @@ LEAST_HEIGHT_M = 0.3
 MASS = Limit("mass of a person", 2.0, 400.0, "kg", "newborns have 3 kg: give kilograms")
 SHAPE_MASS_SHARE = 0.1
 """Standard deviation of a mass that is told from the shape, as a share of it."""
-ALONE, TOGETHER = (0.04, 0.04, 0.05), (0.05, 0.05, 0.14)
-"""Standard deviations of a foot's force (x, y, z) in shares of the weight: of one that stands
-alone, and of each foot at a step; chosen on the force plates of validation people."""
-CENTRE_STD_M = 0.022
-"""Standard deviation of a coordinate of the centre of pressure, chosen there too."""
+VERTICAL_STD, ACROSS_STD = 0.045, (0.018, 0.03)
+"""Standard deviations of a foot's force in shares of the weight, upwards, and across of one that
+stands alone and of two. These and the next were chosen on plates (benchmarks/forces.toml)."""
+TIMING_STD_S = 0.011
+"""Standard deviation of the moment at which the weight goes over to the other foot."""
+LEVER_SHARE = 0.7
+"""Share of the misfit by which the lever of two feet errs."""
+TILT_STD = 0.45
+"""Share of the weight by which forces across err per metre that the zero-moment point errs."""
+CENTRE_STD_M, CENTRE_MISFIT = 0.011, 0.2
+"""Standard deviation of a coordinate of the centre of pressure, and its share of the misfit."""
+PRESSED_STD_M = 0.026
+"""Distance at which the lowest points of a sole tell the centre of pressure."""
+USUAL_MISFIT_M = 0.06
+"""Distance of the zero-moment point from the feet of who never stands on one alone."""
+SMOOTH_S = 0.06
+"""Standard deviation of the Gaussian that smooths the centre of pressure of a stance."""
 STEP_S = 0.06
 """Seconds around double support within which the share of the feet is uncertain."""
 DRIFT_S = 0.3
@@ -78,8 +91,10 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     vertical force by the lever rule, so that it acts at the zero-moment point (Dijkstra and
     Gutierrez-Farewik, J Biomech 2015). Horizontal forces point from the centre of pressure to the
     centre of mass; what is missing to M a is shared like the weight. The centre of pressure is
-    that of the lowest points of the sole. The moment about the vertical is left out. The first and
-    last 1/20 s repeat their neighbours.
+    that of the lowest points of the sole, moved towards the zero-moment point where a foot stands
+    alone, by inverse variances. The moment about the vertical is left out. The first and last
+    1/20 s repeat their neighbours. Standard deviations grow with the distance of both points, the
+    misfit: it tells how well the motion of this clip obeys Newton.
 
     Args:
         file: contents of a motion file. Its ground is z = 0 if it tells none; standard deviations
@@ -118,20 +133,30 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
     centre = centre_of_pressure(points, points.new_ones(points.shape[-2]), SOLE_DECAY)
     contact = standing_feet(points, motion.fps)
-    share = _shares(centre, contact, _held(zmp(moving), step))
-    load = _held(relative_load(moving), step)
-    away = ((share[..., None] * centre).sum(-2) - _held(zmp(moving), step)).norm(dim=-1)
+    target, load = (held_at_ends(one, step) for one in (zmp(moving), relative_load(moving)))
+    share = _shares(centre, contact, target)
+    away = ((share[..., None] * centre).sum(-2) - target).norm(dim=-1)
     carried = contact.any(-1) & ((away < OUT_OF_REACH_M) | (load < FULL_LOAD))
+    alone = carried & (contact.sum(-1) == 1)
+    misfit = float(away[alone].median()) if bool(alone.any()) else USUAL_MISFIT_M
+    trusted = alone[:, None] & contact
+    centre = _blended(centre, points[..., :2], target, trusted, misfit)
+    centre = _smoothed(centre, contact, motion.fps)
     # second differences smear a push-off into flight
     explained = maximum_filter1d((carried | (load < FULL_LOAD)).numpy(), 4 * step + 1)
     warnings = warnings[mass is not None :] + _unsupported(explained, contact)
     contact = contact & carried[:, None]
     std = torch.zeros(motion.frames, 22) if file.joint_std is None else file.joint_std.cpu()
+    place = math.hypot(CENTRE_STD_M, CENTRE_MISFIT * misfit)
+    apart = (centre[:, 1] - centre[:, 0]).norm(dim=-1)
+    shares = _force_std(contact, misfit, apart, motion.fps)
+    drift = std.double().mean(-1)[:, None, None] / DRIFT_S**2 / GRAVITY
+    unsure = (drift.square() + (SHAPE_MASS_SHARE * (mass is None)) ** 2) * contact[..., None]
     return GroundForces(
         force=_split(moving, centre, share * carried[:, None], step),
         centre=torch.nn.functional.pad(centre, (0, 1)) + down,
-        force_std=_force_std(contact, total, mass is None, std.double().mean(-1), motion.fps),
-        centre_std=(std.double()[:, list(FEET[:2])].square() + CENTRE_STD_M**2).sqrt(),
+        force_std=total * GRAVITY * (shares.square() + unsure).sqrt(),
+        centre_std=(std.double()[:, list(FEET[:2])].square() + place**2).sqrt(),
         contact=contact,
         mass=total,
         notes=notes,
@@ -179,7 +204,10 @@ def _split(
     moving: Dynamics, centre: Tensor, share: Tensor, step: int
 ) -> Float[Tensor, "time 2 3"]:
     """Forces of both feet: the vertical shared as told, the horizontal by `ground_forces`."""
-    acceleration, mass_centre = _held(moving.acceleration, step), _held(moving.centre, step)
+    acceleration, mass_centre = (
+        held_at_ends(moving.acceleration, step),
+        held_at_ends(moving.centre, step),
+    )
     whole = moving.mass * acceleration
     up = share * (whole[:, 2] + moving.mass * GRAVITY).clamp(min=0)[:, None]
     height = mass_centre[:, None, 2:].clamp(min=LEAST_HEIGHT_M)
@@ -188,23 +216,61 @@ def _split(
     return torch.cat((aimed + share[..., None] * rest[:, None], up[..., None]), -1)
 
 
+def _blended(
+    pressed: Tensor, points: Tensor, target: Tensor, trusted: Tensor, misfit: float
+) -> Float[Tensor, "time 2 2"]:
+    """Centres under a foot that stands alone, moved towards the ZMP within the sole's bounds.
+
+    By inverse variances, of which both are together the square of their distance, the misfit.
+    """
+    inside = target[:, None].maximum(points.amin(-2)).minimum(points.amax(-2))
+    part = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
+    return pressed.lerp(inside, part * trusted[..., None].to(pressed))
+
+
+def _smoothed(
+    centre: Float[Tensor, "time 2 2"], contact: Bool[Tensor, "time 2"], fps: float
+) -> Float[Tensor, "time 2 2"]:
+    """Centres of pressure, low-passed within every stance."""
+    from scipy.ndimage import gaussian_filter1d
+
+    found = centre.numpy().copy()
+    for side in range(2):
+        for first, stop in stretches(contact[:, side].numpy()):
+            stance = found[first:stop, side]
+            found[first:stop, side] = gaussian_filter1d(stance, SMOOTH_S * fps, axis=0)
+    return torch.from_numpy(found)
+
+
+def stretches(mask: Bool[np.ndarray, " time"]) -> list[tuple[int, int]]:
+    """First and last but one frame of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def _force_std(
-    contact: Tensor, mass: float, guessed: bool, std: Tensor, fps: float
+    contact: Bool[Tensor, "time 2"], misfit: float, apart: Float[Tensor, " time"], fps: float
 ) -> Float[Tensor, "time 2 3"]:
-    """Standard deviations by support, of the mass, and by those of the motion's joints."""
-    from scipy.ndimage import maximum_filter1d
+    """Standard deviations in shares of the weight.
 
-    steps = np.abs(np.diff(contact.numpy().astype(np.int8), axis=0, prepend=contact[:1])).any(-1)
-    near = contact.all(-1).numpy() | steps
-    near = torch.from_numpy(maximum_filter1d(near, 2 * round(STEP_S * fps) + 1, mode="nearest"))
-    alone, together = (contact.new_tensor(one, dtype=torch.float64) for one in (ALONE, TOGETHER))
-    base = torch.where(near[:, None, None], together, alone * contact[..., None])
-    moved = (std / DRIFT_S**2 / GRAVITY)[:, None, None] * contact[..., None]
-    unsure = SHAPE_MASS_SHARE * guessed * contact[..., None]
-    return mass * GRAVITY * (base.square() + moved.square() + unsure**2).sqrt()
+    Two feet share it as well as the zero-moment point and the moment of the step are known: the
+    first by the misfit over their distance, the second by the time of double support.
+    """
+    found = contact.new_zeros(*contact.shape, 3, dtype=torch.float64)
+    across = [math.hypot(one, TILT_STD * misfit) for one in ACROSS_STD]
+    found[..., :2], found[..., 2] = across[0], VERTICAL_STD
+    found = found * contact[..., None]
+    margin = round(STEP_S * fps)
+    for first, stop in stretches(contact.all(-1).numpy()):
+        lever = LEVER_SHARE * misfit / float(apart[first:stop].median().clamp(min=0.05))
+        share = math.hypot(min(0.5, lever), TIMING_STD_S * fps / (stop - first))
+        near = slice(max(0, first - margin), stop + margin)
+        found[near, :, :2] = across[1]
+        found[near, :, 2] = math.hypot(VERTICAL_STD, min(0.5, share))
+    return found
 
 
-def _held(values: Tensor, step: int) -> Tensor:
+def held_at_ends(values: Tensor, step: int) -> Tensor:
     """Values of the inner frames, the first and the last repeated at the ends."""
     ends = [values[:1].expand(step, *values.shape[1:]), values]
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.mocap.force_plates import ForcePlates
-from recon.physics.forces import GroundForces
+from recon.physics.forces import GroundForces, stretches
 
 NEAR_M = 0.2
 """Median distance of measured from estimated centres of pressure that are one foot's, at most."""
@@ -121,12 +121,6 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
         warnings.append("no foot stood alone on a plate: there is nothing to compare")
     place[..., 2] = found.centre.numpy()[..., 2]
     return MeasuredForces(force, place, torque, known, tuple(warnings))
-
-
-def stretches(mask: Bool[np.ndarray, " time"]) -> list[tuple[int, int]]:
-    """First and last but one frame of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _over(corners: np.ndarray, centre: np.ndarray, contact: np.ndarray) -> bool:

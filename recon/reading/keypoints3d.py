@@ -16,7 +16,7 @@ from recon.core.hands import right_handed
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
-from recon.keypoints3d.labels import meant_keypoints
+from recon.keypoints3d.labels import fingers_apart, meant_keypoints
 from recon.keypoints3d.reader import with_rate
 from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
@@ -68,6 +68,7 @@ def settled(
             found and which option decides.
     """
     check_override(unit)
+    raw, hands = fingers_apart(raw)
     known = _upper_neck_renamed(_named(with_rate(raw, fps), body, layout))
     metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
@@ -97,7 +98,16 @@ def settled(
     return PositionsFile(
         "keypoints3d", positions, visible, names, known.fps or 0.0, known.start_time, ground_known,
         level=level, placed=placed, decisions=tuple(said),
+        fingers=hands and _fingers(hands.positions, to_z_up(up).T * metres * factors),
     )  # fmt: skip
+
+
+def _fingers(
+    positions: Float[np.ndarray, "time 42 3"], turn: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "time 42 4"]:
+    """Points of hands after a linear map of a row, and whether each was seen."""
+    seen = np.isfinite(positions).all(-1, keepdims=True)
+    return np.concatenate((np.where(seen, positions, 0.0) @ turn, seen), -1)
 
 
 def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:

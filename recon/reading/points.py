@@ -65,6 +65,7 @@ def positions_of(
         return Keypoints3D(
             points, visible, BodyPoints.of_names(file.names, body), file.fps, file.start_time,
             kernel, file.ground_known, std=file.std, level=file.level, placed=file.placed,
+            fingers=None if file.fingers is None else file.fingers[None],
         )  # fmt: skip
     given = (points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
     if file.kind == "joints3d":
@@ -103,14 +104,19 @@ def points_settled(
     check_override(unit)
     _, rest = _places(file, path, body)
     metres = METRES[unit] if unit else 1.0
-    turned, said = _turned_to_z_up(file, path, up)
-    positions = turned * metres
+    turn, said = _turn_to_z_up(file, path, up)
+    positions = file.positions @ turn.T * metres
     _check_size(positions, file.visible, rest, path, unit_given=unit is not None)
     matched, _ = match_markers(file.names) if file.kind == "markers3d" else ({}, ())
     names = [matched.get(name, name) for name in file.names]
     factors, mirrored = right_handed(names, positions, file.visible, hand)
+    fingers = file.fingers
+    if fingers is not None:
+        moved = fingers[..., :3] @ turn.T * metres * factors
+        fingers = np.concatenate((moved, fingers[..., 3:]), -1)
     return replace(
-        file, positions=positions * factors, std=None if file.std is None else file.std * metres,
+        file, positions=positions * factors, fingers=fingers,
+        std=None if file.std is None else file.std * metres,
         decisions=(*file.decisions, *said, *mirrored),
     )  # fmt: skip
 
@@ -151,20 +157,20 @@ def _places(
     return vertices, body.template[list(vertices)]
 
 
-def _turned_to_z_up(
+def _turn_to_z_up(
     file: PositionsFile, path: str | Path, up: Up | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Positions with z up, and a note if they were turned.
+    """Rotation to axes with z up, and a note if it is one that the file does not say.
 
     Raises:
         ValueError: when the body stands along another axis than the file says, and may as well
             lie or hang.
     """
     if up is not None:
-        return file.positions @ to_z_up(up).T, ()
+        return to_z_up(up), ()
     found = surely_up("z", file.names, file.positions, file.visible) if file.level else None
     if found is None:
-        return file.positions, ()
+        return np.eye(3), ()
     low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))
     if _ROOM[0] < low and high < _ROOM[1]:
         raise ObservationError(
@@ -172,7 +178,7 @@ def _turned_to_z_up(
             "or --up z if the person really lies or hangs"
         )
     said = f"up axis {found}: the file says z, but the body stands along it, and not above z = 0"
-    return file.positions @ to_z_up(found).T, (said,)
+    return to_z_up(found), (said,)
 
 
 def _check_size(

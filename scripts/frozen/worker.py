@@ -7,6 +7,8 @@ to call a function of recon and save its result, and answers each with a line of
 
 import json
 import os
+import shutil
+import subprocess
 import sys
 import traceback
 from pathlib import Path
@@ -53,6 +55,10 @@ def called(verb: str, files: list[str], how: dict[str, Any], out: str) -> float:
     before = sum(os.times()[:4])
     if verb == "stream":
         np.savez(out, joints=streamed(Path(files[0]), **how))
+    elif verb == "batch":
+        shutil.rmtree(out, ignore_errors=True)
+        command = [sys.executable, "-m", "recon", "batch", *files, "--out", out, "--quiet"]
+        subprocess.run(command, stdout=sys.stderr, check=True)
     elif verb in ("fit", "complete"):
         getattr(recon, verb)(recon.load_observation(files), **how).save(out, overwrite=True)
     else:

@@ -8,12 +8,14 @@ import pytest
 import torch
 
 import recon
+from recon.core.camera import full_hd_camera
 from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
 from recon.diagnosis.examination import ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
+from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d
 from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed, screened
-from tests.filmed import bundled, walk
+from tests.filmed import bundled, view, walk
 
 WITHOUT = """
 import sys, numpy as np, recon
@@ -96,5 +98,22 @@ def test_left_and_right_of_a_limb_exchanged_in_all_views_are_exchanged_back(part
     out, repairs, warnings = screened(tuple(renamed(one, slice(None), pairs) for one in views))
     assert [f.code for f in repairs] == ["points exchanged"]
     assert {*repairs[0].joints} == {name for pair in pairs for name in pair}
+    assert not warnings
+    assert all(torch.equal(a.pixels, b.pixels) for a, b in zip(out, views, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("parts", "when"),
+    [(("knee",), slice(None)), (LEG, slice(None)), (("elbow", "wrist"), slice(8, 18))],
+)
+def test_left_and_right_of_a_limb_exchanged_in_one_view_are_exchanged_back(parts, when) -> None:
+    """Rays missed each other by the width of a body, and nothing was said."""
+    motion, heights = walk(30), (0.5, 3.5)
+    rigs = [dome(motion, bundled(), full_hd_camera(), 2, height=h, first=0.7) for h in heights]
+    views = tuple(view(motion, rigs[k][k], seed=k) for k in range(2))
+    pairs = [(f"left_{part}", f"right_{part}") for part in parts]
+    out, repairs, warnings = screened((views[0], renamed(views[1], when, pairs)))
+    assert {f.code for f in repairs} == {"points exchanged"}
+    assert {name for f in repairs for name in f.joints} == {n for pair in pairs for n in pair}
     assert not warnings
     assert all(torch.equal(a.pixels, b.pixels) for a, b in zip(out, views, strict=True))

@@ -283,7 +283,13 @@ def test_force_plates_stand_beside_the_estimate(
     motion, mot = tmp_path / "walk.npz", tmp_path / "grf.mot"
     assert cli.run(["convert", str(trial), str(motion), "--quiet"]) == cli.OK
     asked = ["export", str(motion), "--forces", str(mot), "--mass", "67", "--plates", str(trial)]
-    assert cli.run(asked) == cli.OK
+    assert cli.run([*asked, "--moments", str(tmp_path / "id.sto")]) == cli.OK
+    table = (tmp_path / "id.sto").read_text().split("endheader\n")[1].splitlines()
+    moments = np.array([line.split("\t") for line in table[1:]], dtype=float).T
+    named = dict(zip(table[0].split("\t"), moments, strict=True))
+    on = named["plate_known_r"] > 0
+    assert -1.6 < named["ankle_angle_r_moment"][on].min() / 67 < -0.8  # push-off, N m/kg
+    assert (named["ankle_angle_r_std"][on] > 0).all()
     report = json.loads((tmp_path / "grf.mot.json").read_text())
     for row in report["beside plates"].values():
         assert row["vertical_rms_percent"] < 12

@@ -113,3 +113,25 @@ def test_what_has_no_forces_is_refused(body, frames, mass, ground, said) -> None
     motion = standing(body, STILL[:frames], FPS)
     with pytest.raises(ReconError, match=said):
         forces_of(motion, body, mass, ground=torch.tensor(ground))
+
+
+def test_one_leg_carries_all_and_how_far_it_is_out_of_balance_widens_deviations(body) -> None:
+    motion = standing(body, STILL, FPS)
+    lifted = motion.rotations.clone()
+    knee = so3.exp(torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+    lifted[:, 2], lifted[:, 5] = knee.mT, knee  # right hip and knee
+    over = so3.exp(torch.tensor([0.0, 0.0, -0.3], dtype=torch.float64))
+    both = forces_of(motion, body)
+    falling = forces_of(motion.replace(rotations=lifted), body)
+    lifted[:, 3] = over  # the trunk leans to the left, over the standing foot
+    balanced = forces_of(motion.replace(rotations=lifted), body)
+    for found in (falling, balanced):
+        assert found.contact[:, 0].all()
+        assert not found.contact[:, 1].any()
+        assert torch.allclose(found.force[:, 0, 2], found.force.new_tensor(70 * GRAVITY))
+        assert not found.force[:, 1].any()
+        assert not found.force_std[:, 1].any()
+        # towards the middle, but within the sole
+        assert 0 < (both.centre - found.centre)[0, 0, 0] < 0.05
+    assert (balanced.centre_std < 0.9 * falling.centre_std).all()
+    assert (balanced.force_std[:, 0, :2] < falling.force_std[:, 0, :2]).all()

@@ -1,0 +1,80 @@
+"""Points of hands among those of a body: told apart, and checked."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.core.arrays import bool_tensor, float_tensor
+from recon.core.errors import ObservationError
+from recon.core.fingers import FINGER_POINTS, HANDS
+from recon.core.layouts import keypoint_names
+
+
+def body_points_only(names: Sequence[str]) -> bool:
+    """Whether no name is one of `FINGER_POINTS`."""
+    return not set(FINGER_POINTS) & set(names)
+
+
+def fingers_apart(
+    points: Any, positions: Any, visible: Any, std: Any
+) -> tuple[Any, Any, Any, Any, Float[Tensor, "*batch moments 42 4"]]:
+    """The arguments of a sensor without the points of hands, and these with their visibility.
+
+    Args:
+        points: a layout with the ending `+hands`, or names.
+        positions: (..., moments, points, 3), metres.
+        visible: (..., moments, points).
+        std: of the points, or None.
+    """
+    layout = points.removesuffix(HANDS) if isinstance(points, str) else None
+    names = tuple(points) if layout is None else (*keypoint_names(layout), *FINGER_POINTS)
+    positions, visible = (
+        float_tensor(positions, "Keypoints3D.positions"),
+        bool_tensor(visible, "Keypoints3D.visible"),
+    )
+    if positions.shape[-2] != len(names) or visible.shape != positions.shape[:-1]:
+        raise ObservationError(
+            f"Keypoints3D: expected {len(names)} points by their names, got positions "
+            f"{tuple(positions.shape)} and visible {tuple(visible.shape)}"
+        )
+    body = [k for k, name in enumerate(names) if name not in FINGER_POINTS]
+    if isinstance(std, Tensor) or hasattr(std, "shape"):
+        std = float_tensor(std, "Keypoints3D.std")
+        std = std[..., body] if std.shape[-1] == len(names) else std
+    out = positions.new_zeros(*visible.shape[:-1], len(FINGER_POINTS), 4)
+    for k, name in enumerate(names):
+        if name in FINGER_POINTS:
+            place = FINGER_POINTS.index(name)
+            out[..., place, :3] = positions[..., k, :].nan_to_num()
+            out[..., place, 3] = visible[..., k]
+    kept = layout or tuple(names[k] for k in body)
+    return kept, positions[..., body, :], visible[..., body], std, out
+
+
+def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*batch moments 42 n"]:
+    """Points of hands with a confidence from 0 on as their last number; zero where it is 0.
+
+    Args:
+        fingers: (..., moments, 42, numbers), NaN where not seen.
+        like: values of the body's points, with the same axes of moments.
+        numbers: coordinates and the confidence.
+
+    Raises:
+        ObservationError: for other shapes, or infinite numbers where the confidence is above 0.
+    """
+    found = float_tensor(fingers, "fingers")
+    wanted = (*tuple(like.shape[:-2]), len(FINGER_POINTS), numbers)
+    if found.shape != wanted:
+        raise ObservationError(
+            f"fingers: expected {len(FINGER_POINTS)} points, the left hand's first, as an array "
+            f"of shape {wanted}, coordinates and a confidence, got {tuple(found.shape)}"
+        )
+    found = torch.where(found[..., -1:] > 0, found, 0.0)
+    if not bool(found.isfinite().all()):
+        raise ObservationError(
+            "fingers: expected finite coordinates where the confidence is above 0, got NaN or inf"
+        )
+    return found

@@ -1,0 +1,240 @@
+"""The step of a fit after the body: fingers from the points of hands that observations have."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.noise import estimate_noise
+from recon.body.hands import WRISTS, HandModel
+from recon.body.model import BodyModel
+from recon.core.fingers import HAND_JOINTS, ROWS, SIDES, Hands
+from recon.core.motion import Motion
+from recon.diagnosis.findings import Finding, Findings
+from recon.fitting.hands import FittedHand, HandView, fit_hand
+from recon.method.sensor import Sensor
+
+_POINTS, _FEWEST = 21, 6
+"""Points of a hand, and how many must be seen in a frame where any is, in the median."""
+_ELSEWHERE = 0.2
+"""Metres from the body's wrist from which on a hand is another's."""
+_NEARER = 0.02
+"""Metres by which a hand is nearer to the other wrist where it was taken for that of the other."""
+_STRAIGHT = 0.01
+"""Metres that fingertips are on one side of the palm, in the mean, where that tells the hand."""
+_NOISE_M, _NOISE_PX, _FRAMES = (0.002, 0.05, 0.004), (0.5, 20.0, 3.0), 8
+"""Least, largest and usual standard deviations of a coordinate, metres and pixels, and frames from
+which on the data tell it."""
+_SURE = 0.03
+"""Metres, the standard deviation of a fingertip from which on it is said to be a guess."""
+_KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What one sensor saw of both hands, in the frames of the motion."""
+
+    values: Float[Tensor, "time 42 dims"]
+    confidence: Float[Tensor, "time 42"]
+    camera: Any
+    noise: float
+
+    def view(self, hand: int) -> HandView:
+        part = slice(_POINTS * hand, _POINTS * (hand + 1))
+        return HandView(self.values[:, part], self.confidence[:, part] / self.noise, self.camera)
+
+
+def with_fingers(
+    motion: Motion,
+    body: BodyModel,
+    given: Sequence[Sensor],
+    compared: Sequence[Sensor],
+    T_world_recording: Float[Tensor, "4 4"],
+) -> tuple[Motion, Findings]:
+    """The motion with fingers, and what was found about the hands.
+
+    Only wrists turn, so that all joints of the body stay where they are.
+
+    Args:
+        motion: of the body, one clip without a batch axis.
+        body: whose motion it is.
+        given: all observations, with one leading axis.
+        compared: the same in the same order as they were fitted, with cameras as they were found.
+        T_world_recording: from the frame of the observations to that of the motion, metres.
+    """
+    seen = [
+        _in_frames_of(motion, body, one, fitted, T_world_recording.double())
+        for one, fitted in zip(given, compared, strict=True)
+        if getattr(one, "fingers", None) is not None
+    ]
+    posed = body.pose(motion)
+    places = posed.joints[:, list(WRISTS)].double()
+    turns = posed.orientations[:, list(WRISTS)].double()
+    chosen, found = _hands_of_wrists(seen, places)
+    model = HandModel.of(body, motion.shape)
+    rotations = torch.eye(3).repeat(motion.frames, len(HAND_JOINTS), 1, 1).to(motion.rotations)
+    lengths = torch.zeros(len(HAND_JOINTS) + 10).to(motion.rotations)
+    lengths[ROWS] = model.lengths.to(lengths)
+    local, unsure = motion.rotations.clone(), []
+    for side, hand in enumerate(chosen):
+        views = [] if hand is None else [one.view(hand) for one in seen]
+        views = [one for one in views if bool((one.weights > 0).any())]
+        if not views:
+            views = [_nothing(motion.frames)]
+        fit = fit_hand(views, model, side, turns[:, side], places[:, side], motion.fps)
+        joints = ROWS[side].unflatten(0, (5, 4))[:, :3].flatten()
+        rotations[:, joints] = fit.local.to(rotations)
+        lengths[ROWS[side]] = fit.lengths.to(lengths)
+        if hand is not None:
+            wrist = WRISTS[side]
+            elbow = posed.orientations[:, wrist - 2].double()
+            local[:, wrist] = (elbow.mT @ fit.wrist).to(local)
+            unsure += _unsure(fit, views, SIDES[side])
+    if chosen == [None, None]:
+        return motion, found
+    return (
+        motion.replace(rotations=local, hands=Hands(rotations, lengths)),
+        found + Findings((), (), tuple(unsure)),
+    )
+
+
+def _in_frames_of(
+    motion: Motion, body: BodyModel, one: Any, fitted: Any, T: Float[Tensor, "4 4"]
+) -> _Seen:
+    """The points of one sensor at the nearest moments to the frames of the motion.
+
+    Points that are relative to the body are moved to where the body is.
+    """
+    numbers = ((motion.times - fitted.start_time) * one.fps).round().long()
+    there = (numbers >= 0) & (numbers < one.moments)
+    points = one.fingers[0].double().cpu()
+    numbers = numbers.clamp(0, one.moments - 1)
+    rows = points[numbers]
+    values, confidence, camera = rows[..., :-1], rows[..., -1] * there[:, None], None
+    if one.view is None:
+        noise = _noise(points, _NOISE_M)
+        values = values @ T[:3, :3].mT + T[:3, 3]
+        if not one.placed:
+            own = one.positions[0, numbers].double() @ T[:3, :3].mT + T[:3, 3]
+            counts = one.visible[0, numbers].double()[..., None]
+            away = (one.predict(body.pose(motion)).double() - own) * counts
+            values = values + away.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(min=1)
+    else:
+        noise = _noise(points, _NOISE_PX)
+        camera = fitted.camera.moved(T.numpy()).map(lambda x: x[0].double().cpu())
+        if camera.T_camera_world.shape[0] > 1:
+            camera = camera.at(numbers)
+    return _Seen(values * (confidence > 0)[..., None], confidence, camera, noise)
+
+
+def _noise(points: Float[Tensor, "moments 42 numbers"], known: tuple[float, ...]) -> float:
+    """Standard deviation of a coordinate; the usual one where too few frames tell it."""
+    least, most, usual = known
+    if len(points) < _FRAMES:
+        return usual
+    return estimate_noise(points[None, ..., :-1], points[None, ..., -1] > 0, (least, most))
+
+
+def _hands_of_wrists(
+    seen: Sequence[_Seen], places: Float[Tensor, "time 2 3"]
+) -> tuple[list[int | None], Findings]:
+    """Which hand of the data is at the left and the right wrist; None where none can be.
+
+    Points in space say where a hand is, and by the side of the palm to which its fingers bend
+    whether it is a left or a right one.
+    """
+    chosen: list[int | None] = [0, 1]
+    warnings: list[Finding] = []
+
+    def leave_out(hand: int, why: str) -> None:
+        chosen[hand] = None
+        warnings.append(_said(hand, f"{why}; its fingers are left at rest"))
+
+    for hand in (0, 1):
+        counts = torch.cat([(one.view(hand).weights > 0).sum(-1) for one in seen])
+        counts = counts[counts > 0].double()
+        if len(counts) == 0:
+            chosen[hand] = None
+        elif float(counts.median()) < _FEWEST:
+            few = f"fewer than {_FEWEST} of its {_POINTS} points are seen in most frames"
+            leave_out(hand, few)
+    spatial = [one for one in seen if one.camera is None]
+    away = [[_distance(spatial, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
+    sides = [_bent_as(spatial, hand) for hand in (0, 1)]
+    there = [hand for hand in (0, 1) if chosen[hand] is not None]
+    other = {hand: away[hand][1 - hand] < away[hand][hand] - _NEARER for hand in there}
+    if there and all(
+        sides[hand] in (None, 1 - hand) and (other[hand] or sides[hand] == 1 - hand)
+        and away[hand][1 - hand] < _ELSEWHERE for hand in there
+    ):  # fmt: skip
+        said = (
+            "the points of the left and the right hand are exchanged: each lies at the other "
+            "wrist or bends as the other hand does; they were exchanged back"
+        )
+        repair = Finding("sides exchanged", said)
+        return [chosen[1], chosen[0]], Findings((repair,), tuple(warnings))
+    for hand in there:
+        if (far := away[hand][hand]) > _ELSEWHERE:
+            leave_out(hand, f"its points are {far:.2f} m from the wrist of the body")
+        elif sides[hand] == 1 - hand:
+            leave_out(hand, "fingers bend to its back, so it is mirrored or the other hand")
+    return chosen, Findings((), tuple(warnings))
+
+
+def _said(hand: int, what: str) -> Finding:
+    return Finding("hand", f"{SIDES[hand]} hand: {what}", (f"{SIDES[hand]}_wrist",))
+
+
+def _distance(seen: Sequence[_Seen], hand: int, place: Float[Tensor, "time 3"]) -> float:
+    """Median distance of a hand's wrist, or of what is seen of it, from a wrist; metres."""
+    found = []
+    for one in seen:
+        view = one.view(hand)
+        shown = (view.weights > 0).double()
+        wrist = shown[:, :1].bool()
+        shown = torch.where(wrist, torch.nn.functional.pad(shown[:, :1], (0, 20)), shown)
+        middle = (shown[..., None] * view.values).sum(1) / shown.sum(1, keepdim=True).clamp(min=1)
+        found.append((middle - place).norm(dim=-1)[shown.any(1)])
+    every = torch.cat(found) if found else torch.zeros(0)
+    return float(every.median()) if len(every) > 0 else 0.0
+
+
+def _bent_as(seen: Sequence[_Seen], hand: int) -> int | None:
+    """The side, 0 left or 1 right, as whose palm fingers bend; None where they are straight."""
+    found = []
+    for one in seen:
+        view = one.view(hand)
+        palm = view.values[:, [0, 5, 17]]
+        back = torch.linalg.cross(palm[:, 1] - palm[:, 0], palm[:, 2] - palm[:, 0], dim=-1)
+        back = back / back.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+        step = view.values[:, _TIPS] - view.values[:, _KNUCKLES]
+        rise = (step * back[:, None]).sum(-1)
+        shown = (view.weights > 0)[:, [0, 5, 17]].all(1)[:, None]
+        found.append(rise[shown & (view.weights[:, _TIPS] > 0) & (view.weights[:, _KNUCKLES] > 0)])
+    every = torch.cat(found) if found else torch.zeros(0)
+    if len(every) == 0 or abs(float(every.mean())) < _STRAIGHT:
+        return None
+    return 0 if float(every.mean()) < 0 else 1
+
+
+def _unsure(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Finding]:
+    """A finding where fingertips are not told well, as their depth is not by a single view."""
+    std = float(fit.tip_std.median())
+    alone = len(views) == 1 and views[0].camera is not None
+    if not alone and std < _SURE:
+        return []
+    why = "few of its points are seen"
+    if alone:
+        why = "one view says little of depth, and other bends of fingers may look the same"
+    said = f"fingertips are known to about {1e3 * std:.0f} mm (standard deviation): {why}"
+    return [Finding("hand", f"{side} hand: {said}", (f"{side}_wrist",), value=std)]
+
+
+def _nothing(frames: int) -> HandView:
+    """A view that saw nothing, of which a hand at rest follows."""
+    return HandView(
+        torch.zeros(frames, _POINTS, 3).double(), torch.zeros(frames, _POINTS).double()
+    )

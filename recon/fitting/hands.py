@@ -1,0 +1,368 @@
+"""Fits fingers to points of hands, after the body: its wrists say where each hand is.
+
+A hand has 22 angles a frame, the length of every bone, the turn of its wrist, and how far the
+body's wrist is from the data's. Points count by their noise; what they leave open follows from
+how hands are at rest, how joints bend together, limits of joints, and smoothness. Joints of the
+body stay where they are: a wrist that turns moves none of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body.hands import ANGLES, JOINT_OF_ANGLE, LIMITS, RELAXED, HandModel, PosedHand
+from recon.core import rotations as so3
+from recon.core.camera import Camera
+from recon.core.fingers import FINGERS
+from recon.method.protocols import REFERENCE_FPS
+from recon.solver.banded import Banded, Factor, add_differences
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
+
+_TURN, _AWAY, _BENDS = slice(0, 3), slice(3, 6), slice(6, 28)
+_SIZE, _BONES, _POINTS = 28, 20, 21
+_TURN_STD, _AWAY_STD = np.deg2rad(60.0), 0.002
+"""Radians and metres that the wrist of a body that was fitted to other points is wrong by."""
+_LENGTH_STD, _SCALE_STD = 0.06, 0.1
+"""Of the logarithm of a bone's length, and of that of the whole hand's."""
+_LIMIT_STD = np.deg2rad(1.0)
+"""Radians beyond a joint's limit that cost as much as one standard deviation of a point."""
+_BEND_STD, _TURN_BEND_STD, _AWAY_BEND_STD = np.deg2rad(2.5), np.deg2rad(2.5), 0.001
+"""Second differences at 30 Hz of angles, the wrist's turn and its offset (radians, metres)."""
+_PER_SECOND = 3.0
+"""How often what is expected of a pose counts: poses change little within a third of a second."""
+_ROBUST = 4.0
+"""Standard deviations beyond which a point counts ever less (Geman and McClure)."""
+_OPTIONS = GaussNewton(max_iterations=25, tolerance=1e-4)
+
+
+@dataclass(frozen=True)
+class HandView:
+    """Points of one hand that one sensor saw, in the frames of the motion, and their noise."""
+
+    values: Float[Tensor, "time 21 dims"]
+    """World, metres, or pixels of a camera; zero where not seen."""
+    weights: Float[Tensor, "time 21"]
+    """Confidence over the standard deviation of a coordinate; zero where not seen."""
+    camera: Camera | None = None
+    """In the world, with one pose or one per frame; None for points in space."""
+
+
+@dataclass(frozen=True)
+class FittedHand:
+    """One hand after the fit."""
+
+    angles: Float[Tensor, "time 22"]
+    wrist: Float[Tensor, "time 3 3"]
+    """World rotation of the wrist."""
+    lengths: Float[Tensor, " 20"]
+    tip_std: Float[Tensor, "time 5"]
+    """Standard deviation of every tip about the wrist, metres, along its most uncertain axis."""
+    local: Float[Tensor, "time 15 3 3"]
+
+
+def fit_hand(
+    views: Sequence[HandView],
+    model: HandModel,
+    side: int,
+    wrist: Float[Tensor, "time 3 3"],
+    place: Float[Tensor, "time 3"],
+    fps: float,
+    away_std: float = _AWAY_STD,
+) -> FittedHand:
+    """Fit one hand to what all sensors saw of it.
+
+    Args:
+        views: with the same frames as the wrist; at least one.
+        model: of the person's hands.
+        side: 0 of the left hand, 1 of the right.
+        wrist: world rotation of the body's wrist.
+        place: of the wrist, world, metres.
+        fps: frames per second.
+        away_std: metres that the data's wrist is from the body's; infinite where the points of a
+            hand have an origin of their own.
+    """
+    share = min(1.0, _PER_SECOND / fps)
+    base = wrist.double() @ _common_turn(views, model, side, wrist.double())
+    problem = _Fingers(
+        tuple(views), model, side, base, place.double(), fps, _bend_precision() * share,
+        _TURN_STD * share**-0.5, away_std * share**-0.5,
+    )  # fmt: skip
+    x = torch.zeros(len(base) * _SIZE + _BONES, dtype=torch.float64)
+    frames = x[:-_BONES].view(len(base), _SIZE)
+    frames[:, _BENDS] = RELAXED
+    frames[:, _AWAY] = _first_offset(views, problem)
+    x, _ = minimise(problem, x[None], _OPTIONS)
+    frames, lengths = problem.parts(x)
+    posed = problem.posed(x)
+    return FittedHand(
+        frames[:, _BENDS], so3.exp(frames[:, _TURN]) @ base, problem.sizes(lengths),
+        problem.tip_std(x), posed.local,
+    )  # fmt: skip
+
+
+def _bend_precision() -> Float[Tensor, "22 22"]:
+    """Inverse covariance of the angles of hands about the relaxed one, 1 / radians².
+
+    The outer joint of a finger bends two thirds of the middle one (Rijpkema and Girard 1991), and
+    neighbouring fingers bend together: so few directions hold most of how hands grasp, as in
+    recordings (Santello et al. 1998).
+    """
+    number = {name: k for k, name in enumerate(ANGLES)}
+    rows, stds = [], []
+
+    def expect(std: float, **shares: float) -> None:
+        row = np.zeros(len(ANGLES))
+        for name, share in shares.items():
+            row[number[name]] = share
+        rows.append(row)
+        stds.append(np.deg2rad(std))
+
+    for name in ANGLES:
+        expect(40.0 if name.endswith("flexion") else 15.0, **{name: 1.0})
+    outer = FINGERS[1:]
+    for finger in outer:
+        expect(12.0, **{f"{finger}_dip_flexion": 1.0, f"{finger}_pip_flexion": -2 / 3})
+    for one, other in pairwise(outer):
+        for joint in ("mcp", "pip"):
+            expect(35.0, **{f"{one}_{joint}_flexion": 1.0, f"{other}_{joint}_flexion": -1.0})
+        expect(10.0, **{f"{one}_mcp_abduction": 1.0, f"{other}_mcp_abduction": -1.0})
+    scaled = np.stack(rows) / np.array(stds)[:, None]
+    return torch.from_numpy(scaled.T @ scaled)
+
+
+def _common_turn(
+    views: Sequence[HandView], model: HandModel, side: int, wrist: Float[Tensor, "time 3 3"]
+) -> Float[Tensor, "3 3"]:
+    """Mean rotation from the body's wrist to the palm that points in space show."""
+    palm = [0, 5, 9, 13, 17]
+    total = torch.eye(3, dtype=torch.float64) * 1e-3
+    bones = (model.directions[side] * model.lengths[side, :, None])[[4, 8, 12, 16]]
+    flat = torch.cat((bones.new_zeros(1, 3), bones))
+    for view in views:
+        if view.camera is not None:
+            continue
+        seen = (view.weights[:, palm] > 0).to(flat)
+        there = seen.sum(-1) >= 3
+        if not bool(there.any()):
+            continue
+        seen, points = seen[there], view.values[there][:, palm].to(flat)
+        share = (seen / seen.sum(-1, keepdim=True))[..., None]
+        a, b = flat - (share * flat).sum(-2, keepdim=True), points - (share * points).sum(-2, True)
+        matched = (share * b).mT @ a
+        turn = so3.nearest(matched + 1e-9 * wrist[there])
+        total = total + (wrist[there].mT @ turn).sum(0)
+    return so3.nearest(total)
+
+
+def _first_offset(views: Sequence[HandView], problem: "_Fingers") -> Float[Tensor, "time 3"]:
+    """Where the points in space are, against a relaxed hand at the body's wrist; metres."""
+    if np.isfinite(problem.away_std):
+        return torch.zeros_like(problem.place)
+    x = torch.zeros(1, len(problem.place) * _SIZE + _BONES, dtype=torch.float64)
+    x[0, :-_BONES].view(-1, _SIZE)[:, _BENDS] = RELAXED
+    points = problem.points(problem.posed(x), torch.zeros_like(problem.place))
+    away, count = torch.zeros_like(problem.place), torch.zeros(len(points), 1).to(points)
+    for view in views:
+        if view.camera is None:
+            seen = (view.weights > 0).to(points)[..., None]
+            away += (seen * (view.values.to(points) - points)).sum(1)
+            count += seen.sum(1)
+    return away / count.clamp(min=1)
+
+
+@dataclass(frozen=True)
+class _Fingers(Problem[Tensor]):
+    """One hand's variables in all frames, 28 a frame, and the logarithms of its bones' lengths."""
+
+    views: tuple[HandView, ...]
+    model_of_hand: HandModel
+    side: int
+    base: Float[Tensor, "time 3 3"]
+    place: Float[Tensor, "time 3"]
+    fps: float
+    bends: Float[Tensor, "22 22"]
+    turn_std: float
+    away_std: float
+
+    def parts(self, x: Tensor) -> tuple[Float[Tensor, "time 28"], Float[Tensor, " 20"]]:
+        return x[0, :-_BONES].view(-1, _SIZE), x[0, -_BONES:]
+
+    def sizes(self, logarithms: Float[Tensor, " 20"]) -> Float[Tensor, " 20"]:
+        return self.model_of_hand.lengths[self.side] * logarithms.exp()
+
+    def posed(self, x: Tensor) -> PosedHand:
+        frames, lengths = self.parts(x)
+        wrist = so3.exp(frames[:, _TURN]) @ self.base
+        return self.model_of_hand.posed(
+            frames[:, _BENDS], wrist, self.place, self.side, self.sizes(lengths)
+        )
+
+    def points(self, posed: PosedHand, away: Tensor) -> Float[Tensor, "time 21 3"]:
+        return torch.cat((self.place[:, None], posed.points), 1) + away[:, None]
+
+    def jacobian(self, x: Tensor, posed: PosedHand) -> Float[Tensor, "time 21 3 48"]:
+        """Derivative of the points by a frame's variables and by the logarithms of lengths."""
+        frames, lengths = self.parts(x)
+        out = frames.new_zeros(len(frames), _POINTS, 3, _SIZE + _BONES)
+        arm = posed.points - self.place[:, None]
+        # rotation vectors: a change of ω turns the hand by the left Jacobian of ω
+        out[:, 1:, :, _TURN] = -so3.hat(arm) @ _left_jacobian(frames[:, _TURN])[:, None]
+        out[:, :, :, _AWAY] = torch.eye(3).to(out)
+        lever = posed.points[:, :, None] - posed.pivots[:, None]
+        moved = torch.linalg.cross(posed.axes[:, None].expand_as(lever), lever, dim=-1)
+        out[:, 1:, :, _BENDS] = (moved * _MOVES[..., None]).mT
+        stretched = posed.ways * self.sizes(lengths)[:, None]
+        out[:, 1:, :, _SIZE:] = (stretched[:, None] * _BEHIND[..., None]).mT
+        return out
+
+    def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
+        del rows
+        frames, lengths = self.parts(x)
+        posed = self.posed(x)
+        jacobian = self.jacobian(x, posed)
+        curvature = frames.new_zeros(len(frames), _SIZE + _BONES, _SIZE + _BONES)
+        slope = frames.new_zeros(len(frames), _SIZE + _BONES)
+        for view in self.views:
+            away, bent = _residuals(view, self.points(posed, frames[:, _AWAY]), jacobian)
+            size = away.square().sum(-1)
+            counts = (_ROBUST**2 / (_ROBUST**2 + size)).square()[..., None]
+            curvature += torch.einsum("tpdi,tpd,tpdj->tij", bent, counts.expand_as(away), bent)
+            slope += torch.einsum("tpdi,tpd->ti", bent, counts * away)
+        about, diagonal = self._expected(frames)
+        curvature[:, :_SIZE, :_SIZE] += diagonal
+        slope[:, :_SIZE] += about
+        hessian = Banded.zero(len(frames), 2, _SIZE, _BONES, frames)
+        hessian.add_frames(torch.arange(len(frames)), curvature)
+        stiff = self._stiffness()
+        bands = frames.new_zeros(len(frames), 3, _SIZE)
+        add_differences(bands, (1.0, -2.0, 1.0), stiff.expand(len(frames), _SIZE)[2:])
+        eye = torch.eye(_SIZE).to(frames).expand(len(frames), _SIZE, _SIZE)
+        hessian.add_products(bands, eye, eye[..., :0])
+        precision = _length_precision()
+        hessian.corner.add_(precision)
+        bend = frames.diff(n=2, dim=0) * stiff
+        slope[:, :_SIZE] += _adjoint(bend, len(frames))
+        gradient = torch.cat(
+            (slope[:, :_SIZE].flatten(), slope[:, _SIZE:].sum(0) + precision @ lengths)
+        )
+        return Quadratic(self._terms(x, posed)[None], gradient[None], [hessian])
+
+    def moved(self, x: Tensor, rows: Int[Tensor, " rows"], steps: Tensor) -> Tensor:
+        del rows
+        return x + steps.clamp(-0.6, 0.6)
+
+    def value(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
+        del rows
+        return self._terms(x, self.posed(x))[None]
+
+    def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
+        """Standard deviation of tips about the wrist along the most uncertain axis, metres."""
+        quadratic = self.model(x, torch.zeros(1, dtype=torch.long))
+        inverse = Factor(quadratic.hessian[0], 0.0).inverse()
+        tips = self.jacobian(x, self.posed(x))[:, 4::4]
+        own, sizes = tips[..., :_SIZE].clone(), tips[..., _SIZE:]
+        own[..., _AWAY] = 0
+        via = sizes - own @ inverse.onto[:, None]
+        spread = own @ inverse.within[:, None] @ own.mT + via @ inverse.border @ via.mT
+        return torch.linalg.eigvalsh(spread)[..., -1].clamp(min=0).sqrt()
+
+    def _terms(self, x: Tensor, posed: PosedHand) -> Float[Tensor, " terms"]:
+        frames, lengths = self.parts(x)
+        points = self.points(posed, frames[:, _AWAY])
+        data = points.new_zeros(())
+        for view in self.views:
+            size = _residuals(view, points, None)[0].square().sum(-1)
+            data = data + 0.5 * (_ROBUST**2 * size / (_ROBUST**2 + size)).sum()
+        off, beyond = frames[:, _BENDS] - RELAXED, _beyond(frames[:, _BENDS])
+        bend = frames.diff(n=2, dim=0)
+        usual = 0.5 * (off * (off @ self.bends)).sum()
+        wrist = (frames[:, _TURN] / self.turn_std).square().sum()
+        wrist = wrist + (frames[:, _AWAY] / self.away_std).square().sum()
+        limits = 0.5 * (beyond / _LIMIT_STD).square().sum()
+        smooth = 0.5 * (self._stiffness() * bend.square()).sum()
+        sizes = 0.5 * lengths @ _length_precision() @ lengths
+        return torch.stack((data, usual + limits, 0.5 * wrist, smooth, sizes))
+
+    def _expected(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient and Hessian of what is expected of a frame without data."""
+        gradient, hessian = torch.zeros_like(frames), frames.new_zeros(len(frames), _SIZE, _SIZE)
+        bends, beyond = frames[:, _BENDS], _beyond(frames[:, _BENDS])
+        gradient[:, _BENDS] = (bends - RELAXED) @ self.bends + beyond / _LIMIT_STD**2
+        hessian[:, _BENDS, _BENDS] = self.bends
+        hessian[:, _BENDS, _BENDS] += torch.diag_embed((beyond != 0) / _LIMIT_STD**2)
+        for part, std in ((_TURN, self.turn_std), (_AWAY, self.away_std)):
+            gradient[:, part] = frames[:, part] / std**2
+            hessian[:, part, part] += torch.eye(3).to(frames) / std**2
+        return gradient, hessian
+
+    def _stiffness(self) -> Float[Tensor, " 28"]:
+        """Inverse variance of second differences at the frame rate."""
+        std = self.base.new_full((_SIZE,), _BEND_STD)
+        std[_TURN], std[_AWAY] = _TURN_BEND_STD, _AWAY_BEND_STD
+        return (std * (REFERENCE_FPS / self.fps) ** 2).square().reciprocal()
+
+
+def _residuals(
+    view: HandView, points: Float[Tensor, "time 21 3"], jacobian: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    """Predicted minus seen over their noise, and its derivative by the variables."""
+    weights = view.weights.to(points)[..., None]
+    if view.camera is None:
+        bent = None if jacobian is None else weights[..., None] * jacobian
+        return weights * (points - view.values.to(points)), bent
+    camera = view.camera
+    seen = camera.to_camera(points)
+    depth = seen[..., 2:].clamp(min=0.05)
+    rays, matrix = seen[..., :2] / depth, camera.camera_matrix.to(points)
+    pixels = rays @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
+    bent = None
+    if jacobian is not None:
+        eye = torch.eye(2).to(points).expand(*rays.shape, 2)
+        inward = matrix[..., None, :2, :2] @ (
+            torch.cat((eye, -rays[..., None]), -1) / depth[..., None]
+        )
+        turn = camera.T_camera_world.to(points)[..., None, :3, :3]
+        bent = weights[..., None] * (inward @ turn @ jacobian)
+    return weights * (pixels - view.values.to(points)), bent
+
+
+def _beyond(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
+    """Radians beyond the limits; negative below the smallest angle."""
+    return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
+
+
+def _length_precision() -> Float[Tensor, "20 20"]:
+    own = torch.eye(_BONES, dtype=torch.float64) * _LENGTH_STD**2
+    return torch.linalg.inv(own + _SCALE_STD**2)
+
+
+def _adjoint(bend: Float[Tensor, "steps n"], frames: int) -> Float[Tensor, "time n"]:
+    """The transpose of taking second differences."""
+    out = bend.new_zeros(frames, bend.shape[-1])
+    for k, share in enumerate((1.0, -2.0, 1.0)):
+        out[k : k + len(bend)] += share * bend
+    return out
+
+
+def _left_jacobian(turn: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3 3"]:
+    """World turn per change of a rotation vector: I + (1 - cos a)/a² K + (a - sin a)/a³ K²."""
+    a = turn.norm(dim=-1).clamp(min=1e-4)[:, None, None]
+    k = so3.hat(turn)
+    return torch.eye(3).to(turn) + (1 - a.cos()) / a**2 * k + (a - a.sin()) / a**3 * k @ k
+
+
+def _behind() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
+    """Which points each angle moves, and behind which bones each point is."""
+    point = torch.arange(_BONES)
+    finger, place = point // 4, point % 4
+    joint = torch.tensor(JOINT_OF_ANGLE)
+    moves = (finger[:, None] == joint // 3) & (place[:, None] > joint % 3)
+    return moves, (finger[:, None] == finger) & (place[:, None] >= place)
+
+
+_MOVES, _BEHIND = _behind()
