@@ -125,7 +125,7 @@ def test_keypoints_of_sam_3d_body_are_refined_with_their_film(film, tmp_path):
 @pytest.mark.slow
 def test_a_film_of_somebody_else_is_refused(film, tmp_path):
     arrays = dict(np.load(told(3, tmp_path / "results.npz")))
-    arrays["trans"][:, 0] += np.random.default_rng(0).normal(size=FRAMES)
+    arrays["trans"] += np.random.default_rng(0).normal(size=(FRAMES, 3))
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(recon.ReconError, match="nobody in the film moves like the estimate"):
         recon.refine(tmp_path / "a.npz", "pose", film=film, up="y-down", unit="m")
