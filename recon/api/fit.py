@@ -163,6 +163,9 @@ def fit(
         terms=tuple(terms),
         device=str(usable_device(device)),
     )
+    odd = [one for one in options.terms if not isinstance(one, Term)]
+    if odd := odd + [one for one in checks or () if not callable(one)]:
+        raise ReconError(f"terms, checks: expected Terms and functions, got {odd[0]!r:.60}")
     stopper = None
     if callback is not None or max_seconds is not None:
         limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")
@@ -267,7 +270,7 @@ def _start(
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:
         return None
-    if isinstance(given, Path | str):
+    if not isinstance(given, Motion | Result):
         given = motion_given(given, body, "start").motion
     motion = given.motion if isinstance(given, Result) else given
     if motion.translation.ndim == 2:

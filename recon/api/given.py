@@ -62,7 +62,9 @@ def body_given(given: BodyLike) -> BodyModel:
         FileNotFoundError: when there is no such file.
         ReconError: when it holds no body.
     """
-    return given if isinstance(given, BodyModel) else BodyModel.load(given)
+    if given is None or isinstance(given, BodyModel | Path | str):
+        return given if isinstance(given, BodyModel) else BodyModel.load(given)
+    raise ReconError(f"body: expected a file or a BodyModel, got {type(given).__name__}")
 
 
 def motion_given(

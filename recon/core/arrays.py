@@ -41,6 +41,9 @@ def float_tensor(values: Any, name: str) -> Tensor:
         ValueError: when these are no real numbers.
     """
     if isinstance(values, Tensor):
+        if values.layout != torch.strided or values.is_meta:
+            kind = "meta" if values.is_meta else values.layout
+            raise ReconError(f"{name}: expected a dense tensor with values, got one of {kind}")
         values = values.detach().clone() if values.is_inference() else values.detach()
         if values.dtype in (torch.float32, torch.float64):
             return values
@@ -150,6 +153,8 @@ def finite_number(value: Any, name: str) -> float:
         ValueError: when it is something else.
     """
     try:
+        if isinstance(value, bool | np.bool_ | bytes):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
         raise ReconError(f"{name}: expected one number, got {value!r:.60}") from None
