@@ -63,7 +63,7 @@ def view_of_estimate(
     (file,) = views.files
     camera = replace(file.camera, T_camera_world=T[None], focal_known=True, path=None)
     view = keypoints_of(replace(file, camera=camera), body)
-    level = isinstance(estimate, Keypoints3D) and estimate.level
+    level = getattr(estimate, "level", False)
     said = f"{views.names[0]}: keypoints lie {error:.1%} of the body's size from the estimate's"
     return view.derived(ground_known=False, level=level), (*views.decisions, said)
 
