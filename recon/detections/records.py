@@ -117,6 +117,17 @@ Row = tuple[int, np.ndarray, int]
 
 
 @dataclass(frozen=True)
+class Background:
+    """Points of the background that were followed through a film whose camera moves."""
+
+    frame: Int[np.ndarray, " seen"]
+    """The frame number of each place."""
+    point: Int[np.ndarray, " seen"]
+    """The number of its point, from 0."""
+    pixels: Float[np.ndarray, "seen 2"]
+
+
+@dataclass(frozen=True)
 class Detections:
     """People whom a detector found in one view; one row per person and frame."""
 
@@ -146,6 +157,8 @@ class Detections:
     """The frame number of each."""
     shots: tuple[int, ...] = ()
     """Frame numbers with which shots after the first begin, of a film with cuts."""
+    background: Background | None = None
+    """None where the camera stands still, or there is no film."""
 
 
 def detections_of_rows(

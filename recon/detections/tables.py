@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, Shaped
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, PIXEL, SAMPLES
-from recon.detections.records import Detections, Row, detections_of_rows
+from recon.detections.records import Background, Detections, Row, detections_of_rows
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import (
     first_rows,
@@ -207,7 +207,29 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         image_size=(int(size[0]), int(size[1])) if sized else None,
         shots=tuple(shots.tolist()) if cut else (),
         **_straight_lines(arrays, path),
+        background=_background(arrays, path),
     )
+
+
+def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Background | None:
+    """Followed points of the background, where a file has them.
+
+    Raises:
+        ValueError: when they are not numbers of shapes that belong together.
+    """
+    if "background" not in arrays:
+        return None
+    pixels, which = np.asarray(arrays["background"]), np.asarray(arrays.get("background_of"))
+    shaped = pixels.ndim == 2 and pixels.shape[1] == 2 and which.shape == pixels.shape
+    whole = pixels.dtype.kind == "f" and which.dtype.kind in "iu"
+    if not shaped or not whole or (which < 0).any() or (which[:, 1] >= len(which)).any():
+        raise FormatError(
+            f"{path}: expected background (N, 2) of decimal numbers and its whole background_of "
+            f"(N, 2), frames and points from 0 to N, got {pixels.dtype} {pixels.shape} and "
+            f"{which.dtype} {which.shape}"
+        )
+    PIXEL.check(pixels, path.name, "background")
+    return Background(which[:, 0], which[:, 1], pixels.astype(np.float64))
 
 
 def _straight_lines(
@@ -281,6 +303,9 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
     ):  # fmt: skip
         if value is not None:
             out[key] = np.array(value)
+    if (behind := found.background) is not None:
+        out["background"] = behind.pixels
+        out["background_of"] = np.column_stack((behind.frame, behind.point))
     return out
 
 

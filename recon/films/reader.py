@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 
 from recon.core.errors import FormatError, ReconError
 from recon.core.plugins import DETECTORS, imported_object, registered_places
-from recon.detections.records import Detections, Row, detections_of_rows
+from recon.detections.records import Background, Detections, Row, detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
+from recon.films.background import Followed, moving_background
 from recon.films.blazepose import BlazePose
 from recon.films.clock import at_even_times
 from recon.films.decoding import Film, FilmFrame, open_film
@@ -28,7 +29,7 @@ Watch = Callable[[int, int], None]
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 """Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
 of every keypoint, and the person's number or -1."""
-_VERSION = 3
+_VERSION = 4
 """Rises when the same film gives other detections, so that kept ones are made again."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
@@ -94,9 +95,13 @@ def read_film(
         rows = sorted(_own_detector(detector)(frames), key=lambda row: row[2])
         people = [list(own) for _, own in groupby(rows, key=lambda row: row[2])]
     lines, lines_frame = frames.lines()
+    found = _detections(film, frames.times, people, layout)
+    background, note = moving_background(frames.background(), found)
+    film.notes += [note] if note else []
     found = replace(
-        _detections(film, frames.times, people, layout), lines=lines, lines_frame=lines_frame
-    )
+        found, lines=lines, lines_frame=lines_frame, background=background,
+        decisions=(*([note] if note else []), *found.decisions),
+    )  # fmt: skip
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         save_arrays(file, {
@@ -118,6 +123,7 @@ class _Watched:
         default_factory=dict
     )
     """Shot and straight segments, pixels of the film, of some frames by their numbers."""
+    followed: Followed = field(default_factory=Followed)
 
     def __iter__(self) -> Iterator[FilmFrame]:
         every = max(1, self.film.frames // _IMAGES_WITH_LINES)
@@ -125,6 +131,7 @@ class _Watched:
             if frame.number % every == every // 2:
                 ends = self.film.in_film(straight_segments(frame.image))
                 self.segments[frame.number] = frame.shot, ends
+            self.followed.step(frame.image, frame.number, frame.shot)
             yield frame
             self.times[frame.number] = frame.time
             if self.watch is not None:
@@ -138,6 +145,15 @@ class _Watched:
         count = [len(ends) for ends in own.values()]
         ends = np.concatenate([np.zeros((0, 2, 2)), *own.values()])
         return ends, np.repeat(np.array(list(own), dtype=np.int64), count)
+
+    def background(self) -> Background:
+        """All points that were followed, pixels of the film."""
+        it = self.followed
+        pixels = np.concatenate([np.zeros((0, 2)), *it.pixels])
+        frames, numbers = (
+            np.concatenate([np.zeros(0, np.int64), *own]) for own in (it.frames, it.numbers)
+        )
+        return Background(frames, numbers, self.film.in_film(pixels))
 
 
 def _sights(

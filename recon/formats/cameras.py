@@ -179,7 +179,7 @@ def straightened(
     pixels: Float[np.ndarray, "*points 2"], camera: CameraArrays
 ) -> Float[np.ndarray, "*points 2"]:
     """Pixels that the same camera with a perfect lens would see."""
-    if camera.distortion is None:
+    if camera.distortion is None or pixels.size == 0:
         return pixels
     import cv2
 

@@ -3,16 +3,20 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from recon.core.errors import ObservationError
 from recon.detections.reader import read_keypoints
-from recon.detections.records import Detections
+from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
 from recon.formats.cameras import CameraArrays, CameraPath, straightened
 from recon.formats.producers import is_film
+
+if TYPE_CHECKING:
+    from recon.films.turning import Turning
 
 _DRIFT = 1.0
 """Frames by which views of nearly one frame rate may drift apart."""
@@ -73,7 +77,13 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.ptp(ratio) < _SAME_FORM:
         scaled = (found.pixels + 0.5) * ratio - 0.5
         pixels = np.where((found.confidence > 0)[..., None], scaled, 0.0)
-        return replace(found, pixels=pixels, image_size=expected), f"{said}: scaled"
+        behind, lines = found.background, found.lines
+        return replace(
+            found, pixels=pixels, image_size=expected,
+            lines=None if lines is None else (lines + 0.5) * ratio - 0.5,
+            background=None if behind is None
+            else replace(behind, pixels=(behind.pixels + 0.5) * ratio - 0.5),
+        ), f"{said}: scaled"  # fmt: skip
     if np.abs(ratio - 1).max() > _CUT:
         raise ObservationError(f"{said}; give the calibration of this film")
     return found, f"{said}: taken as cut at the right and below"
@@ -108,6 +118,11 @@ def in_one_shot(
     seen = np.bincount(shot, weights=found.confidence.mean(1) * counted, minlength=len(starts))
     best = int(seen.argmax())
     mine = shot == best
+    behind = found.background
+    if behind is not None:
+        own = (behind.frame >= starts[best]) & (behind.frame <= ends[best])
+        point = np.unique(behind.point[own], return_inverse=True)[1]
+        behind = Background(behind.frame[own], point, behind.pixels[own]) if own.any() else None
     others = [f"{a / rate:.2f}-{b / rate:.2f}" for a, b in zip(starts, ends, strict=True)]
     del others[best]
     more = "" if len(others) <= _SHOTS_LISTED else f" and {len(others) - _SHOTS_LISTED} more"
@@ -123,31 +138,53 @@ def in_one_shot(
             pixels=found.pixels[mine],
             confidence=found.confidence[mine],
             identity=found.identity[mine],
+            background=behind,
         ),
         (starts[best], ends[best]),
         note,
     )
 
 
-def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str]:
-    """A still camera with the vertical, and the focal length, of straight lines in its film.
+def levelled(
+    found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"]
+) -> tuple[CameraArrays, str]:
+    """A camera with what the background of its film tells: rotations, the vertical, focal length.
 
-    Unchanged, and without a note, where its pose is known or lines do not tell the vertical.
+    Straight lines tell the vertical, and points of the background how the camera turns. Unchanged,
+    and without a note, where its pose is known or the background tells nothing.
+
+    Args:
+        found: of the film.
+        camera: which filmed it.
+        frames: numbers of the frames that are read.
     """
-    if camera.T_camera_world is not None or camera.path is not None or found.lines is None:
+    if camera.T_camera_world is not None or camera.path is not None:
         return camera, ""
+    camera, turning, turned = _turned(found, camera)
+    if found.lines is None and turning is None:
+        return camera, turned
     from recon.films.vertical import find_vertical  # films only
 
     matrix = camera.camera_matrix
-    ends = straightened(found.lines, camera) - matrix[:2, 2]
-    assert found.lines_frame is not None
-    images = [ends[found.lines_frame == one] for one in np.unique(found.lines_frame)]
     focal = float(matrix[[0, 1], [0, 1]].mean())
+    lines, shown = found.lines, found.lines_frame
+    if lines is None or shown is None:
+        lines, shown = np.zeros((0, 2, 2)), np.zeros(0, int)
+    ends, numbers = straightened(lines, camera) - matrix[:2, 2], np.unique(shown)
+    images = [ends[shown == one] for one in numbers]
+    R = np.eye(3)[None]
+    if turning is not None:
+        # lines are told as the middle picture would show them
+        middle = turning.at(turning.frames[[len(turning.frames) // 2]])[0]
+        R = middle.T @ turning.at(frames)
+        images = [
+            _seen_turned(one, focal, middle.T @ turn)
+            for one, turn in zip(images, turning.at(numbers), strict=True)
+        ]
     told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
     if told is None:
-        return camera, ""
-    T_world_camera = np.eye(4)
-    T_world_camera[:3, :3] = level_turn(told.up)
+        path = None if turning is None else _turning_path(R, level=False)
+        return camera if path is None else replace(camera, path=path), turned
     down, roll = (
         np.degrees(np.arcsin(-told.up[2])), np.degrees(np.arctan2(told.up[0], -told.up[1]))
     )  # fmt: skip
@@ -159,9 +196,68 @@ def levelled(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, str
         matrix = matrix * np.array([[told.focal / focal], [told.focal / focal], [1.0]])
         matrix[:2, 2] = camera.camera_matrix[:2, 2]
         said += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
-    path = CameraPath(T_world_camera[None], metric=True, level=True)
+    path = _turning_path(level_turn(told.up) @ R, level=True)
     known = camera.focal_known or told.focal is not None
-    return replace(camera, camera_matrix=matrix, focal_known=known, path=path), said
+    both = "; ".join(one for one in (turned, said) if one)
+    return replace(camera, camera_matrix=matrix, focal_known=known, path=path), both
+
+
+def _turning_path(R: Float[np.ndarray, "frames 3 3"], *, level: bool) -> CameraPath:
+    T_world_camera = np.tile(np.eye(4), (len(R), 1, 1))
+    T_world_camera[:, :3, :3] = R
+    return CameraPath(T_world_camera, metric=True, level=level)
+
+
+def _turned(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, "Turning | None", str]:
+    """The camera with the focal length that its turning tells, the turning, and a note."""
+    behind = found.background
+    if behind is None or len(behind.frame) == 0:
+        return camera, None, ""
+    from recon.films.turning import find_turning  # films only
+
+    matrix = camera.camera_matrix
+    focal = float(matrix[[0, 1], [0, 1]].mean())
+    turning = find_turning(
+        behind.frame, behind.point, straightened(behind.pixels, camera) - matrix[:2, 2], focal,
+        known=camera.focal_known,
+    )  # fmt: skip
+    if turning is None:
+        note = (
+            f"{found.name}: its background moves, so the camera was carried or held in the hand; "
+            "its path cannot be told from the film, and it is taken as standing still: give its "
+            "track (--camera-track), or places and steps are not to be trusted"
+        )
+        return camera, None, note
+    note = (
+        f"{found.name}: its background tells that the camera turns by up to "
+        f"{np.degrees(turning.angle):.0f} degrees"
+    )
+    if not turning.focal_told:
+        return camera, turning, note
+    matrix = matrix * np.array([[turning.focal / focal], [turning.focal / focal], [1.0]])
+    matrix[:2, 2] = camera.camera_matrix[:2, 2]
+    note += f", and a focal length of {turning.focal:.0f} pixels, which is taken instead"
+    return replace(camera, camera_matrix=matrix, focal_known=True), turning, note
+
+
+_BESIDE = 0.3
+"""Least cosine between what is seen and the axis of the camera in whose image it is drawn."""
+
+
+def _seen_turned(
+    ends: Float[np.ndarray, "lines 2 2"], focal: float, R: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "lines 2 2"]:
+    """Segments as a turned camera would see them, pixels from the principal point.
+
+    Args:
+        ends: of the segments.
+        focal: pixels.
+        R: from the frame of the camera that saw them to that of the other.
+    """
+    rays = np.concatenate((ends / focal, np.ones((*ends.shape[:2], 1))), -1) @ R.T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = rays[(rays[..., 2] > _BESIDE).all(1)]
+    return focal * rays[..., :2] / rays[..., 2:]
 
 
 def level_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -113,7 +113,8 @@ def read_views(
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     level: list[str] = []
     if how.ground is None:  # a plane that was given tells more
-        both = [levelled(*one) for one in zip(found, cameras, strict=True)]
+        numbers = first + np.arange(frames)
+        both = [levelled(*one, numbers) for one in zip(found, cameras, strict=True)]
         cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)

@@ -1,0 +1,136 @@
+"""How a camera on one spot turns, and its focal length, from points of the background.
+
+A point far away, or any point seen from one spot, keeps its direction in the world. The rotation
+of a picture is the one that turns the directions of its points onto those known from the pictures
+before (Kabsch), whereby points that disagree count little (Geman-McClure). Where the camera turns
+far, only the true focal length lets all agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation, Slerp
+
+_NOISE = 0.0015
+"""Radians by which points agree."""
+_WIDER = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+"""Multiples of it in the rounds of reweighting of a picture."""
+_FEWEST_POINTS = 6
+"""Points of a picture below which it is taken to be turned like the one before."""
+_LEAST_TURN = np.radians(6.0)
+"""Turn from which on a rotation is told from a small path."""
+_FOCAL_TURN = np.radians(10.0)
+"""Turn from which on it tells the focal length."""
+_FOCAL_FACTORS = np.geomspace(0.7, 1.43, 13)
+_MOST_OFF = 0.0025
+"""Median angle, radians, by which points disagree with a camera that only turns."""
+
+
+@dataclass(frozen=True)
+class Turning:
+    """The rotations of a camera that stands on one spot."""
+
+    frames: Int[np.ndarray, " pictures"]
+    R_first_camera: Float[np.ndarray, "pictures 3 3"]
+    """From the camera's frame to that of the first picture."""
+    focal: float
+    """Pixels."""
+    focal_told: bool
+    """Whether the turning told it."""
+
+    @property
+    def angle(self) -> float:
+        """The largest turn from the first picture, radians."""
+        return _turn(self.R_first_camera)
+
+    def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 3 3"]:
+        """Rotations at any frames, between the pictures by the shortest way."""
+        if len(self.frames) < 2:
+            return np.tile(np.eye(3), (len(frames), 1, 1))
+        within = np.clip(frames, self.frames[0], self.frames[-1])
+        return Slerp(self.frames, Rotation.from_matrix(self.R_first_camera))(within).as_matrix()
+
+
+def find_turning(
+    frame: Int[np.ndarray, " rows"],
+    point: Int[np.ndarray, " rows"],
+    pixels: Float[np.ndarray, "rows 2"],
+    focal: float,
+    *,
+    known: bool,
+) -> Turning | None:
+    """How a camera turns; None where it hardly does, or moves from its spot.
+
+    Args:
+        frame: number of the picture of each row.
+        point: number of its point.
+        pixels: from the principal point, without the lens' distortion.
+        focal: focal length in pixels; its guess where it is not known.
+        known: whether it is known; if not, it is looked for.
+    """
+    order = np.argsort(frame, kind="stable")
+    frame, point, pixels = frame[order], point[order], pixels[order]
+    frames = np.unique(frame)
+    starts = np.searchsorted(frame, frames[1:])
+
+    def turned(factor: float) -> tuple[Float[np.ndarray, "pictures 3 3"], np.ndarray]:
+        return _chained(point, pixels / (focal * factor), starts)
+
+    def disagreement(factor: float) -> float:
+        # in pixels, or a long focal length would seem to be better
+        return float(np.log1p((turned(factor)[1] * factor / _NOISE) ** 2).mean())
+
+    factor, told = 1.0, False
+    found, off = turned(factor)
+    if _turn(found) > _FOCAL_TURN and not known:
+        values = np.array([disagreement(one) for one in _FOCAL_FACTORS])
+        best = int(values.argmin())
+        told = 0 < best < len(values) - 1
+        if told:
+            around = slice(best - 1, best + 2)
+            bend = np.polyfit(np.log(_FOCAL_FACTORS[around]), values[around], 2)
+            factor = float(np.exp(-bend[1] / (2 * bend[0])))
+            found, off = turned(factor)
+    if _turn(found) < _LEAST_TURN or np.median(off) > _MOST_OFF:
+        return None
+    return Turning(frames, found, focal * factor, told)
+
+
+def _turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
+    """The largest angle from the first picture, radians."""
+    return float(Rotation.from_matrix(rotations).magnitude().max())
+
+
+def _chained(
+    point: Int[np.ndarray, " rows"],
+    places: Float[np.ndarray, "rows 2"],
+    starts: Int[np.ndarray, " later"],
+) -> tuple[Float[np.ndarray, "pictures 3 3"], Float[np.ndarray, " compared"]]:
+    """Rotations of the pictures, and the angles by which points are off; none of one picture.
+
+    Args:
+        point: number of the point of each row, by picture.
+        places: x/z and y/z in the camera's frame.
+        starts: rows with which pictures after the first begin.
+    """
+    rays = np.concatenate((places, np.ones((len(places), 1))), 1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    known, trust = np.zeros((point.max() + 1, 3)), np.zeros(point.max() + 1)
+    turn, turns, offs = np.eye(3), list[np.ndarray](), [np.zeros(1)]
+    for rows in np.split(np.arange(len(point)), starts):
+        mine, ray, weight = point[rows], rays[rows], np.ones(len(rows))
+        old = trust[mine] > 0
+        if old.sum() >= _FEWEST_POINTS:
+            goal = known[mine[old]]
+            for wider in _WIDER:
+                off = np.linalg.norm(ray[old] @ turn.T - goal, axis=1)
+                weight[old] = 1 / (1 + (off / (wider * _NOISE)) ** 2) ** 2
+                u, _, vt = np.linalg.svd((goal * weight[old, None]).T @ ray[old])
+                turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+            offs.append(off)
+        turns.append(turn)
+        trust[mine] += weight + 1e-3
+        share = (weight + 1e-3) / trust[mine]
+        known[mine] += share[:, None] * (ray @ turn.T - known[mine])
+    return np.stack(turns), np.concatenate(offs)

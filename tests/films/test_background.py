@@ -1,0 +1,178 @@
+"""What the background of a film tells of its camera: still, turning, or carried."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from recon.core.errors import FormatError
+from recon.detections.records import Background, Detections
+from recon.detections.tables import detection_arrays, read_detection_arrays
+from recon.films.background import Followed, moving_background
+from recon.films.turning import find_turning
+from recon.formats.cameras import guessed_camera
+from recon.reading.stated import in_one_shot, levelled
+
+WIDTH, HEIGHT, FOCAL, FRAMES = 480, 360, 450.0, 24
+MIDDLE = np.array([WIDTH, HEIGHT]) / 2
+MATRIX = np.array([[FOCAL, 0, MIDDLE[0]], [0, FOCAL, MIDDLE[1]], [0, 0, 1.0]])
+
+
+@cache
+def panorama() -> np.ndarray:
+    """Rectangles of any colour all around, 8 pixels a degree."""
+    chance, image = np.random.default_rng(0), np.full((1440, 2880, 3), 90, np.uint8)
+    for _ in range(1200):
+        x, y = chance.integers(0, 2880), chance.integers(0, 1440)
+        w, h = chance.integers(20, 90, 2)
+        colour = tuple(map(int, chance.integers(0, 255, 3)))
+        cv2.rectangle(image, (x, y), (x + w, y + h), colour, -1)
+    return image
+
+
+def turned(degrees: float) -> np.ndarray:
+    """Rotations of a camera that pans, and nods a little, from its frame to the first one."""
+    share = np.linspace(0, 1, FRAMES)
+    angles = np.column_stack((degrees * share, 0.1 * degrees * np.sin(9 * share)))
+    found = Rotation.from_euler("YX", angles, degrees=True)
+    return (found[0].inv() * found).as_matrix()
+
+
+def film(rotations: np.ndarray, *, flicker: float = 0.0, wall: bool = False) -> Background:
+    """Points that are followed in noisy pictures before which somebody in stripes walks."""
+    chance, followed = np.random.default_rng(1), Followed()
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = np.stack((u, v, np.ones_like(u)), -1) @ np.linalg.inv(MATRIX).T
+    for frame, R in enumerate(rotations):
+        x, y, z = np.moveaxis(rays @ R.T, -1, 0)
+        across, up = np.degrees(np.arctan2(x, z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
+        there = [
+            (8 * (angle + 180 - off)).astype(np.float32) for angle, off in ((across, 0), (up, 90))
+        ]
+        image = cv2.remap(panorama(), *there, cv2.INTER_LINEAR).astype(float)
+        image = np.full_like(image, 120.0) if wall else image
+        low, high = box(frame).round().astype(int)
+        image[low[1] : high[1], low[0] : high[0]] = (
+            200 * (np.arange(high[1] - low[1]) // 9 % 2)[:, None, None]
+        )
+        image = image * (1 + flicker * np.sin(frame)) + chance.normal(0, 3, image.shape)
+        followed.step(np.clip(image, 0, 255).astype(np.uint8), frame, 0)
+    pixels = np.concatenate(followed.pixels)
+    return Background(np.concatenate(followed.frames), np.concatenate(followed.numbers), pixels)
+
+
+def box(frame: int) -> np.ndarray:
+    """Corners of the person who walks."""
+    return np.array([[60.0 + 5 * frame, 80.0], [150.0 + 5 * frame, 340.0]])
+
+
+def people(background: Background | None = None) -> Detections:
+    """Somebody in every frame, whose keypoints lie on their outline."""
+    frames = np.arange(FRAMES)
+    ends = np.stack([box(frame) for frame in frames])
+    along = np.linspace(0, 1, 33)[:, None]
+    return Detections(
+        name="film.mp4", layout="mediapipe33", frame_numbers=frames, frame=frames,
+        pixels=ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]), frame_rate=30.0,
+        confidence=np.ones((FRAMES, 33)), identity=np.zeros(FRAMES, int),
+        image_size=(WIDTH, HEIGHT), background=background,
+    )  # fmt: skip
+
+
+@cache
+def panned() -> Background:
+    behind, said = moving_background(film(turned(30.0), flicker=0.02), people())
+    assert behind is not None
+    assert said == ""
+    return behind
+
+
+def test_turns_and_focal_length_of_a_pan_are_found():
+    behind, true = panned(), turned(30.0)
+    kept = behind.frame != 11  # a frame that the camera dropped
+    found = find_turning(
+        behind.frame[kept], behind.point[kept], behind.pixels[kept] - MIDDLE, 1.15 * FOCAL,
+        known=False,
+    )  # fmt: skip
+    assert found is not None
+    assert found.focal_told
+    assert found.focal == pytest.approx(FOCAL, rel=0.02)
+    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.at(np.arange(FRAMES)))
+    assert np.degrees(off.magnitude().max()) < 0.5
+
+
+def test_known_focal_length_is_kept():
+    behind = panned()
+    found = find_turning(behind.frame, behind.point, behind.pixels - MIDDLE, FOCAL, known=True)
+    assert found is not None
+    assert not found.focal_told
+    assert found.focal == FOCAL
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.2])
+def test_still_camera_is_not_moved_by_people_noise_or_flicker(flicker: float):
+    seen = film(turned(0.0), flicker=flicker)
+    assert moving_background(seen, people()) == (None, "")
+
+
+def test_too_few_points_of_the_background_are_said():
+    behind, said = moving_background(film(turned(30.0), wall=True), people())
+    assert behind is None
+    assert "too few" in said
+
+
+def test_nobody_is_followed_from_one_shot_into_another():
+    followed = Followed()
+    image = panorama()[500:860, 900:1380]
+    for shot in range(2):
+        followed.step(image, shot, shot)
+    assert not set(followed.numbers[0]) & set(followed.numbers[1])
+
+
+def test_camera_of_a_film_turns_as_its_background_tells():
+    camera, said = levelled(people(panned()), guessed_camera((WIDTH, HEIGHT)), np.arange(FRAMES))
+    assert "turns by up to" in said
+    assert camera.focal_known
+    assert camera.path is not None
+    assert not camera.path.level
+    R = camera.path.T_world_camera[:, :3, :3]
+    off = Rotation.from_matrix((R[0].T @ R).swapaxes(1, 2) @ turned(30.0))
+    assert np.degrees(off.magnitude().max()) < 0.5
+
+
+def test_camera_that_is_carried_is_said_to_need_its_track():
+    chance = np.random.default_rng(0)
+    points = chance.uniform((-3, -1.5, 2), (6, 1.5, 9), (90, 3))
+    frame, point = (one.ravel() for one in np.mgrid[:FRAMES, :90])
+    away = points[point] - frame[:, None] * (0.13, 0, 0)
+    pixels = FOCAL * away[:, :2] / away[:, 2:] + MIDDLE
+    seen = people(Background(frame, point, pixels))
+    assert moving_background(seen.background, people())[0] is not None
+    camera = guessed_camera((WIDTH, HEIGHT))
+    same, said = levelled(seen, camera, np.arange(FRAMES))
+    assert same is camera
+    assert "--camera-track" in said
+
+
+def test_background_of_another_shot_does_not_count():
+    found = replace(people(panned()), shots=(16,))
+    kept, _, _ = in_one_shot(found, 30.0, None)
+    assert kept.background is not None
+    assert kept.background.frame.max() == 15
+
+
+def test_background_is_kept_in_files_of_detections(tmp_path: Path):
+    found, path = people(panned()), tmp_path / "found.npz"
+    arrays = detection_arrays(found)
+    np.savez(path, **arrays)
+    again = read_detection_arrays(path).background
+    assert again is not None
+    for name in ("frame", "point", "pixels"):
+        assert (getattr(again, name) == getattr(found.background, name)).all()
+    np.savez(path, **{**arrays, "background_of": arrays["background_of"][:-1]})
+    with pytest.raises(FormatError, match="background_of"):
+        read_detection_arrays(path)
