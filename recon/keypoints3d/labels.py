@@ -124,9 +124,11 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
 def are_keypoints(labels: Sequence[str]) -> bool:
     """Whether most labels mean keypoints, with hips, knees and ankles among them.
 
-    Markers that OpenCap's augmenter computed from keypoints and wrote beside them do not count.
+    Markers that OpenCap's augmenter computed from keypoints and wrote beside them do not count,
+    nor do points of hands.
     """
-    labels = [label for label in labels if not label.endswith(STUDY)]
+    left = (STUDY, *FINGER_POINTS)
+    labels = [one for one in labels if not (_point_of_hand(one) or one).endswith(left)]
     found = meant_keypoints(labels)
     return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
 

@@ -12,9 +12,10 @@ from recon.body.hands import LIMITS, RELAXED, HandModel
 from recon.core import rotations as so3
 from recon.core.camera import pose_looking_at as look_at
 from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, HAND_PARENTS
+from recon.core.layouts import LAYOUTS
 from recon.core.skeleton import JOINTS
 from recon.fitting.hands import HandView, _bend_precision, _Fingers
-from recon.keypoints3d.labels import _point_of_hand, fingers_apart
+from recon.keypoints3d.labels import _point_of_hand, are_keypoints, fingers_apart
 from recon.keypoints3d.reader import read_session
 from tests.hands.made import FPS, hand_points, noisy, person, pose_table
 
@@ -126,6 +127,11 @@ def test_session_with_hands(tmp_path):
 ])  # fmt: skip
 def test_labels_of_points(label, point):
     assert _point_of_hand(label) == point
+
+
+def test_labels_with_fingers_are_keypoints():
+    """42 points of hands beside those of the body made them a recording of markers."""
+    assert are_keypoints((*LAYOUTS["coco17"], *FINGER_POINTS))
 
 
 def test_tree_is_that_of_smplh():
