@@ -128,7 +128,7 @@ def load_windows(
     if len(found) == 0:
         raise ReconError(f"{corpus}: no {part} clip is {frames} frames long")
     return TrueWindows(
-        truth=stack([motion for motion, _ in found.values()]),
+        truth=stack([motion.replace(hands=None) for motion, _ in found.values()]),
         contacts=torch.stack([contacts for _, contacts in found.values()]),
         subjects=tuple(splits.subject(clip) for clip, _ in found),
         names=tuple(f"{clip}@{first / FPS:.2f}" for clip, first in found),
@@ -240,7 +240,7 @@ def _bundled_windows(body: BodyModel) -> tuple[TrueWindows, str, str]:
     whole = recorded.motion.resample(FPS)
     pieces = [whole.window(i, i + FRAMES) for i in range(0, whole.frames - FRAMES + 1, FRAMES)]
     windows = TrueWindows(
-        truth=stack([piece.replace(start_time=0.0) for piece in pieces]),
+        truth=stack([piece.replace(start_time=0.0, hands=None) for piece in pieces]),
         contacts=torch.stack([contacts_at(recorded, piece.times, body) for piece in pieces]),
         subjects=("16",) * len(pieces),
         names=tuple(f"16_32@{i * FRAMES / FPS:.2f}" for i in range(len(pieces))),

@@ -56,14 +56,14 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
     arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
-    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes and fingers stay at rest
+    others = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw and eyes stay at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),
         "num_betas": np.array(len(moved.shape)),
-        "pose_jaw": hands[:, :3],
-        "pose_eye": hands[:, :6],
-        "pose_hand": hands[:, :90],
+        "pose_jaw": others[:, :3],
+        "pose_eye": others[:, 3:9],
+        "pose_hand": others[:, 9:],
         "global_joint_positions": joints.numpy(),
         "height": np.array(float(standing.max() - standing.min())),
         "contacts": contacts.numpy(),
@@ -74,10 +74,12 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
 
 
 def _arrays(motion: Motion, target: BodyModel, joints: int, gender: str) -> dict[str, np.ndarray]:
-    """The arrays of a motion in AMASS layout; joints beyond our 22 are at rest."""
+    """The arrays of a motion in AMASS layout; of joints beyond our 22, only fingers move."""
     poses = so3.log(motion.rotations.double()).float().numpy().reshape(motion.frames, -1)
     whole = np.zeros((motion.frames, 3 * joints), np.float32)
     whole[:, : poses.shape[1]] = poses
+    if motion.hands is not None and joints >= len(JOINTS) + 30:
+        whole[:, -90:] = motion.hands.arrays()["pose_hand"]
     return {
         "trans": motion.translation.numpy(),
         "poses": whole,
@@ -124,8 +126,8 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
 def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> TransferredMotion:
     """Write a motion in AMASS layout on a user's SMPL-family body; z up, metres.
 
-    `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); those beyond the 22 of
-    the body are at rest. `betas` are coefficients of that file's shapes.
+    `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); of those beyond the
+    22 of the body, only fingers move. `betas` are coefficients of that file's shapes.
 
     Args:
         path: file to write.
@@ -139,7 +141,7 @@ def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Trans
     """
     target = BodyModel.load(onto)
     found = transfer(motion, body, target)
-    moved = found.motion
+    moved = found.motion.replace(hands=motion.hands)
     arrays = _arrays(moved, target, len(load_smpl(onto).parents), _gender(onto) or "neutral")
     arrays |= {name: np.array(moved.fps) for name in ("mocap_framerate", "mocap_frame_rate")}
     save_arrays(path, arrays)

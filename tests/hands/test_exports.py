@@ -9,8 +9,10 @@ from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.gltf import write_glb
+from recon.export.robots import write_robot, write_smpl
 from recon.export.skeleton import Skeleton
 from recon.mocap.reader import read_recording
+from tests.export.smplx_stand_in import write_smplx
 from tests.hands.made import person
 
 
@@ -49,3 +51,16 @@ def test_glb_skins_fingers(tmp_path):
     tip = somebody.body.template[1049]
     away = (binds @ torch.cat((tip, torch.ones(1))))[:, :3].norm(dim=-1)
     assert HAND_JOINTS[int(away.argmin())].endswith("3")
+
+
+def test_smplx_files_have_fingers(tmp_path):
+    """Robots' loaders find them in `pose_hand`, those of AMASS at the end of `poses`."""
+    somebody = person(6, 1)
+    smplx = write_smplx(tmp_path / "SMPLX_NEUTRAL.npz", somebody.body.to(dtype=torch.float64))
+    write_robot(tmp_path / "robot.npz", somebody.motion, somebody.body, smplx)
+    write_smpl(tmp_path / "smplx.npz", somebody.motion, somebody.body, smplx)
+    own = somebody.motion.hands.arrays()["pose_hand"]
+    with np.load(tmp_path / "robot.npz") as robot, np.load(tmp_path / "smplx.npz") as amass:
+        assert np.allclose(robot["pose_hand"], own, atol=1e-5)
+        assert np.allclose(amass["poses"][:, 75:], own, atol=1e-5)
+        assert not amass["poses"][:, 66:75].any()
