@@ -69,6 +69,8 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
 def _hint_at_missing(path: Path) -> str:
     """Hint for a missing file: similar names, or that its folder is missing."""
     folder = path.parent
+    if path.is_symlink():
+        return f"; it is a link to {path.readlink()}, where nothing is"
     if not folder.is_dir():
         return f"; the folder {folder} is not there either"
     near = get_close_matches(path.name, (one.name for one in folder.iterdir()))

@@ -14,7 +14,7 @@ import recon
 from recon import cli
 from recon.cli import console, inputs, listing
 from recon.cli.examples import EXAMPLES
-from recon.cli.parsing import options_of, parsed_command
+from recon.cli.parsing import BAD_USAGE, options_of, parsed_command
 from recon.cli.places import declared_outputs
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
@@ -192,3 +192,10 @@ def test_a_fit_loads_neither_the_compiler_nor_scipy_before_they_are_used():
     """RoMa loaded torch's compiler: a third of every start."""
     run = subprocess.run([sys.executable, "-c", ROMA], capture_output=True, text=True, check=True)
     assert run.stdout == "set()\n"
+
+
+def test_links_to_nothing_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The message asked whether the very same path was meant."""
+    (tmp_path / "seen.npz").symlink_to("gone.npz")
+    assert cli.run(["info", str(tmp_path / "seen.npz")]) == BAD_USAGE
+    assert "it is a link to gone.npz, where nothing is" in capsys.readouterr().err
