@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from recon.api.evaluate import evaluate as evaluate
     from recon.api.fit import complete as complete
     from recon.api.fit import fit as fit
-    from recon.api.fit import refine as refine
     from recon.api.generate import predict as predict
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
     from recon.api.label import label as label
+    from recon.api.refine import refine as refine
     from recon.api.register import register as register
     from recon.api.result import Result as Result
     from recon.api.retarget import retarget as retarget
@@ -67,7 +67,7 @@ _HOMES = {
     "bench": "recon.benchmark.judged",
     "complete": "recon.api.fit",
     "detect": "recon.api.detect",
-    "refine": "recon.api.fit",
+    "refine": "recon.api.refine",
     "retarget": "recon.api.retarget",
     "sample": "recon.api.generate",
     "predict": "recon.api.generate",

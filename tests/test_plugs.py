@@ -30,7 +30,7 @@ TOOLS = {
 BENCH = {"recon/benchmark/methods.py"}
 """Files that judge priors by name, on windows of people from whom none of them learned."""
 DEFAULTS = {
-    "recon/api/fit.py", "recon/batch/clips.py", "recon/people/together.py",
+    "recon/api/fit.py", "recon/api/refine.py", "recon/batch/clips.py", "recon/people/together.py",
     "recon/fitting/settings.py",
     "recon/fitting/methods.py",
 }  # fmt: skip

@@ -1,8 +1,7 @@
-"""`recon.fit`, `complete` and `refine`: from observations of one clip to its motion."""
+"""`recon.fit` and `complete`: from observations of one clip to its motion."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ import torch
 
 from recon.api.given import (
     BodyLike,
-    MotionLike,
     Shape,
     ShapeLike,
     body_given,
@@ -27,7 +25,6 @@ from recon.body.model import BodyModel
 from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
-from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.examination import Check
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import FitOptions, Method, trait_of
@@ -133,6 +130,8 @@ def fit(
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if paths and _is_estimate(paths):
+        from recon import refine  # which calls `fit` in turn
+
         _refuse_others(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
@@ -222,93 +221,10 @@ def complete(
     return fit(observations, prior, **how)
 
 
-def refine(
-    motion: MotionLike,
-    prior: str | PriorLike = "humor",
-    *,
-    body: BodyLike = None,
-    shape: ShapeLike | None = None,
-    frame_rate: float | None = None,
-    unit: Unit | None = None,
-    up: Up | None = None,
-    hand: Hand | None = None,
-    person: int | None = None,
-    ground: GroundChoice | str = "unknown",
-    **how: Any,
-) -> Result:
-    """Refine a motion that a network estimated from video.
-
-    Feet that stand, no jitter, impacts kept.
-
-    Networks that look at video err for seconds, by limb, and their path drifts; here residuals
-    are weighed by the inverse of their covariance in time, so that fast changes are believed and
-    lasting deviations are cheap. Limbs that are exchanged for moments are put right, stretches
-    between jumps err each for itself. Left-out frames are filled.
-
-    Args:
-        motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
-            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz); keypoints of SAM 3D Body are
-            fitted. Nothing in it is run.
-        prior: as in `recon.fit`.
-        body: the body that the estimate is of, a SMPL-family file of which the shape coefficients
-            are then taken; or None for the bundled body.
-        shape: of the person, as `recon.retarget` takes it ("height=1.80"), on the bundled body,
-            for which coefficients of another body model mean nothing; None is the average shape.
-        frame_rate: frames per second of an estimate that does not say it.
-        unit: of the estimate's translation; None tells it from feet that stand.
-        up: axis of the estimate's world that points up, or down; None tells it from the body.
-        hand: handedness of the estimate's coordinates; None is right, of keypoints told from the
-            body.
-        person: which of several people in a file, from 0 on; None takes the one of most frames.
-        ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
-        how: others of `recon.fit`.
-
-    Raises:
-        ReconError: when the estimate is damaged, no estimate, lasts less than four frames, or its
-            frame rate is missing.
-        FileNotFoundError: when there is no such file.
-    """
-    if ground not in ("known", "unknown"):
-        raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
-        return fit(
-            [motion], prior, body=body, shape=shape, ground=ground, frame_rate=frame_rate,
-            unit=unit, up=up, hand=hand, person=person, **how,
-        )  # fmt: skip
-    # imported here: it loads scipy, which only fits to estimates need
-    from recon.api.estimates import LEAST_FRAMES, estimate_given
-    from recon.diagnosis.estimates import as_measurement
-
-    model = body_given(body)
-    own = body is not None
-    given, known, notes = estimate_given(
-        motion, model, own, shape, frame_rate, unit, up, hand, person
-    )
-    if given.frames < LEAST_FRAMES:
-        raise ReconError(
-            f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
-        )
-    seen, start, found = as_measurement(given, known, model)
-    seen = seen.replace(ground_known=ground == "known")
-    how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
-    result = fit(seen, prior, **how)
-    examined = replace(result.examined, found=found + result.examined.found)
-    warnings = (*found.warnings, *result.warnings)
-    return replace(result, notes=(*notes, *result.notes), examined=examined, warnings=warnings)
-
-
 def _is_estimate(paths: Sequence[Path]) -> bool:
     from recon.formats.producers import is_estimate  # only needed for paths of files
 
     return is_estimate(paths)
-
-
-def _is_keypoints(path: Path) -> bool:
-    """Whether a file holds keypoints to fit; refused when it cannot be refined either."""
-    from recon.formats.producers import holds_sam3d_body, refuse_others
-
-    refuse_others(path, "refine")
-    return holds_sam3d_body(path)
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:

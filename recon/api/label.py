@@ -76,7 +76,7 @@ class LabelledMarkers:
 def label(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
-    like: Path | str,
+    like: str | Path | None = None,
     unit: Unit | None = None,
     up: Up | None = None,
 ) -> LabelledMarkers:
@@ -88,7 +88,7 @@ def label(
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.
-        like: a recording of this person, with names and the markers in the same places.
+        like: a recording of this person, with names and the markers in the same places; needed.
         unit: of both files; default: found out.
         up: axis of both files that points up, or down; default: found out.
 
@@ -97,6 +97,10 @@ def label(
             markers or the other hardly fits it.
         FileNotFoundError: when there is no such file.
     """
+    if like is None:
+        raise ReconError(
+            "expected a trial of the same person whose markers have names; give it with --like"
+        )
     body = BodyModel.load()
     trial = _markers(read_recording(like, unit=unit, up=up))
     given = recording if not isinstance(recording, str | Path) else None

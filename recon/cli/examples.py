@@ -86,7 +86,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon view motion.npz --film film.mp4 --png sheet.png",
     ),
     "export": (
-        "recon export motion.npz --glb motion.glb",
+        "recon export motion.npz --glb motion.glb --names mixamo",
         "recon export motion.npz --trc motion.trc --markers opencap --mot motion.mot",
         "recon export motion.npz --forces grf.mot --moments id.sto --mass 70",
     ),

@@ -30,7 +30,7 @@ CORE = {
     "detect": Verb("recon.api.detect:detect", out="file of 2D keypoints to write (.npz)."),
     "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
-    "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),
+    "refine": Verb("recon.api.refine:refine", settings=FitSettings(ground="unknown")),
     "convert": Verb("recon.api.convert:convert", out_follows=True),
     "label": Verb("recon.api.label:label", out="file of named markers to write (.trc)."),
     "sample": Verb("recon.api.generate:sample", (Place("out", folder_or_npz_output),), _SEVERAL),

@@ -11,6 +11,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
+from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import rest_offsets
 from recon.formats.replacing import write_text
 from recon.mocap.recording import SkeletonRecording
@@ -90,12 +91,13 @@ def write_bvh(
     *,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] = "cm",
     order: Order = "ZYX",
+    bones: BoneNames = "smpl",
 ) -> None:
     """Write a recording with y up and one Euler order; reading the file gives it back.
 
     Joints that move within their parent get position channels; joints called `<parent>_end`
     become end sites. The root's OFFSET is zero: some programs add it to its position channels,
-    others take these instead of it.
+    others take these instead of it. Of a motion's skeleton, `bones` says whose names joints have.
     """
     # imported only here, since it loads slowly
     from scipy.spatial.transform import Rotation
@@ -106,7 +108,10 @@ def write_bvh(
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
-    names, parents = recording.joint_names, recording.parents
+    # three.js finds no joint whose name has a colon
+    theirs = renamed(recording.joint_names, bones)
+    names = tuple(name.removeprefix("mixamorig:") for name in theirs)
+    parents = recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()
 
     def describe(joint: int, indent: str) -> None:

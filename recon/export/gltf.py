@@ -5,12 +5,16 @@ from typing import Any
 
 import numpy as np
 import pygltflib as gltf
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
+from recon.core.units import to_z_up
+from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 
@@ -19,18 +23,27 @@ INFLUENCES = 4
 _HALF = 0.5**0.5
 
 
-def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
+def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "smpl") -> None:
     """Write one clip, frame k at k / fps seconds; `asset.extras` has the start time.
 
     The node `z_up` above the skeleton turns our z up to glTF's y up. Vertices keep their four
     largest weights, scaled to sum to one. Corrective offsets of SMPL bodies are left out.
 
+    With the names `vrm` the file is a VRM 1.0 avatar and a VRM animation: the body at rest stands
+    upright on y = 0, and the root's motion has y up without a node `z_up`.
+
     Raises:
         ReconError: when the motion has a batch axis.
     """
     motion = one_clip(motion)
+    vertices = body.rest_vertices(motion.shape).detach()
+    avatar = names == "vrm"
+    if avatar:
+        turn = torch.from_numpy(to_z_up("y").T).to(motion.translation)
+        upright = so3.rigid(turn, turn.new_zeros(3))
+        motion = motion.carried(upright, body.rest_joints(motion.shape)[0].detach())
     skeleton, file = Skeleton.of(motion, body), _Buffer()
-    mesh = file.mesh(body.rest_vertices(motion.shape).detach(), body, skeleton)
+    mesh = file.mesh(vertices, body, skeleton)
     inverse = skeleton.binds.transpose(0, 2, 1).reshape(-1, 16)
     matrices = file.add(inverse, gltf.FLOAT, gltf.MAT4)
     animation = file.animation(motion, skeleton)
@@ -41,10 +54,13 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
             translation=skeleton.offsets[j].tolist(),
             children=[c for c, p in enumerate(skeleton.parents) if p == j] or None,
         )
-        for j, name in enumerate(skeleton.names)
+        for j, name in enumerate(renamed(skeleton.names, names))
     ]
     nodes.append(gltf.Node(name="body", mesh=0, skin=0))
-    nodes.append(gltf.Node(name="z_up", rotation=[-_HALF, 0.0, 0.0, _HALF], children=[0]))
+    if avatar:
+        nodes[0].translation[1] -= float(vertices[:, 1].min())
+    else:
+        nodes.append(gltf.Node(name="z_up", rotation=[-_HALF, 0.0, 0.0, _HALF], children=[0]))
     skin = gltf.Skin(joints=list(range(count)), inverseBindMatrices=matrices, skeleton=0)
     paint = gltf.PbrMetallicRoughness(
         baseColorFactor=[0.55, 0.65, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
@@ -55,7 +71,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
         ),
         scene=0,
         # a skinned mesh must be a root node, since only its joints move it
-        scenes=[gltf.Scene(nodes=[count, count + 1])],
+        scenes=[gltf.Scene(nodes=[count, 0 if avatar else count + 1])],
         nodes=nodes,
         meshes=[mesh],
         skins=[skin],
@@ -65,9 +81,21 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
         bufferViews=file.views,
         buffers=[gltf.Buffer(byteLength=len(file.data))],
     )
+    if avatar:
+        document.extensions = _humanoid([node.name for node in nodes[:count]])
+        document.extensionsUsed = list(document.extensions)
     document.set_binary_blob(bytes(file.data))
     with replacing(path) as beside:
         document.save_binary(str(beside))
+
+
+def _humanoid(bones: list[str]) -> dict[str, Any]:
+    """The extensions by which VRM 1.0 finds bones, which have its names, and the animation."""
+    humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
+    told = {"specVersion": "1.0", "humanoid": humanoid}
+    licence = "https://vrm.dev/licenses/1.0/"
+    meta = {"name": "body", "authors": ["recon"], "licenseUrl": licence}
+    return {"VRMC_vrm": told | {"meta": meta}, "VRMC_vrm_animation": told}
 
 
 class _Buffer:

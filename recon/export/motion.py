@@ -51,6 +51,7 @@ def export_file(
     smpl: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
+    names: Literal["smpl", "mixamo", "unreal", "vrm", "rigify", "xsens"] = "smpl",
     markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
     model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
     mass: float | None = None,
@@ -82,6 +83,8 @@ def export_file(
         smpl: AMASS .npz on the SMPL-family body of --onto, with betas that are its own.
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
+        names: of bones in --glb, --usd and --bvh: ours, or those of Mixamo, of Unreal's UE5
+            mannequin, of VRM 1.0 and Unity (a .glb is a VRM then), of Rigify or of Xsens.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
             markers, Plug-in Gait or the 105 markers of BSM (SKEL).
         model: whose coordinates --mot and --moments have.
@@ -112,6 +115,7 @@ def export_file(
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
     of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
     _refuse_alone(of_trc, trc, "trc")
+    _refuse_alone({"names": names != "smpl"}, glb or usd or bvh, "glb")
     _refuse_alone(
         {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
     )
@@ -141,9 +145,13 @@ def export_file(
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
     every: list[tuple[Path | None, OutputKind, Callable[[Path], object]]] = [
-        (glb, OutputKind.FILE, lambda path: write_glb(path, moved, own)),
-        (usd, OutputKind.FILE, lambda path: write_usd(path, moved, own)),
-        (bvh, OutputKind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
+        (glb, OutputKind.FILE, lambda path: write_glb(path, moved, own, names)),
+        (usd, OutputKind.FILE, lambda path: write_usd(path, moved, own, names)),
+        (
+            bvh,
+            OutputKind.FILE,
+            lambda path: write_bvh(path, skeleton_of(moved, own, name), bones=names),
+        ),
         (trc, OutputKind.FILE, write_markers),
         (mot, OutputKind.FILE, lambda path: write_mot(path, moved, own, model)),
         (

@@ -4,6 +4,7 @@ It needs the package usd-core (`pip install motion-recon[usd]`), which is loaded
 written.
 """
 
+import re
 import shutil
 from importlib import import_module
 from pathlib import Path
@@ -17,6 +18,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
+from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
 from recon.formats.replacing import replacing
 
@@ -24,7 +26,7 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 _COLOUR = (0.55, 0.65, 0.8)
 
 
-def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
+def write_usd(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "smpl") -> None:
     """Write one clip as USD: metres, z up, one time code per frame from 0 on.
 
     All skinning weights are kept. Corrective offsets of SMPL bodies are left out. The motion's
@@ -34,6 +36,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
         path: file to write; .usda is text, .usd and .usdc are binary.
         motion: one clip without a batch axis.
         body: whose motion it is.
+        names: of joints; USD allows letters, digits and underscores, others become underscores.
 
     Raises:
         ValueError: when the motion has a batch axis, the file another ending, or usd-core is not
@@ -46,19 +49,20 @@ def write_usd(path: Path, motion: Motion, body: BodyModel) -> None:
     with replacing(path) as beside, TemporaryDirectory() as folder:
         # written under a plain name, since the library parses arguments in file names
         staged = Path(folder) / f"motion{path.suffix.lower()}"
-        _write_stage(staged, motion, body)
+        _write_stage(staged, motion, body, joint_paths(names))
         shutil.copyfile(staged, beside)
 
 
-def joint_paths() -> list[str]:
+def joint_paths(names: BoneNames = "smpl") -> list[str]:
     """UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
     paths: list[str] = []
-    for name, parent in zip(JOINTS, PARENTS, strict=True):
+    told = (re.sub(r"\W", "_", name) for name in renamed(JOINTS, names))
+    for name, parent in zip(told, PARENTS, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths
 
 
-def _write_stage(path: Path, motion: Motion, body: BodyModel) -> None:
+def _write_stage(path: Path, motion: Motion, body: BodyModel, joints: list[str]) -> None:
     """Make a USD stage with one person and write it."""
     pxr: Any = import_module("pxr")
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
@@ -75,11 +79,11 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel) -> None:
     stage.SetDefaultPrim(root.GetPrim())
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
     # the rest pose, in the world (bind) and relative to the parents (rest)
-    skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joint_paths()))
+    skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joints))
     skeleton.CreateBindTransformsAttr(_translation_matrices(pxr, rest))
     skeleton.CreateRestTransformsAttr(_translation_matrices(pxr, rest_offsets(rest)))
     animation = pxr.UsdSkel.Animation.Define(stage, "/person/motion")
-    _write_animation(pxr, animation, motion, rest)
+    _write_animation(pxr, animation, motion, rest, joints)
     binding = pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
@@ -101,10 +105,14 @@ def _translation_matrices(pxr: Any, places: Float[np.ndarray, "joints 3"]) -> An
 
 
 def _write_animation(
-    pxr: Any, animation: Any, motion: Motion, rest: Float[np.ndarray, "joints 3"]
+    pxr: Any,
+    animation: Any,
+    motion: Motion,
+    rest: Float[np.ndarray, "joints 3"],
+    joints: list[str],
 ) -> None:
     """Write the rotations of all joints and the path of the pelvis into an animation."""
-    animation.CreateJointsAttr(pxr.Vt.TokenArray(joint_paths()))
+    animation.CreateJointsAttr(pxr.Vt.TokenArray(joints))
     turns = quaternions(motion.rotations.double()).numpy().astype(np.float32)
     places = np.tile(rest_offsets(rest), (motion.frames, 1, 1))
     places[:, 0] = motion.translation.double().numpy() + rest[0]

@@ -127,7 +127,7 @@ class Naming:
 
     def _free(self, track: int) -> Bool[np.ndarray, " markers"]:
         """The markers that no other track is in the frames of this one."""
-        return ~np.isfinite(self._named[self._frames[self._rows(track)], :, 0]).any(0)
+        return np.all(np.isnan(self._named[self._frames[self._rows(track)], :, 0]), axis=0)
 
     def _grow(self) -> None:
         """Name further tracks by those that are named, the surest first, until none is sure."""

@@ -7,12 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.ingest.marker_distances import MarkerDistances
 from recon.ingest.marker_fit import fit_markers
-from recon.ingest.marker_poses import Poses, SkinPoints
+from recon.ingest.marker_poses import Poses, SkinPoints, drawn_poses
 from recon.ingest.marker_sets import full_body_markers
 from recon.mocap.recording import MarkerRecording
 
@@ -50,10 +49,9 @@ def posed_markers(
     shape: Float[Tensor, " shape"],
 ) -> Float[np.ndarray, "poses markers 3"]:
     """Places of markers on a body in poses drawn from the bundled density, metres."""
-    draw, density = torch.Generator().manual_seed(0), PosePrior.load().density
-    z = torch.randn(_POSES, len(density.basis), generator=draw, dtype=density.basis.dtype)
-    turns = density.rotations(z).to(shape)
-    turns = torch.cat((torch.eye(3).to(shape).expand(_POSES, 1, 3, 3), turns), 1)
+    turns = torch.cat(
+        (torch.eye(3).to(shape).expand(_POSES, 1, 3, 3), drawn_poses(_POSES).to(shape)), 1
+    )
     points = SkinPoints.of(body, shape, torch.tensor(vertices), offsets)
     poses = Poses.of(shape.new_zeros(_POSES, 3), turns, body.rest_joints(shape))
     return points.places(poses).mT.double().numpy()

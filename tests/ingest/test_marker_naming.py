@@ -11,6 +11,7 @@ from recon.body.landmarks import landmark
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
+from tests.verbs import report_of
 
 NAMES = {
     "LFHD": "left_front_head", "RFHD": "right_front_head", "C7": "c7", "STRN": "xiphoid",
@@ -63,5 +64,19 @@ def test_trials_without_names_are_refused(tmp_path):
         trial(slice(0, 20)), marker_names=tuple(f"*{k}" for k in range(len(NAMES)))
     )
     write_trc(tmp_path / "trial.trc", nameless)
+    with pytest.raises(recon.ReconError, match="give it with --like"):
+        recon.label(nameless)
     with pytest.raises(recon.ReconError, match="got 0"):
         recon.label(nameless, like=tmp_path / "trial.trc")
+
+
+def test_the_command_line_names_a_file_as_another(tmp_path):
+    """The command failed with a KeyError: it looked for an option that only `convert` has."""
+    for name, part in (("named", slice(0, 60)), ("trial", slice(60, 120))):
+        write_trc(tmp_path / f"{name}.trc", trial(part))
+    said = report_of(
+        "label", tmp_path / "out.trc", recording=tmp_path / "trial.trc",
+        like=tmp_path / "named.trc", unit=None, up=None, json=False, overwrite=False,
+    )  # fmt: skip
+    assert said["named"] > 0.95
+    assert set(said["confidence"]) == set(NAMES)

@@ -1,0 +1,117 @@
+"""`recon.refine`: what a network told from video becomes a motion."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from recon.api.estimates import LEAST_FRAMES, estimate_given
+from recon.api.fit import fit
+from recon.api.given import BodyLike, MotionLike, ShapeLike, body_given
+from recon.api.observations import GroundChoice
+from recon.api.pipeline import observed
+from recon.api.result import Result
+from recon.core.errors import ReconError
+from recon.core.units import Hand, Unit, Up
+from recon.diagnosis.estimates import as_measurement
+from recon.fitting.settings import ReadOptions
+from recon.method.priors import PriorLike
+from recon.reading.estimate_in_film import people_of_film, view_of_estimate
+
+_OF_FILMS = ("camera", "camera_unit", "image_size", "layout", "detector", "detections")
+"""Options of reading that concern the film."""
+
+
+def refine(
+    motion: MotionLike,
+    prior: str | PriorLike = "humor",
+    *,
+    body: BodyLike = None,
+    shape: ShapeLike | None = None,
+    frame_rate: float | None = None,
+    unit: Unit | None = None,
+    up: Up | None = None,
+    hand: Hand | None = None,
+    person: int | None = None,
+    ground: GroundChoice | str = "unknown",
+    film: Path | str | None = None,
+    **how: Any,
+) -> Result:
+    """Refine a motion that a network estimated from video.
+
+    Feet that stand, no jitter, impacts kept.
+
+    Networks that look at video err for seconds, by limb, and their path drifts; here residuals
+    are weighed by the inverse of their covariance in time, so that fast changes are believed and
+    lasting deviations are cheap. Limbs that are exchanged for moments are put right, stretches
+    between jumps err each for itself. Left-out frames are filled.
+
+    Args:
+        motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
+            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz); keypoints of SAM 3D Body are
+            fitted. Nothing in it is run.
+        prior: as in `recon.fit`.
+        body: the body that the estimate is of, a SMPL-family file of which the shape coefficients
+            are then taken; or None for the bundled body.
+        shape: of the person, as `recon.retarget` takes it ("height=1.80"), on the bundled body,
+            for which coefficients of another body model mean nothing; None is the average shape.
+        frame_rate: frames per second of an estimate that does not say it.
+        unit: of the estimate's translation; None tells it from feet that stand.
+        up: axis of the estimate's world that points up, or down; None tells it from the body.
+        hand: handedness of the estimate's coordinates; None is right, of keypoints told from the
+            body.
+        person: which of several people in a file, from 0 on; None takes the one of most frames.
+        ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
+        film: that the network saw, or 2D detections in it with their frame rate: a second
+            observation, by which the body is where the image shows it. The estimate's world must
+            be that of a camera, or of one that stands still.
+        how: others of `recon.fit`; with a film also options of reading it, `camera`, `detector`.
+
+    Raises:
+        ReconError: when the estimate is damaged, no estimate, lasts less than four frames, its
+            frame rate is missing, or nobody in the film moves like it.
+        FileNotFoundError: when there is no such file.
+    """
+    if ground not in ("known", "unknown"):
+        raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    people, model = [], body_given(body)
+    if film is not None:
+        given = {name: how.pop(name) for name in _OF_FILMS if name in how}
+        people = people_of_film(Path(film), ReadOptions.of({"frame_rate": frame_rate, **given}))
+        frame_rate = frame_rate or people[0].files[0].fps
+    if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
+        names = ("frame_rate", "unit", "up", "hand", "person")
+        reading = dict(zip(names, (frame_rate, unit, up, hand, person), strict=True))
+        if not people:
+            return fit([motion], prior, body=body, shape=shape, ground=ground, **reading, **how)  # pyright: ignore[reportArgumentType]
+        clip = observed([motion], model, ReadOptions.of(reading)).clip
+        (points,) = clip.observations
+        view, said = view_of_estimate(people, points, model)
+        result = fit([points, view], prior, body=model, shape=shape, ground=ground, **how)
+        return replace(result, notes=(*clip.notes, *said, *result.notes))
+    own = body is not None
+    given, known, notes = estimate_given(
+        motion, model, own, shape, frame_rate, unit, up, hand, person
+    )
+    if given.frames < LEAST_FRAMES:
+        raise ReconError(
+            f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
+        )
+    views = []
+    if people:
+        view, said = view_of_estimate(people, given, model)
+        views, notes = [view], (*notes, *said)
+    seen, start, found = as_measurement(given, known, model)
+    seen = seen.replace(ground_known=ground == "known")
+    how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
+    result = fit([seen, *views], prior, **how)
+    examined = replace(result.examined, found=found + result.examined.found)
+    warnings = (*found.warnings, *result.warnings)
+    return replace(result, notes=(*notes, *result.notes), examined=examined, warnings=warnings)
+
+
+def _is_keypoints(path: Path) -> bool:
+    """Whether a file holds keypoints to fit; refused when it cannot be refined either."""
+    from recon.formats.producers import holds_sam3d_body, refuse_others
+
+    refuse_others(path, "refine")
+    return holds_sam3d_body(path)

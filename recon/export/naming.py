@@ -1,0 +1,38 @@
+"""Names that other programs give to the joints: the table `assets/bone_names.txt`."""
+
+from functools import cache
+from importlib.resources import files
+from typing import Literal
+
+from recon.core.errors import ReconError
+
+BoneNames = Literal["smpl", "mixamo", "unreal", "vrm", "rigify", "xsens"]
+"""Whose names bones get: ours (SMPL's), Mixamo's, those of Unreal's UE5 mannequin, of VRM 1.0 and
+Unity's humanoids, of Rigify's human metarig, or of the segments of Xsens' MVNX files."""
+
+
+@cache
+def names_of_joints() -> dict[str, dict[str, str]]:
+    """The name of every joint of body and fingers for every program, keyed by program."""
+    text = files("recon").joinpath("assets", "bone_names.txt").read_text(encoding="utf-8")
+    (_, *programs), *rows = (line.split() for line in text.splitlines())
+    return {
+        program: {joint: theirs[k] for joint, *theirs in rows}
+        for k, program in enumerate(programs)
+    }
+
+
+def renamed(joints: tuple[str, ...], names: str) -> tuple[str, ...]:
+    """Joints, and tips called `<joint>_end`, with the names of another program.
+
+    Raises:
+        ReconError: when no such program is known; the message lists those that are.
+    """
+    if names == "smpl":
+        return joints
+    if names not in (known := names_of_joints()):
+        raise ReconError(f"names: expected one of smpl, {', '.join(known)}, got {names!r:.60}")
+    theirs = known[names]
+    return tuple(
+        theirs[joint.removesuffix("_end")] + "_end" * joint.endswith("_end") for joint in joints
+    )

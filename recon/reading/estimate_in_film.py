@@ -1,0 +1,112 @@
+"""Finds the person of an estimate in the film that a network told it from, and the camera."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.correspondences import BodyPoints
+from observations.keypoints2d import Keypoints2D
+from observations.keypoints3d import Keypoints3D
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.core.layouts import keypoint_names
+from recon.core.motion import Motion
+from recon.fitting.settings import ReadOptions
+from recon.reading.images import keypoints_of, undistorted
+from recon.reading.places import body_size
+from recon.reading.views import Views, read_views
+
+_MOST, _FEWEST = 2000, 40
+"""Keypoints of all frames from which a camera is found at most and at least."""
+_NEAR, _FAR = 0.08, 0.1
+"""Distance of a keypoint from the estimate's, as a share of the body's size in the image, up to
+which it agrees, and median from which the estimate is of somebody else."""
+_TRUNK = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+
+
+def people_of_film(film: Path, how: ReadOptions) -> list[Views]:
+    """Everybody in a film, or in 2D detections of it."""
+    seen = read_views([film], how)
+    (view,) = seen.followed()
+    return [seen.of([track], [f"{view.name}: {track}"]) for track in view.tracks]
+
+
+def view_of_estimate(
+    people: Sequence[Views], estimate: Motion | Keypoints3D, body: BodyModel
+) -> tuple[Keypoints2D, tuple[str, ...]]:
+    """The person of a film whose keypoints are where a camera sees the estimate's, and notes.
+
+    The camera stands still in the frame of the estimate, so its pose is that which brings the
+    same points of all frames together. Which way is up is left to the fit.
+
+    Args:
+        people: of the film.
+        estimate: a motion without a leading axis, or keypoints of one clip.
+        body: whose motion it is.
+
+    Raises:
+        ObservationError: when nobody moves like the estimate.
+    """
+    found = [_camera(one, estimate, body) for one in people]
+    best = int(np.argmin([error for error, _ in found]))
+    (error, T), views = found[best], people[best]
+    if error > _FAR:
+        raise ObservationError(
+            f"{views.names[0]}: nobody in the film moves like the estimate; give the film that it "
+            "was told from, and a result in the frame of its camera or of one that stands still"
+        )
+    (file,) = views.files
+    camera = replace(file.camera, T_camera_world=T[None], focal_known=True, path=None)
+    view = keypoints_of(replace(file, camera=camera), body)
+    level = getattr(estimate, "level", False)
+    said = f"{views.names[0]}: keypoints lie {error:.1%} of the body's size from the estimate's"
+    return view.derived(ground_known=False, level=level), (*views.decisions, said)
+
+
+def _camera(
+    views: Views, estimate: Motion | Keypoints3D, body: BodyModel
+) -> tuple[float, Float[np.ndarray, "4 4"]]:
+    """How far keypoints lie from the estimate's, and the T_camera_estimate that is nearest."""
+    file = views.files[0]
+    names = keypoint_names(file.layout)
+    if isinstance(estimate, Motion):
+        own, places = names, BodyPoints.of_layout(file.layout, body).of(body.pose(estimate))
+        there = torch.ones(places.shape[:-1], dtype=torch.bool)
+    else:
+        own, places, there = estimate.points.names, estimate.positions[0], estimate.visible[0]
+    named = [name for name in names if name in own and name.endswith(_TRUNK)]
+    columns, others = [own.index(one) for one in named], [names.index(one) for one in named]
+    times = np.arange(len(file.pixels)) / file.fps + file.start_time - estimate.start_time
+    rows = np.round(times * estimate.fps).astype(int)
+    kept = np.flatnonzero((rows >= 0) & (rows < len(places)))
+    points = places.detach().double().numpy()[rows[kept]][:, columns]
+    both = there.numpy()[rows[kept]][:, columns] & (file.confidence[kept][:, others] > 0)
+    points, pixels = points[both], undistorted(file)[kept][:, others][both]
+    if len(points) < _FEWEST:
+        return np.inf, np.eye(4)
+    step = -(-len(points) // _MOST)
+    matrix = file.camera.camera_matrix
+    size = float(
+        np.median(
+            [
+                body_size(*one)
+                for one in zip(file.pixels, file.confidence, strict=True)
+                if one[1].any()
+            ]
+        )
+    )
+    solved, turn, place, _ = cv2.solvePnPRansac(
+        points[::step], pixels[::step], matrix, None, reprojectionError=_NEAR * size,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )  # fmt: skip
+    if not solved:
+        return np.inf, np.eye(4)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], place.ravel()
+    seen = cv2.projectPoints(points, turn, place, matrix, None)[0][:, 0]
+    return float(np.median(np.linalg.norm(seen - pixels, axis=-1))) / size, T
