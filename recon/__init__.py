@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
+    from recon.api.label import label as label
     from recon.api.refine import refine as refine
     from recon.api.register import register as register
     from recon.api.result import Result as Result
@@ -72,6 +73,7 @@ _HOMES = {
     "predict": "recon.api.generate",
     "interpolate": "recon.api.interpolate",
     "convert": "recon.api.convert",
+    "label": "recon.api.label",
     "evaluate": "recon.api.evaluate",
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",

@@ -30,6 +30,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon convert walk.c3d walk.npz",
         "recon convert recordings/ motions/ --all --processes 4",
     ),
+    "label": (
+        "recon label trial.c3d --like named.c3d --out trial.trc",
+        "recon label walk.trc --like static.c3d --unit mm --out named.trc",
+    ),
     "convert-all": (
         "recon convert-all recordings/ motions/",
         "recon convert-all recordings/ motions/ --processes 4 --body smpl.npz",

@@ -20,6 +20,7 @@ EXPECTED = {
     "corpus": "a folder that `recon convert --all` wrote",
     "film": "a film (.mp4, .mov, .mkv, ...)",
     "file": "a file or folder that recon reads",
+    "like": "a recording with named markers (.c3d, .trc)",
     "manifest": "a folder of films, or a file with one JSON object per line",
     "mapping": "a TOML file that says which joints or markers are which",
     "masks": "a folder of silhouettes, or an .npz of them",

@@ -32,6 +32,7 @@ CORE = {
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.refine:refine", settings=FitSettings(ground="unknown")),
     "convert": Verb("recon.api.convert:convert", out_follows=True),
+    "label": Verb("recon.api.label:label", out="file of named markers to write (.trc)."),
     "sample": Verb("recon.api.generate:sample", (Place("out", folder_or_npz_output),), _SEVERAL),
     "predict": Verb("recon.api.generate:predict", (Place("out", folder_or_npz_output),), _SEVERAL),
     "interpolate": Verb("recon.api.interpolate:interpolate"),

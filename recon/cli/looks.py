@@ -40,7 +40,7 @@ def look_at(given: Mapping[str, Any]) -> None:
                 refuse_unknown_markers(paths, settings.mapping, settings.unit)
     recording = given.get("recording", given.get("trial"))
     is_motion = "trial" in given and recording.suffix.lower() == ".npz"
-    if recording is not None and not is_motion and given["mapping"] is None:
+    if recording is not None and not is_motion and given.get("mapping") is None:
         refuse_unknown_recording(recording, given["unit"], given["up"])
 
 

@@ -150,6 +150,13 @@ def natural_pose() -> Float[Tensor, "21 3 3"]:
     return PosePrior.load().density.mean.float()
 
 
+def drawn_poses(count: int) -> Float[Tensor, "count 21 3 3"]:
+    """Poses drawn from the bundled pose prior, always the same ones."""
+    draw, density = torch.Generator().manual_seed(0), PosePrior.load().density
+    z = torch.randn(count, len(density.basis), generator=draw, dtype=density.basis.dtype)
+    return density.rotations(z).float()
+
+
 def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
     """Poses with the same root rotation, and all other joints in the natural pose."""
     pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)

@@ -1,0 +1,82 @@
+"""Markers without names get those of a named trial."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from recon.body.landmarks import landmark
+from recon.mocap.marker_tables import write_trc
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording
+from tests.verbs import report_of
+
+NAMES = {
+    "LFHD": "left_front_head", "RFHD": "right_front_head", "C7": "c7", "STRN": "xiphoid",
+    "LSHO": "left_acromion", "RSHO": "right_acromion", "LELB": "left_elbow_lateral",
+    "RELB": "right_elbow_lateral", "LWRA": "left_wrist_radial", "RWRA": "right_wrist_radial",
+    "LASI": "left_asis", "RASI": "right_asis", "LPSI": "left_psis", "RPSI": "right_psis",
+    "LTHI": "left_lower_thigh_lateral", "RTHI": "right_lower_thigh_lateral",
+    "LKNE": "left_knee_lateral", "RKNE": "right_knee_lateral", "LTIB": "left_shank_lateral",
+    "RTIB": "right_shank_lateral", "LANK": "left_ankle_lateral", "RANK": "right_ankle_lateral",
+    "LTOE": "left_toe2_base", "RTOE": "right_toe2_base",
+}  # fmt: skip
+
+
+def trial(frames: slice) -> MarkerRecording:
+    """Frames of the demo's motion as markers."""
+    body = recon.BodyModel.load()
+    motion = recon.load_motion(recon.__path__[0] + "/assets/demo.npz").motion
+    vertices = torch.tensor([landmark(place) for place in NAMES.values()])
+    x = body.pose(motion).points(vertices).double().numpy()[frames]
+    fps = float(motion.fps)
+    return MarkerRecording("trial.trc", tuple(NAMES), x, np.ones(x.shape[:2], bool), fps, ())
+
+
+@pytest.mark.numerics
+def test_shuffled_markers_with_a_gap_and_a_ghost_get_the_names_of_a_named_trial(tmp_path):
+    write_trc(tmp_path / "named.trc", trial(slice(0, 60)))
+    true = trial(slice(60, 120))
+    order = np.random.default_rng(0).permutation(len(NAMES))
+    x, seen = true.positions[:, order], true.visible[:, order].copy()
+    seen[20:30, 3] = False
+    ghost = np.repeat(x[:1, :1] + [0.4, 0.5, 0.3], len(x), 0)
+    unnamed = dataclasses.replace(
+        true,
+        marker_names=tuple(f"*{k}" for k in range(len(order) + 1)),
+        positions=np.concatenate((x, ghost), 1),
+        visible=np.concatenate((seen, seen[:, :1] | True), 1),
+    )
+    found = recon.label(unnamed, like=tmp_path / "named.trc")
+    named = found.recording.select(list(NAMES))
+    right = (np.abs(named.positions - true.positions) < 1e-9).all(-1) & named.visible
+    assert right.sum() >= 0.95 * seen.sum()
+    assert right.sum() >= 0.98 * named.visible.sum()
+    assert found.recording.visible.sum() == seen.sum() + len(x)
+    found.save(tmp_path / "out.trc")
+    assert read_recording(tmp_path / "out.trc").marker_names[: len(NAMES)] == tuple(NAMES)
+
+
+def test_trials_without_names_are_refused(tmp_path):
+    nameless = dataclasses.replace(
+        trial(slice(0, 20)), marker_names=tuple(f"*{k}" for k in range(len(NAMES)))
+    )
+    write_trc(tmp_path / "trial.trc", nameless)
+    with pytest.raises(recon.ReconError, match="give it with --like"):
+        recon.label(nameless)
+    with pytest.raises(recon.ReconError, match="got 0"):
+        recon.label(nameless, like=tmp_path / "trial.trc")
+
+
+def test_the_command_line_names_a_file_as_another(tmp_path):
+    """The command failed with a KeyError: it looked for an option that only `convert` has."""
+    for name, part in (("named", slice(0, 60)), ("trial", slice(60, 120))):
+        write_trc(tmp_path / f"{name}.trc", trial(part))
+    said = report_of(
+        "label", tmp_path / "out.trc", recording=tmp_path / "trial.trc",
+        like=tmp_path / "named.trc", unit=None, up=None, json=False, overwrite=False,
+    )  # fmt: skip
+    assert said["named"] > 0.95
+    assert set(said["confidence"]) == set(NAMES)
