@@ -80,11 +80,12 @@ def refine(
         frame_rate = frame_rate or people[0].files[0].fps
     if isinstance(motion, str | Path) and _is_keypoints(Path(motion)):
         names = ("frame_rate", "unit", "up", "hand", "person")
-        reading = dict(zip(names, (frame_rate, unit, up, hand, person), strict=True))
+        values = (frame_rate, unit, up, hand, person)
+        reading: dict[str, Any] = dict(zip(names, values, strict=True))
         if not people:
             return fit([motion], prior, body=body, shape=shape, ground=ground, **reading, **how)  # pyright: ignore[reportArgumentType]
         clip = observed([motion], model, ReadOptions.of(reading)).clip
-        (points,) = clip.observations
+        points: Any = clip.observations[0]
         view, said = view_of_estimate(people, points, model)
         result = fit([points, view], prior, body=model, shape=shape, ground=ground, **how)
         return replace(result, notes=(*clip.notes, *said, *result.notes))

@@ -1,5 +1,6 @@
 """Writes a motion as glTF 2.0 (.glb): a skinned mesh with an animated skeleton."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,8 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
     ]
     nodes.append(gltf.Node(name="body", mesh=0, skin=0))
     if avatar:
-        nodes[0].translation[1] -= float(vertices[:, 1].min())
+        x, y, z = skeleton.offsets[0].tolist()
+        nodes[0].translation = [x, y - float(vertices[:, 1].min()), z]
     else:
         nodes.append(gltf.Node(name="z_up", rotation=[-_HALF, 0.0, 0.0, _HALF], children=[0]))
     skin = gltf.Skin(joints=list(range(count)), inverseBindMatrices=matrices, skeleton=0)
@@ -82,14 +84,14 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
         buffers=[gltf.Buffer(byteLength=len(file.data))],
     )
     if avatar:
-        document.extensions = _humanoid([node.name for node in nodes[:count]])
+        document.extensions = _humanoid(renamed(skeleton.names, names))
         document.extensionsUsed = list(document.extensions)
     document.set_binary_blob(bytes(file.data))
     with replacing(path) as beside:
         document.save_binary(str(beside))
 
 
-def _humanoid(bones: list[str]) -> dict[str, Any]:
+def _humanoid(bones: Sequence[str]) -> dict[str, Any]:
     """The extensions by which VRM 1.0 finds bones, which have its names, and the animation."""
     humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
     told = {"specVersion": "1.0", "humanoid": humanoid}

@@ -6,6 +6,7 @@ where it was is lost. What lies on people is left out afterwards, when people ar
 """
 
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -75,12 +76,17 @@ class Followed:
         self, grey: UInt8[np.ndarray, "height width"], before: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], np.ndarray]:
         """Places of the points in the next image, and which of them are found."""
-        how = {"winSize": _WINDOW, "maxLevel": _LEVELS}
-        there, found, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, before, None, **how)
-        back, again, _ = cv2.calcOpticalFlowPyrLK(grey, self._grey, there, None, **how)
+        there, found, _ = _flow(self._grey, grey, before)
+        back, again, _ = _flow(grey, self._grey, there)
         inside = ((there >= 0) & (there < grey.shape[::-1])).all(-1)
         returned = np.linalg.norm(back - before, axis=-1) < _RETURN
         return there, (found[:, 0] > 0) & (again[:, 0] > 0) & inside & returned
+
+
+def _flow(one: Any, other: Any, places: np.ndarray) -> Any:
+    return cv2.calcOpticalFlowPyrLK(
+        one, other, places, cast(Any, None), winSize=_WINDOW, maxLevel=_LEVELS
+    )
 
 
 def _corners(

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -220,10 +221,10 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
         places = [
             [np.float32(each.seen[k].reshape(-1, 1, 2)) for k in moments] for each in (one, other)
         ]
-        found = cv2.stereoCalibrate(
-            [board.points] * len(moments), *places, *one.lens, *other.lens,
-            one.camera.image_size, flags=cv2.CALIB_FIX_INTRINSIC,
+        given: Any = (
+            [board.points] * len(moments), *places, *one.lens, *other.lens, one.camera.image_size,
         )  # fmt: skip
+        found = cv2.stereoCalibrate(*given, flags=cv2.CALIB_FIX_INTRINSIC)
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = found[5], np.ravel(found[6])
         poses[new] = step @ poses[known]

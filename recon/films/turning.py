@@ -122,7 +122,7 @@ def _chained(
         mine, ray, weight = point[rows], rays[rows], np.ones(len(rows))
         old = trust[mine] > 0
         if old.sum() >= _FEWEST_POINTS:
-            goal = known[mine[old]]
+            goal, off = known[mine[old]], np.zeros(0)
             for wider in _WIDER:
                 off = np.linalg.norm(ray[old] @ turn.T - goal, axis=1)
                 weight[old] = 1 / (1 + (off / (wider * _NOISE)) ** 2) ** 2

@@ -87,7 +87,10 @@ def view(
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         overlay = staged[0] if film and mp4 else None
         for path, (_, draw) in zip(staged, asked, strict=True):
-            draw(path, show, *([overlay] if draw is draw_html else []))
+            if draw is draw_html:
+                draw_html(path, show, overlay)
+            else:
+                draw(path, show)
 
 
 def show_of_files(
