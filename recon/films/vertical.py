@@ -24,6 +24,9 @@ _TOLERANCE = np.radians(1.2)
 """Standard deviation of the angle between the plane of a segment and the direction it shows."""
 _MOST_TILTED = np.radians(50.0)
 """Angle between the vertical and the image's own up axis up to which it is looked for."""
+_MOST_ROLLED, _MOST_RAISED = np.radians(25.0), np.radians(16.0)
+"""Angles by which a camera is rolled, and looks upwards, at most: who films people tilts cameras
+downwards, and lines of furniture or textures that say else are not those of a building."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
 """Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
 _PAIRS = 300
@@ -147,12 +150,19 @@ def _best_vertical(
     across = np.cross(normals[first], normals[second])
     size = np.linalg.norm(across, axis=-1, keepdims=True)
     ups = (across / np.maximum(size, 1e-9) * -np.sign(across[:, 1:2]))[size[:, 0] > 1e-2]
-    ups = ups[-ups[:, 1] > np.cos(_MOST_TILTED)]
+    ups = ups[_plausible(ups)]
     if len(ups) == 0:
         return np.array([0.0, -1.0, 0.0]), 0.0
     share = _explained(segments, focal, ups)
     best = int(share.argmax())
     return ups[best], float(share[best])
+
+
+def _plausible(ups: Float[np.ndarray, "ups 3"]) -> np.ndarray:
+    """Which verticals are those of a camera as people hold it."""
+    rolled = np.abs(np.arctan2(ups[:, 0], -ups[:, 1]))
+    tilted = -ups[:, 1] > np.cos(_MOST_TILTED)
+    return tilted & (rolled < _MOST_ROLLED) & (ups[:, 2] < np.sin(_MOST_RAISED))
 
 
 def _explained(
