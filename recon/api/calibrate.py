@@ -140,16 +140,16 @@ def calibrate(
             says what to do.
         FileNotFoundError: when there is nothing there.
     """
+    if height is not None and not _HEIGHTS[0] <= finite_number(height, "height") <= _HEIGHTS[1]:
+        raise ObservationError(
+            f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
+        )
     paths, _ = expand(paths_given(observations))
     if board is not None or square is not None:
         return _calibrated_by_board(paths, board or "", square)
     if len(paths) < 2:
         raise ObservationError(
             f"expected films or files of 2D keypoints of two or more cameras, got {len(paths)}"
-        )
-    if height is not None and not _HEIGHTS[0] <= finite_number(height, "height") <= _HEIGHTS[1]:
-        raise ObservationError(
-            f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
         )
     how = ReadOptions.of(
         {

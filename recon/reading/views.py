@@ -151,7 +151,7 @@ def check_calibrated(views: Sequence[Path], how: ReadOptions) -> None:
     Raises:
         ObservationError: says how to get one, and what to do with views that are not of one clip.
     """
-    if how.camera is None and len(views) > 1:
+    if how.camera is None and how.camera_track is None and len(views) > 1:
         raise ObservationError(
             f"several views ({', '.join(map(str, views))}) need calibrated cameras; give their "
             "file with --camera, which `recon calibrate` finds from one person or a checkerboard. "

@@ -147,9 +147,10 @@ def test_known_lenses_keep_their_distortion(tmp_path: Path):
     check_poses([one.T_camera_world[0] for one in rig.cameras.values()], degrees=1.5, share=0.04)  # pyright: ignore[reportOptionalSubscript]
 
 
-def test_one_view_is_refused():
+def test_one_view_is_refused(tmp_path):
+    (tmp_path / "cam.json").write_text("{}")
     with pytest.raises(ObservationError, match="two or more cameras, got 1"):
-        recon.calibrate(["cam.json"])
+        recon.calibrate([tmp_path / "cam.json"])
 
 
 def test_impossible_height_is_refused():
