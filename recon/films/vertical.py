@@ -25,8 +25,8 @@ _TOLERANCE = np.radians(1.2)
 _MOST_TILTED = np.radians(50.0)
 """Angle between the vertical and the image's own up axis up to which it is looked for."""
 _MOST_ROLLED, _MOST_RAISED = np.radians(25.0), np.radians(16.0)
-"""Angles by which a camera is rolled, and looks upwards, at most: who films people tilts cameras
-downwards, and lines of furniture or textures that say else are not those of a building."""
+"""Largest roll of a camera, and largest angle by which it looks upwards. Cameras that film people
+mostly look level or down; lines that tell otherwise are those of furniture or textures."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
 """Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
 _PAIRS = 300

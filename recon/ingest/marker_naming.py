@@ -146,7 +146,7 @@ class Naming:
                     self.margin[track], named = margin, True
 
     def _doubted(self) -> int:
-        """Take back names that other markers around contradict; their number."""
+        """Take back names that the markers around contradict, and return how many."""
         taken = 0
         for track in np.flatnonzero(self.marker >= 0).tolist():
             scores, own = self._scores(track), self.marker[track]

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 _JUMP, _ACCELERATION = 0.012, 60.0
-"""Metres, and metres per second squared: a marker is no farther than the first, plus what the
-second moves it between two frames, from where its velocity carries it."""
+"""A marker lies at most so many metres, plus what an acceleration of so many metres per second
+squared moves it between two frames, from where its velocity would carry it."""
 
 
 def tracks_of(

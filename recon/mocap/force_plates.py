@@ -27,7 +27,7 @@ _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 
 @dataclass(frozen=True)
 class ForcePlates:
-    """What force plates did to who walked on them, at the rate of the markers; world, z up."""
+    """Forces of plates on the person who walked over them, at the rate of the markers; z up."""
 
     force: Float[np.ndarray, "time plates 3"]
     """On the person, newtons; zero where the plate is not loaded."""
