@@ -103,8 +103,9 @@ def label(
         )
     body = BodyModel.load()
     trial = _markers(read_recording(like, unit=unit, up=up))
-    given = recording if not isinstance(recording, str | Path) else None
-    seen = _markers(read_recording(str(recording), unit=unit, up=up) if given is None else given)
+    if isinstance(recording, str | Path):
+        recording = read_recording(recording, unit=unit, up=up)
+    seen = _markers(recording)
     named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
     if len(named) < _FEWEST_NAMES:
         raise ReconError(

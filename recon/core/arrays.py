@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core.errors import ReconError
@@ -183,6 +183,12 @@ def finite_median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarr
     ordered, count = np.sort(values, -1), np.isfinite(values).sum(-1)  # np.sort puts NaN last
     middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
     return np.take_along_axis(ordered, middle, -1).mean(-1)
+
+
+def runs(flags: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
+    """First index, and the index after the last one, of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def first_where(mask: Tensor) -> list[int]:

@@ -7,6 +7,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from jaxtyping import Bool
 
+from recon.core.arrays import runs
+
 Data = TypeVar("Data")
 
 Code = Literal[
@@ -118,9 +120,7 @@ def stretches(
     flags: Bool[np.ndarray, " frames"], least: float | int = 1
 ) -> tuple[tuple[int, int], ...]:
     """First and last index of every run of at least `least` true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return tuple((first, stop - 1) for first, stop in runs if stop - first >= least)
+    return tuple((first, stop - 1) for first, stop in runs(flags) if stop - first >= least)
 
 
 def lasting(flags: Bool[np.ndarray, " frames"], least: float | int) -> Bool[np.ndarray, " frames"]:

@@ -121,10 +121,10 @@ def moving_background(seen: Background, people: Detections) -> tuple[Background 
             "few to tell whether the camera moves: it is taken as standing still"
         )
     count = np.bincount(behind.point)
-    low, high = np.full((2, len(count), 2), np.inf)
+    low, high = np.full((len(count), 2), np.inf), np.full((len(count), 2), -np.inf)
     np.minimum.at(low, behind.point, behind.pixels)
-    np.minimum.at(high, behind.point, -behind.pixels)
-    extent = np.linalg.norm(-high - low, axis=-1)[count >= _LONG]
+    np.maximum.at(high, behind.point, behind.pixels)
+    extent = np.linalg.norm(high - low, axis=-1)[count >= _LONG]
     moved = extent > _STAYS * max(people.image_size)
     moves = len(moved) >= _FEWEST_BEHIND and moved.mean() > _MOST_MOVE
     return (behind if moves else None), ""

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from recon.body.derivatives import right_jacobian
 from recon.body.hands import ANGLES, JOINT_OF_ANGLE, LIMITS, RELAXED, HandModel, PosedHand
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -72,7 +73,6 @@ def fit_hand(
     wrist: Float[Tensor, "time 3 3"],
     place: Float[Tensor, "time 3"],
     fps: float,
-    away_std: float = _AWAY_STD,
 ) -> FittedHand:
     """Fit one hand to what all sensors saw of it.
 
@@ -83,19 +83,16 @@ def fit_hand(
         wrist: world rotation of the body's wrist.
         place: of the wrist, world, metres.
         fps: frames per second.
-        away_std: metres that the data's wrist is from the body's; infinite where the points of a
-            hand have an origin of their own.
     """
     share = min(1.0, _PER_SECOND / fps)
     base = wrist.double() @ _common_turn(views, model, side, wrist.double())
     problem = _Fingers(
         tuple(views), model, side, base, place.double(), fps, _bend_precision() * share,
-        _TURN_STD * share**-0.5, away_std * share**-0.5,
+        _TURN_STD * share**-0.5, _AWAY_STD * share**-0.5,
     )  # fmt: skip
     x = torch.zeros(len(base) * _SIZE + _BONES, dtype=torch.float64)
     frames = x[:-_BONES].view(len(base), _SIZE)
     frames[:, _BENDS] = RELAXED
-    frames[:, _AWAY] = _first_offset(views, problem)
     x, _ = minimise(problem, x[None], _OPTIONS)
     frames, lengths = problem.parts(x)
     posed = problem.posed(x)
@@ -159,22 +156,6 @@ def _common_turn(
     return so3.nearest(total)
 
 
-def _first_offset(views: Sequence[HandView], problem: "_Fingers") -> Float[Tensor, "time 3"]:
-    """Where the points in space are, against a relaxed hand at the body's wrist; metres."""
-    if np.isfinite(problem.away_std):
-        return torch.zeros_like(problem.place)
-    x = torch.zeros(1, len(problem.place) * _SIZE + _BONES, dtype=torch.float64)
-    x[0, :-_BONES].view(-1, _SIZE)[:, _BENDS] = RELAXED
-    points = problem.points(problem.posed(x), torch.zeros_like(problem.place))
-    away, count = torch.zeros_like(problem.place), torch.zeros(len(points), 1).to(points)
-    for view in views:
-        if view.camera is None:
-            seen = (view.weights > 0).to(points)[..., None]
-            away += (seen * (view.values.to(points) - points)).sum(1)
-            count += seen.sum(1)
-    return away / count.clamp(min=1)
-
-
 @dataclass(frozen=True)
 class _Fingers(Problem[Tensor]):
     """One hand's variables in all frames, 28 a frame, and the logarithms of its bones' lengths."""
@@ -210,8 +191,8 @@ class _Fingers(Problem[Tensor]):
         frames, lengths = self.parts(x)
         out = frames.new_zeros(len(frames), _POINTS, 3, _SIZE + _BONES)
         arm = posed.points - self.place[:, None]
-        # rotation vectors: a change of ω turns the hand by the left Jacobian of ω
-        out[:, 1:, :, _TURN] = -so3.hat(arm) @ _left_jacobian(frames[:, _TURN])[:, None]
+        # a change of a rotation vector ω turns the hand by the left Jacobian, the right one of -ω
+        out[:, 1:, :, _TURN] = -so3.hat(arm) @ right_jacobian(-frames[:, _TURN])[:, None]
         out[:, :, :, _AWAY] = torch.eye(3).to(out)
         lever = posed.points[:, :, None] - posed.pivots[:, None]
         moved = torch.linalg.cross(posed.axes[:, None].expand_as(lever), lever, dim=-1)
@@ -347,13 +328,6 @@ def _adjoint(bend: Float[Tensor, "steps n"], frames: int) -> Float[Tensor, "time
     for k, share in enumerate((1.0, -2.0, 1.0)):
         out[k : k + len(bend)] += share * bend
     return out
-
-
-def _left_jacobian(turn: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3 3"]:
-    """World turn per change of a rotation vector: I + (1 - cos a)/a² K + (a - sin a)/a³ K²."""
-    a = turn.norm(dim=-1).clamp(min=1e-4)[:, None, None]
-    k = so3.hat(turn)
-    return torch.eye(3).to(turn) + (1 - a.cos()) / a**2 * k + (a - a.sin()) / a**3 * k @ k
 
 
 def _behind() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:

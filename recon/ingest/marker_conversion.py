@@ -195,25 +195,17 @@ def _with_better_labels(
         (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
         (with_exchanged(recording, sides), _sides_finding()) if sides else None,
     ]
-    sample = _evenly_spaced(recording)
+    sample = recording.evenly(_TRIAL_FRAMES)
     limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)
     best = None
     for choice in choices:
         if choice is None:
             continue
-        some = _evenly_spaced(choice[0])
+        some = choice[0].evenly(_TRIAL_FRAMES)
         left = mean_residual(fit_markers(some, markers, body), some)
         if left < limit:
             best, limit = choice, left
     return best
-
-
-def _evenly_spaced(recording: MarkerRecording) -> MarkerRecording:
-    """A recording of a few frames, evenly spread over the given one."""
-    index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
-    return dataclasses.replace(
-        recording, positions=recording.positions[index], visible=recording.visible[index]
-    )
 
 
 def _sides_finding() -> Finding:

@@ -1,7 +1,5 @@
 """What is known of a set of markers from a trial in which they have names."""
 
-import dataclasses
-
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -31,13 +29,13 @@ def distances_in_trial(trial: MarkerRecording, body: BodyModel) -> MarkerDistanc
     poses = np.full((1, count, 3), np.nan)
     try:
         known = full_body_markers(trial, body)
-        fit = fit_markers(_some_frames(trial.select(known.labels), _FITTED), known, body)
+        fit = fit_markers(trial.select(known.labels).evenly(_FITTED), known, body)
         places = posed_markers(body, known.vertices, fit.offsets, fit.motion.shape)
         poses = np.full((len(places), count, 3), np.nan)
         poses[:, [trial.marker_names.index(label) for label in known.labels]] = places
     except ReconError:  # labels of nobody's table: their distances in the trial must do
         pass
-    some = _some_frames(trial, _FRAMES)
+    some = trial.evenly(_FRAMES)
     seen = np.where(some.visible[..., None], some.positions, np.nan)
     return MarkerDistances.of(trial.marker_names, seen, poses, _NOISE)
 
@@ -55,10 +53,3 @@ def posed_markers(
     points = SkinPoints.of(body, shape, torch.tensor(vertices), offsets)
     poses = Poses.of(shape.new_zeros(_POSES, 3), turns, body.rest_joints(shape))
     return points.places(poses).mT.double().numpy()
-
-
-def _some_frames(recording: MarkerRecording, count: int) -> MarkerRecording:
-    index = np.unique(np.linspace(0, recording.frames - 1, count).round().astype(int))
-    return dataclasses.replace(
-        recording, positions=recording.positions[index], visible=recording.visible[index]
-    )

@@ -113,6 +113,13 @@ class MarkerRecording:
             start_time=self.start_time + start / self.fps,
         )
 
+    def evenly(self, count: int) -> "MarkerRecording":
+        """At most so many frames, evenly spread; their times do not count."""
+        index = np.unique(np.linspace(0, self.frames - 1, count).round().astype(int))
+        return dataclasses.replace(
+            self, positions=self.positions[index], visible=self.visible[index]
+        )
+
     def select(self, names: Sequence[str]) -> "MarkerRecording":
         """The recording with some of the markers, in the given order.
 

@@ -15,6 +15,7 @@ from recon.body.identities import body_weight
 from recon.body.model import BodyModel
 from recon.body.parts import GRAVITY, vertex_masses_of_segments
 from recon.body.soles import Soles
+from recon.core.arrays import runs
 from recon.core.errors import ReconError
 from recon.core.limits import Limit
 from recon.core.motion import MotionFile
@@ -52,7 +53,7 @@ CENTRE_STD_M, CENTRE_MISFIT = 0.011, 0.2
 PRESSED_STD_M = 0.026
 """Distance at which the lowest points of a sole tell the centre of pressure."""
 USUAL_MISFIT_M = 0.06
-"""Distance of the zero-moment point from the feet of who never stands on one alone."""
+"""Distance of the zero-moment point from the feet, where a clip has no frame on one foot."""
 SMOOTH_S = 0.06
 """Standard deviation of the Gaussian that smooths the centre of pressure of a stance."""
 STEP_S = 0.06
@@ -127,7 +128,6 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
         f"accelerations low-passed at {0.319 * motion.fps / step:.1f} Hz (-3 dB)",
         "both feet on the ground: shared by the lever rule about the zero-moment point",
     )
-    warnings = [f"no mass given: forces are for {total:.1f} kg, that of the body's shape"]
     moving = body_dynamics(posed, total * vertex_masses_of_segments(body), motion.fps)
     soles = Soles.of(body)
     points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
@@ -144,7 +144,10 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     centre = _smoothed(centre, contact, motion.fps)
     # second differences smear a push-off into flight
     explained = maximum_filter1d((carried | (load < FULL_LOAD)).numpy(), 4 * step + 1)
-    warnings = warnings[mass is not None :] + _unsupported(explained, contact)
+    warnings = _unsupported(explained, contact)
+    if mass is None:
+        said = f"no mass given: forces are for {total:.1f} kg, that of the body's shape"
+        warnings = [said, *warnings]
     contact = contact & carried[:, None]
     std = torch.zeros(motion.frames, 22) if file.joint_std is None else file.joint_std.cpu()
     place = math.hypot(CENTRE_STD_M, CENTRE_MISFIT * misfit)
@@ -236,16 +239,10 @@ def _smoothed(
 
     found = centre.numpy().copy()
     for side in range(2):
-        for first, stop in stretches(contact[:, side].numpy()):
+        for first, stop in runs(contact[:, side].numpy()):
             stance = found[first:stop, side]
             found[first:stop, side] = gaussian_filter1d(stance, SMOOTH_S * fps, axis=0)
     return torch.from_numpy(found)
-
-
-def stretches(mask: Bool[np.ndarray, " time"]) -> list[tuple[int, int]]:
-    """First and last but one frame of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _force_std(
@@ -261,7 +258,7 @@ def _force_std(
     found[..., :2], found[..., 2] = across[0], VERTICAL_STD
     found = found * contact[..., None]
     margin = round(STEP_S * fps)
-    for first, stop in stretches(contact.all(-1).numpy()):
+    for first, stop in runs(contact.all(-1).numpy()):
         lever = LEVER_SHARE * misfit / float(apart[first:stop].median().clamp(min=0.05))
         share = math.hypot(min(0.5, lever), TIMING_STD_S * fps / (stop - first))
         near = slice(max(0, first - margin), stop + margin)

@@ -10,7 +10,7 @@ from recon.body.model import BodyModel
 from recon.body.opensim import OpenSimModel, leg_axes
 from recon.body.parts import GRAVITY, vertex_masses_of_segments
 from recon.core.motion import Motion
-from recon.core.skeleton import PARENTS, joint_index
+from recon.core.skeleton import descendants, joint_index
 from recon.physics.dynamics import body_dynamics, difference_step
 from recon.physics.forces import GroundForces, held_at_ends
 from recon.physics.plates import MeasuredForces
@@ -80,7 +80,7 @@ def joint_moments(
             continue
         side = int(end == "r")
         joint = joint_index(f"{('left', 'right')[side]}_{_JOINTS[word]}")
-        below = torch.tensor([_hangs_from(k, joint) for k in range(len(PARENTS))])[carrier]
+        below = torch.isin(carrier, torch.tensor(descendants(joint)))
         moving = body_dynamics(posed, masses * below, motion.fps)
         place = posed.joints[:, joint].numpy()
         mass = float(moving.mass)
@@ -95,10 +95,3 @@ def joint_moments(
         by_twist = (axis[:, 2] * TWIST_STD * forces.mass * (load.any(-1) & ~known[:, side])) ** 2
         std[name] = np.sqrt(by_force.sum(-1) + by_place.sum(-1) + by_twist)
     return JointMoments(moments, std, known)
-
-
-def _hangs_from(joint: int, above: int) -> bool:
-    """Whether a joint is another one or below it."""
-    while joint >= 0 and joint != above:
-        joint = PARENTS[joint]
-    return joint == above

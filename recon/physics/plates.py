@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.body.parts import GRAVITY
+from recon.core.arrays import runs
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.mocap.force_plates import ForcePlates
-from recon.physics.forces import GroundForces, stretches
+from recon.physics.forces import GroundForces
 
 NEAR_M = 0.2
 """Median distance of measured from estimated centres of pressure that are one foot's, at most."""
@@ -39,7 +41,7 @@ class MeasuredForces:
         Root mean square of the vertical force in % of the weight, error of its impulse in %, and
         mean distance of the centres of pressure in cm where a tenth of the weight presses.
         """
-        weight = found.mass * 9.81
+        weight = found.mass * GRAVITY
         table: dict[str, dict[str, Any]] = {}
         for side, name in enumerate(("left", "right")):
             on = self.known[:, side]
@@ -86,7 +88,7 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
     torque, known = np.zeros((len(times), 2)), np.zeros((len(times), 2), dtype=bool)
     nearest, shared, strange = np.inf, 0, 0
     for k in range(plates.force.shape[1]):
-        for first, stop in stretches(plates.loaded[at, k] & there):
+        for first, stop in runs(plates.loaded[at, k] & there):
             frames, rows = np.arange(first, stop), at[first:stop]
             pressed = plates.centre[rows, k, None, :2]
             apart = np.median(np.linalg.norm(pressed - centre[frames], axis=-1), axis=0)

@@ -16,7 +16,7 @@ from recon.core.hands import right_handed
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
-from recon.keypoints3d.labels import fingers_apart, meant_keypoints
+from recon.keypoints3d.labels import hands_apart, meant_keypoints
 from recon.keypoints3d.reader import with_rate
 from recon.keypoints3d.records import Points3D
 from recon.reading.points import GOOD, bone_lengths, settle_body_layout
@@ -68,7 +68,7 @@ def settled(
             found and which option decides.
     """
     check_override(unit)
-    raw, hands = fingers_apart(raw)
+    raw, hands = hands_apart(raw)
     known = _upper_neck_renamed(_named(with_rate(raw, fps), body, layout))
     metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)

@@ -193,13 +193,17 @@ def levelled(
         f"rolled by {roll:.0f}"
     )
     if told.focal is not None:
-        matrix = matrix * np.array([[told.focal / focal], [told.focal / focal], [1.0]])
-        matrix[:2, 2] = camera.camera_matrix[:2, 2]
+        camera = _with_focal(camera, told.focal)
         said += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
     path = _turning_path(level_turn(told.up) @ R, level=True)
-    known = camera.focal_known or told.focal is not None
-    both = "; ".join(one for one in (turned, said) if one)
-    return replace(camera, camera_matrix=matrix, focal_known=known, path=path), both
+    return replace(camera, path=path), "; ".join(one for one in (turned, said) if one)
+
+
+def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
+    """The camera with a known focal length, pixels; its principal point stays."""
+    matrix = camera.camera_matrix.copy()
+    matrix[:2, :2] *= focal / matrix[[0, 1], [0, 1]].mean()
+    return replace(camera, camera_matrix=matrix, focal_known=True)
 
 
 def _turning_path(R: Float[np.ndarray, "frames 3 3"], *, level: bool) -> CameraPath:
@@ -234,10 +238,8 @@ def _turned(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, "Tur
     )
     if not turning.focal_told:
         return camera, turning, note
-    matrix = matrix * np.array([[turning.focal / focal], [turning.focal / focal], [1.0]])
-    matrix[:2, 2] = camera.camera_matrix[:2, 2]
     note += f", and a focal length of {turning.focal:.0f} pixels, which is taken instead"
-    return replace(camera, camera_matrix=matrix, focal_known=True), turning, note
+    return _with_focal(camera, turning.focal), turning, note
 
 
 _BESIDE = 0.3
