@@ -193,7 +193,7 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     FRAMES.check(len(values), path.name)
     PEOPLE.check(values.shape[1], path.name, "people")
     numbers, identity = _numbers_of_rows(arrays, values.shape[:2], path)
-    there = np.isfinite(values).all(-1).any(-1) & (values[..., 2] > 0).any(-1)
+    there = np.asarray(np.isfinite(values).all(-1).any(-1) & (values[..., 2] > 0).any(-1))
     rows: list[Row] = [
         (int(numbers[frame]), values[frame, person], int(identity[frame, person]))
         for frame, person in np.argwhere(there)
