@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
 from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
 from recon.core.skeleton import JOINTS
 from recon.export.bone_tree import Tree, bones_by_tree
-from recon.export.naming import names_of_joints
 from recon.formats.texts import read_toml
 
 _LIMBS = {

@@ -10,6 +10,7 @@ import torch
 
 from recon.body.hands import RELAXED, HandModel, hands_of_angles
 from recon.body.model import BodyModel
+from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
 from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
@@ -18,7 +19,6 @@ from recon.export.bone_tree import Tree
 from recon.export.character import Character
 from recon.export.gltf import write_glb
 from recon.export.motion import export_file
-from recon.export.naming import names_of_joints
 from recon.export.onto_character import write_character
 from recon.formats.motions import load_motion
 from tests.export.characters import (

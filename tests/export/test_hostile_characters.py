@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
 from recon.export.character import Character
-from recon.export.naming import names_of_joints
 from tests.export.characters import Look, make_character, read_glb_of, write_glb_of
 
 LOOK = Look(names_of_joints()["mixamo"])
