@@ -149,7 +149,7 @@ class Run(Generic[S, N]):
         """Steps and learning rate of every part of the run, one after the other."""
         return ((self.settings.steps, self.settings.rate),)
 
-    def more(self) -> dict[str, Any]:
+    def further_state(self) -> dict[str, Any]:
         """Further content of a run's checkpoint, besides weights and losses."""
         return {}
 
@@ -177,7 +177,11 @@ class Run(Generic[S, N]):
         )
 
     def _write(self, name: str, **state: Any) -> None:
-        state |= {"averaged": self.averaged.state_dict(), "step": self.step, **self.more()}
+        state |= {
+            "averaged": self.averaged.state_dict(),
+            "step": self.step,
+            **self.further_state(),
+        }
         with replacing(self.settings.out / name) as beside:
             torch.save(state, beside)
 

@@ -48,7 +48,7 @@ class CorpusSettings:
             if own == part and (self.data == "nc" or splits.is_open(name))
         }
 
-    def taught(
+    def stretches_that_teach(
         self, part: Part, lesson: Lesson, with_contacts: bool = True
     ) -> Iterator[tuple[str, Path, MotionFile]]:
         """Name, file and stretches of the clips of one part that teach something.
@@ -81,7 +81,7 @@ class CorpusSettings:
         """Stretches of one split fit for training, resampled; single frames are dropped."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
-        for name, _, file in self.taught(part, lesson, with_contacts=False):
+        for name, _, file in self.stretches_that_teach(part, lesson, with_contacts=False):
             motion = file.motion.resample(fps)
             if motion.frames > 1:
                 clips.append(CorpusClip(name, splits.subject(name), motion))
@@ -141,7 +141,7 @@ def identity(settings: Any) -> dict[str, Any]:
     found = plain(settings)
     for name, value in vars(settings).items():
         if isinstance(value, Path) and name not in FREE:
-            found[name] = _contents(value)
+            found[name] = _checksum_text(value)
     return {name: value for name, value in found.items() if name not in FREE}
 
 
@@ -161,7 +161,7 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
             f"{path}: an older version wrote this checkpoint without saying what it learned "
             "from, so it cannot be continued; take another folder"
         )
-    names = [name for name in (own | found) if not _same(own.get(name), found.get(name))]
+    names = [name for name in (own | found) if not _same_setting(own.get(name), found.get(name))]
     if len(names) > 0:
         said = [_difference(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
@@ -170,7 +170,7 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
         )
 
 
-def _same(here: Any, there: Any) -> bool:
+def _same_setting(here: Any, there: Any) -> bool:
     """Whether a setting is the same; a zero part counts as a missing one.
 
     Parts that are added to a group of settings, such as a new variation, are zero where nothing
@@ -187,7 +187,7 @@ def _difference(name: str, there: Any, here: Any) -> str:
     return f"{name} ({there} there, {here} here)"
 
 
-def _contents(path: Path) -> str:
+def _checksum_text(path: Path) -> str:
     if not path.is_dir():
         return _CONTENTS + file_checksum(path)
     motions = clip_files(path).values()

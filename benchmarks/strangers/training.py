@@ -86,7 +86,7 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
     poses = own / "pose.safetensors"
     export_poses(PoseTraining(corpus, out=poses, splits=settings.splits), poses)
-    checked = any(True for _ in settings.taught("validation", "steps"))
+    checked = any(True for _ in settings.stretches_that_teach("validation", "steps"))
     state = trained_state(settings.out / CHECKPOINT)
     return FoldPriors(
         humor=Humor.load(weights),

@@ -111,7 +111,7 @@ class FrozenDecoder:
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
-    def by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
+    def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
         """Layer by layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
@@ -196,7 +196,7 @@ def _unrolled(
     turn = HeadingTurn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
-    for each in zip(*(part.unbind(0) for part in decoder.by_layer(added)), strict=True):
+    for each in zip(*(part.unbind(0) for part in decoder.split_by_layer(added)), strict=True):
         *units, raw = decoder(x, each)
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)

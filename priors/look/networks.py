@@ -1,4 +1,4 @@
-"""The network that looks first: from points seen of a clip to several whole motions with weights.
+"""The network that proposes several whole motions, with weights, from seen points of a clip.
 
 Each frame becomes one vector: the sum over visible points of features of their place on the body
 times their position, so any set of points is an input. Transformer layers with short convolutions
@@ -62,7 +62,7 @@ class Proposed(TensorStruct):
 
 
 class LookNetwork(nn.Module):
-    """From seen points to `Proposed` motions."""
+    """A network from the seen points of clips to several `Proposed` motions with weights."""
 
     def __init__(
         self, shape: int, width: int = 224, common: int = 4, own: int = 2, hypotheses: int = 4

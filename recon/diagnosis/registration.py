@@ -190,7 +190,7 @@ class ViewAlignment(Problem[_View]):
         return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
     @property
-    def doubted(self) -> bool:
+    def may_improve(self) -> bool:
         """Whether the given pose of a view might be improved: a cheap test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if (
@@ -218,7 +218,7 @@ class ViewAlignment(Problem[_View]):
         )
         covariance[unknown] = np.linalg.inv(normal[unknown])
         turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
-        values = np.concatenate(([late], turn, self._shift(pose)))
+        values = np.concatenate(([late], turn, self._displacement(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
         if not both.any():
@@ -236,7 +236,7 @@ class ViewAlignment(Problem[_View]):
     def _unknown_indices(self) -> list[int]:
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
-    def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    def _displacement(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """How far the camera's centre is from the given one, along its axes, metres."""
         return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
 
@@ -246,7 +246,7 @@ class ViewAlignment(Problem[_View]):
         """Hessian, descent direction and excess variance, with the prior on a shifted camera."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
-        slope[4:] -= self._shift(x[1]) / SHIFT**2
+        slope[4:] -= self._displacement(x[1]) / SHIFT**2
         return normal, slope, inflation
 
     def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:

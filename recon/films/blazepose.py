@@ -76,7 +76,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Pose:
-    """What the second network says of a region."""
+    """Landmarks that the second network finds in a region, and their scores."""
 
     pixels: Float[np.ndarray, "33 2"]
     """In the image, guessed also for what it does not show."""
@@ -98,7 +98,7 @@ class BlazePose:
     """Both networks, run by LiteRT."""
 
     def __init__(self, landmarks: Path | None = None) -> None:
-        """Load them.
+        """Load both networks.
 
         Args:
             landmarks: model file (.tflite) of the second network; None is the bundled `full`.

@@ -94,7 +94,7 @@ class Board:
 
 @dataclass(frozen=True)
 class _Lens:
-    """What one camera saw of the board, and its lens."""
+    """One camera: its lens, and the corners of the board that it saw at each moment."""
 
     seen: Mapping[int, Corners]
     """By moment."""

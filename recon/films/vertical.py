@@ -47,7 +47,7 @@ _EVERY_IMAGE = 0.6
 
 @dataclass(frozen=True)
 class Vertical:
-    """Where up is for a camera, and what else its lines tell."""
+    """The up direction in a camera's frame, and the focal length that lines imply."""
 
     up: Float[np.ndarray, "3"]
     """Unit vector in the camera's frame: x right, y down, z forward."""
@@ -159,7 +159,7 @@ def _best_vertical(
 
 
 def _plausible(ups: Float[np.ndarray, "ups 3"]) -> np.ndarray:
-    """Which verticals are those of a camera as people hold it."""
+    """Mask of up directions of cameras as people hold them: hardly tilted or rolled."""
     rolled = np.abs(np.arctan2(ups[:, 0], -ups[:, 1]))
     tilted = -ups[:, 1] > np.cos(_MOST_TILTED)
     return tilted & (rolled < _MOST_ROLLED) & (ups[:, 2] < np.sin(_MOST_RAISED))

@@ -1,4 +1,4 @@
-"""What is known of a set of markers from a trial in which they have names."""
+"""Distances between the markers of a set, from a trial in which they have names."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""The first window of a stream: its first motion, by a look at the first moments or by a fit."""
+"""The first motion of a stream, proposed by a network or fitted to the first moments."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ def first_window(
     poses: PosePrior,
     prior: Prior[Any] | None,
 ) -> SmoothedWindow:
-    """The first window of a stream, from consecutive moments: a network's first look, or a fit.
+    """The first window of a stream, whose motion a network proposes or a fit finds.
 
     Raises:
         ReconError: when nothing can be fitted to them.
@@ -118,7 +118,7 @@ def _first_look(
     shape: Float[Tensor, " shape"] | None,
     body: BodyModel,
 ) -> _First | None:
-    """What the network that looks first proposes; None where it cannot see, or knows no such data.
+    """The motion that a network proposes; None for data that it cannot use.
 
     It takes a tenth of the time of a fit.
     """

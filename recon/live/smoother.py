@@ -123,7 +123,7 @@ class SmoothedWindow:
         return replace(found, equations=refinement.equations)
 
     def stepped(self) -> "SmoothedWindow":
-        """The window after one Gauss-Newton step whose energy is not looked at.
+        """The window after one Gauss-Newton step, taken without a check of its energy.
 
         An evaluation of it would take a quarter of a push more, and a search for a shorter step
         where it rises twice as much as the push. The next push, which computes the energy anyway,

@@ -142,7 +142,7 @@ class Tracking:
 
     @property
     def unseen(self) -> int:
-        """Moments since points were seen."""
+        """Number of moments since any point was seen."""
         if self.smoothed is not None:
             return self.since_seen
         empty = [moment.empty for moment in reversed(self.gathered)]

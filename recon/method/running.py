@@ -68,7 +68,7 @@ class Hypotheses(Generic[S]):
     def proposed(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"], tuple[str, ...]]:
-        """Hypotheses proposed from each, in its place, the row of each, and what is told of them.
+        """The hypotheses that each row is replaced by, the row each came from, and remarks.
 
         A row from which nothing is proposed stays.
         """

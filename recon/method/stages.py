@@ -80,11 +80,11 @@ class Stage(Generic[S]):
     def matched(self, estimate: Estimate) -> "Stage[S]":
         """The stage with correspondences fixed at an estimate while it is minimised."""
 
-        def held(term: Term) -> Term:
+        def with_fixed_correspondences(term: Term) -> Term:
             matched = getattr(term.energy, "matched", None)
             return term if matched is None else replace(term, energy=matched(estimate))
 
-        return replace(self, terms=tuple(held(term) for term in self.terms))
+        return replace(self, terms=tuple(with_fixed_correspondences(term) for term in self.terms))
 
     def values(self, estimate: Estimate) -> Float[Tensor, "rows terms"]:
         """Weighted energies of its terms."""

@@ -252,14 +252,14 @@ def _recording_of(
     # a bone's `direction` leads to the joint of its children
     offsets = np.stack([np.zeros(3) if p < 0 else tree.bones[order[p]].direction for p in parents])
 
-    def local() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def local_poses() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for joint, (title, offset) in enumerate(zip(names, offsets, strict=True)):
             turn, shift = np.eye(3), np.zeros(3)
             if joint < len(order) and title in motion:
                 turn, shift = _bone_motion(tree.bones[title], motion[title], degrees, name)
             yield (tree.origin + shift if title == "root" else offset), turn
 
-    positions, orientations = posed_skeleton(parents, local(), frames)
+    positions, orientations = posed_skeleton(parents, local_poses(), frames)
     return SkeletonRecording(name, names, parents, offsets, positions, orientations, fps, ())
 
 

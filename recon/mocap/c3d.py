@@ -119,7 +119,7 @@ def _markers(
     names = _labels(point, header.points)
     outputs = {label for key in _OUTPUTS for label in _texts(point, key)}
     chosen = [k for k, name in enumerate(names) if name not in outputs]
-    fps, said = stated_rate(_positive(point, "RATE") or header.rate, path, "POINT:RATE")
+    fps, said = stated_rate(_positive_number(point, "RATE") or header.rate, path, "POINT:RATE")
     if not chosen:
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
@@ -156,11 +156,11 @@ def _joint_centres(
         ValueError: when the data is cut short, or its segments are not known.
     """
     rotation, labels = groups["ROTATION"], _texts(groups["ROTATION"], "LABELS")
-    if not (start := int(_positive(rotation, "DATA_START"))):
+    if not (start := int(_positive_number(rotation, "DATA_START"))):
         raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
     raw = data[(start - 1) * _BLOCK :]
     values = _floats(raw[: len(raw) // 4 * 4], header.processor)
-    rate = _positive(rotation, "RATE") or _positive(groups.get("POINT", {}), "RATE")
+    rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
     first, last = header.bounds(groups.get("TRIAL", {}))
     frames = last - first + 1
@@ -350,7 +350,9 @@ def read_analog(path: Path) -> AnalogChannels:
     after = slice(4 * header.points, None)
     raw = _read_numbers(data, header, trial, path, after, integer)
     values = raw.reshape(len(raw), header.analog_rows, -1)
-    fps = stated_rate(_positive(groups.get("POINT", {}), "RATE") or header.rate, path, "rate")[0]
+    fps = stated_rate(
+        _positive_number(groups.get("POINT", {}), "RATE") or header.rate, path, "rate"
+    )[0]
     first = max(1, header.bounds(trial)[0])
     made = AnalogChannels(values, fps, (first - 1) / fps, groups)
     channels = values.shape[-1]
@@ -359,11 +361,11 @@ def read_analog(path: Path) -> AnalogChannels:
     for target, key in ((scale, "SCALE"), (offset, "OFFSET")):
         stated = made.numbers("ANALOG", key, -1)[:channels]
         target[: len(stated)] = stated
-    scaled = (values - offset) * (scale * (_positive(analog, "GEN_SCALE") or 1.0))
+    scaled = (values - offset) * (scale * (_positive_number(analog, "GEN_SCALE") or 1.0))
     return replace(made, values=np.nan_to_num(scaled, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def _positive(group: _Parameters, key: str) -> float:
+def _positive_number(group: _Parameters, key: str) -> float:
     """The positive number that a parameter states, else 0."""
     value = group.get(key)
     stated = isinstance(value, np.ndarray) and value.size == 1 and value.flat[0] > 0

@@ -19,10 +19,10 @@ from recon.reading.assignments import BEGINS, cheapest_assignments
 from recon.reading.places import (
     FEWEST_KEYPOINTS,
     gap,
+    log_trunk_length,
     middle_of,
-    reshaping,
+    pose_change,
     size_of,
-    trunk_of,
     without_fragments,
 )
 
@@ -133,7 +133,7 @@ class _Assignment:
         return frozenset(person.rows for person in self.people)
 
 
-def farthest(unseen_frames: int) -> float:
+def largest_allowed_distance(unseen_frames: int) -> float:
     """The largest allowed distance from the expected place, in body sizes.
 
     Args:
@@ -162,7 +162,7 @@ class _Linking:
         self.seen = detections
         self.rows = rows
         self.sizes = {int(r): size_of(detections, int(r)) for r in rows}
-        self.trunks = {int(r): trunk_of(detections, int(r)) for r in rows}
+        self.trunks = {int(r): log_trunk_length(detections, int(r)) for r in rows}
         self.spread = self._usual_spread()
         self.followed = [_Assignment((), 0.0, None, 0)]
 
@@ -210,7 +210,7 @@ class _Linking:
         return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
     def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
-        """The best of the detections of one person; as many as there are people at a place."""
+        """Detections of a frame without duplicates of one person, of which the surest is kept."""
         lately = [
             p.expected(frame)
             for p in people
@@ -240,7 +240,7 @@ class _Linking:
         for one, two in pairwise(by_frame):
             for a in one.tolist():
                 nearest = min(two.tolist(), key=lambda b, a=a: gap(self.seen, a, b))
-                near.append(reshaping(self.seen, a, nearest))
+                near.append(pose_change(self.seen, a, nearest))
         usual = np.median(near) if near else np.inf
         return float(np.clip(usual, *_SPREADS))
 
@@ -251,7 +251,7 @@ class _Linking:
         out = np.full((len(people), len(rows)), np.inf)
         for k, person in enumerate(people):
             expected, unseen = person.expected(frame), frame - person.frame - 1
-            gate = farthest(unseen)
+            gate = largest_allowed_distance(unseen)
             spread = self.spread * (1 + _SPREAD_GROWTH * unseen)
             for p, row in enumerate(rows):
                 size = max(person.size, self.sizes[row])

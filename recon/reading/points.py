@@ -16,7 +16,7 @@ from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import surely_up
+from recon.core.coordinates import corrected_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.hands import right_handed
 from recon.core.layouts import LAYOUTS, keypoint_names
@@ -168,7 +168,7 @@ def _turn_to_z_up(
     """
     if up is not None:
         return to_z_up(up), ()
-    found = surely_up("z", file.names, file.positions, file.visible) if file.level else None
+    found = corrected_up("z", file.names, file.positions, file.visible) if file.level else None
     if found is None:
         return np.eye(3), ()
     low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))

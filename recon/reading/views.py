@@ -22,9 +22,15 @@ from recon.formats.cameras import (
 from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
-from recon.reading.places import expand, match_cameras, view_name
+from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
-from recon.reading.stated import in_one_shot, in_size_of, levelled, stated_rate, with_image_size
+from recon.reading.stated import (
+    in_one_shot,
+    in_size_of,
+    levelled,
+    read_sized_detections,
+    stated_rate,
+)
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -68,9 +74,11 @@ def read_views(
         ValueError: when something is missing, damaged, ambiguous or does not fit together; the
             message says what was expected and which option decides.
     """
-    folders, notes = expand(paths)
+    folders, notes = files_of_views(paths)
     check_calibrated(folders, how)
-    known = {path: one for path in folders if (one := with_image_size(path, how)) is not None}
+    known = {
+        path: one for path in folders if (one := read_sized_detections(path, how)) is not None
+    }
     fps = how.frame_rate or stated_rate(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(

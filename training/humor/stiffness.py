@@ -67,13 +67,13 @@ def draw(clips: list[Motion], count: int, seed: int) -> Motion:
     """Short windows, each of a clip and from a frame that are drawn; axes (count, frames)."""
     random = torch.Generator().manual_seed(seed)
 
-    def below(stop: int) -> int:
+    def random_index(stop: int) -> int:
         return int(torch.randint(stop, (1,), generator=random))
 
     found: list[Motion] = []
     for _ in range(count):
-        clip = clips[below(len(clips))]
-        first = below(clip.frames - SPAN + 1)
+        clip = clips[random_index(len(clips))]
+        first = random_index(clip.frames - SPAN + 1)
         found.append(clip.window(first, first + SPAN).replace(start_time=0.0))
     return stack(found)
 

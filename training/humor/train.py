@@ -157,7 +157,7 @@ def train(settings: HumorTraining) -> Path:
     with in_folder(settings):
         body = BodyModel.load()
         learned = held_out = Corpus.load(settings, "train", body)
-        if any(True for _ in settings.taught("validation", "steps")):
+        if any(True for _ in settings.stretches_that_teach("validation", "steps")):
             held_out = Corpus.load(settings, "validation", body)
         else:
             LOG.warning(

@@ -126,7 +126,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         ]
         return fitted_basis(torch.cat(rows), settings.basis)
 
-    def more(self) -> dict[str, Any]:
+    def further_state(self) -> dict[str, Any]:
         """The principal directions, which are not trained."""
         return {"basis": self.networks.basis.tensors()}
 

@@ -112,7 +112,7 @@ def glimpse(
             what lies in a `box` about the body.
         random: source of chance.
     """
-    depth, seen, surface = _image(vertices, faces, places, room)
+    depth, seen, surface = _rendered_image(vertices, faces, places, room)
     noisy = measured_depth(depth, room.camera, room.sensor, random)
     noisy = np.where(noisy > 0, noisy + room.blotches * _correlated_noise(random), 0.0)
     row, column = np.nonzero(noisy)
@@ -165,7 +165,7 @@ def all_around(
     return Glimpse(points, shown * on_body[:, None], on_body)
 
 
-def _image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):
+def _rendered_image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):
     """Depths (0 where there is nothing), places on the body and surfaces of all pixels."""
     camera, mesh = room.camera, room.furniture
     every = np.concatenate([vertices, mesh.vertices])

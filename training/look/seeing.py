@@ -53,7 +53,7 @@ class Seeing:
         body: BodyModel,
         random: torch.Generator,
     ) -> SeenPoints:
-        """Points seen of windows at 30 Hz.
+        """Simulated sensor points of windows of motion at 30 Hz, with noise and gaps.
 
         Args:
             joints: true positions, world, metres.
@@ -84,13 +84,13 @@ class Seeing:
         wild = draw.happens(self.outliers, count, 1, 1) & draw.happens(0.03, count, time, SLOTS)
         places = places + wild[..., None] * (draw.uniform(*true.shape) - 0.5)
 
-        seen = shown[:, None] & self._open(draw, true, bone)
+        seen = shown[:, None] & self._visible_points(draw, true, bone)
         length = 20 + draw.integers(max(time - 20, 1), count)
         length = length.where(draw.happens(self.shorter, count), time)
         exists = torch.arange(time, device=joints.device) < length[:, None]
         return SeenPoints(places, seen & exists[..., None], bone, offset, std, exists)
 
-    def _open(
+    def _visible_points(
         self, draw: "_Draws", true: Tensor, bone: Tensor
     ) -> Bool[Tensor, "windows time points"]:
         """Mask of the points that nothing hides."""
@@ -100,7 +100,7 @@ class Seeing:
         low = (true[..., 2] < height) & (always | draw.spells(count, time, 0.3, 2.0))[..., None]
         hidden = low & draw.happens(self.below, count, 1, 1)
         for share, whole, usual in ((self.limbs, 0.0, 0.6), (self.gap, 0.3, 0.0)):
-            own = self._some_limbs(draw, bone, whole)
+            own = self._points_of_random_limbs(draw, bone, whole)
             when = draw.happens(usual, count, 1) | draw.spells(count, time, 0.2, 2.0)
             hidden |= own[:, None] & when[..., None] & draw.happens(share, count, 1, 1)
         rate = 0.7 * draw.uniform(count, 1, 1) * draw.happens(self.single_points, count, 1, 1)
@@ -109,7 +109,7 @@ class Seeing:
         hidden |= draw.uniform(count, time, 1) < rate
         return ~hidden
 
-    def _some_limbs(
+    def _points_of_random_limbs(
         self, draw: "_Draws", bone: Tensor, whole: float
     ) -> Bool[Tensor, "windows points"]:
         """Points of random limbs, or with a probability `whole` all points."""

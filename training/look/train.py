@@ -155,13 +155,17 @@ def losses_of(
     exists = seen.exists.to(target)
     joints = found.joints(body)
     parts = {
-        "joints": _over_time(_length(joints - target).mean(-1), exists),
-        "rotations": _over_time(_length((found.rotations - true).flatten(-2)).mean(-1), exists),
+        "joints": _over_time(_smooth_norm(joints - target).mean(-1), exists),
+        "rotations": _over_time(
+            _smooth_norm((found.rotations - true).flatten(-2)).mean(-1), exists
+        ),
         "velocities": 30
-        * _over_time(_length((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
-        "likelihood": _over_time(_nats(joints - target, found.log_std).mean(-1), exists),
+        * _over_time(_smooth_norm((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
+        "likelihood": _over_time(
+            _negative_log_density(joints - target, found.log_std).mean(-1), exists
+        ),
         "contacts": windows.trusted[:, None]
-        * _over_time(_entropy(found, windows.contacts[:, None]).mean(-1), exists),
+        * _over_time(_contact_cross_entropy(found, windows.contacts[:, None]).mean(-1), exists),
     }
     near = (found.log_weight - parts["joints"] / _NEAREST_M).detach().softmax(-1)
     cost = sum(getattr(weights, name) * value for name, value in parts.items())
@@ -174,7 +178,7 @@ def losses_of(
     return rows | {"choice": choice.mean(), "total": total}
 
 
-def _length(vectors: Tensor) -> Tensor:
+def _smooth_norm(vectors: Tensor) -> Tensor:
     return (vectors.square().sum(-1) + 1e-8).sqrt()
 
 
@@ -183,13 +187,13 @@ def _over_time(values: Tensor, exists: Float[Tensor, "clips time"]) -> Tensor:
     return (values * exists[:, None]).sum(-1) / exists.sum(-1).clamp(min=1)[:, None]
 
 
-def _nats(away: Tensor, log_std: Tensor) -> Tensor:
+def _negative_log_density(away: Tensor, log_std: Tensor) -> Tensor:
     """-log of the Gaussian density; only standard deviations learn from it."""
     squared = away.detach().square().sum(-1).clamp(max=4.0)
     return 3 * log_std + 0.5 * squared * (-2 * log_std).exp()
 
 
-def _entropy(found: Proposed, contacts: Tensor) -> Tensor:
+def _contact_cross_entropy(found: Proposed, contacts: Tensor) -> Tensor:
     return torch.nn.functional.binary_cross_entropy_with_logits(
         found.contacts, contacts.expand_as(found.contacts), reduction="none"
     )
