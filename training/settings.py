@@ -116,7 +116,7 @@ FREE = ("out", "threads", "save_every", "device")
 _CONTENTS = "sha256:"
 
 
-def plain(settings: Any) -> dict[str, Any]:
+def plain_settings(settings: Any) -> dict[str, Any]:
     """A dataclass of settings as a checkpoint holds it."""
     found = dataclasses.asdict(settings)
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
@@ -128,7 +128,7 @@ def settings_to_store(settings: Any) -> dict[str, Any]:
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
 
 
-def identity(settings: Any) -> dict[str, Any]:
+def identity_of_run(settings: Any) -> dict[str, Any]:
     """The identity of a run: its settings, and checksums of the files they name.
 
     A folder counts by the motions and notes of its corpus, another file by its bytes, wherever
@@ -138,19 +138,19 @@ def identity(settings: Any) -> dict[str, Any]:
         FileNotFoundError: when a file that is named is not there.
         ValueError: when a folder holds no corpus.
     """
-    found = plain(settings)
+    found = plain_settings(settings)
     for name, value in vars(settings).items():
         if isinstance(value, Path) and name not in FREE:
             found[name] = _checksum_text(value)
     return {name: value for name, value in found.items() if name not in FREE}
 
 
-def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
+def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
     """Refuse to resume from the checkpoint of a run with other settings or data.
 
     Args:
         path: of the checkpoint, for the message.
-        own: `identity` of the run that is asked for.
+        own: `identity_of_run` of the run that is asked for.
         found: the one in the checkpoint; None where an older version wrote none.
 
     Raises:

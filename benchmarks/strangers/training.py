@@ -12,7 +12,7 @@ from training.humor.variation import VARIED
 from training.pose import PoseTraining
 from training.pose import export_weights as export_poses
 from training.run import CHECKPOINT, read_state, trained_state
-from training.settings import identity, same_run
+from training.settings import identity_of_run, refuse_other_run
 
 SAVED_EVERY = 60.0
 """Seconds."""
@@ -105,5 +105,5 @@ def finished(settings: HumorTraining) -> bool:
     state = read_state(settings.out / CHECKPOINT)
     if state is None:
         return False
-    same_run(settings.out / CHECKPOINT, identity(settings), state.get("identity"))
+    refuse_other_run(settings.out / CHECKPOINT, identity_of_run(settings), state.get("identity"))
     return state["step"] >= settings.steps

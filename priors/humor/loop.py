@@ -258,8 +258,7 @@ class _Unroll(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # Gradients of the start of a step, of its raw output and of its rotations, to which
-        # the gradient of the following step is added.
+        # gradients by a step's start, raw output and rotations; the next step's is added to them
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

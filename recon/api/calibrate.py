@@ -296,7 +296,7 @@ def _on_ground(
 
 
 def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
-    """The camera with another focal length, pixels, and nothing else known of it than its lens."""
+    """A camera with the same size and distortion, another focal length (pixels) and no pose."""
     matrix = camera.camera_matrix.copy()
     matrix[[0, 1], [0, 1]] = focal
     return CameraArrays(matrix, camera.image_size, camera.distortion)

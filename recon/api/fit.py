@@ -130,7 +130,7 @@ def fit(
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if paths and _is_estimate(paths):
-        from recon import refine  # which calls `fit` in turn
+        from recon import refine  # imported here: it imports this module
 
         _refuse_others(paths[0], how_read, start)
         return refine(

@@ -86,7 +86,9 @@ def motion_given(
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
-        from recon.formats.motions import load_motion  # arrays of joints are fitted without it
+        from recon.formats.motions import (
+            load_motion,
+        )  # imported here: fits of arrays need no files
 
         path = Path(given)
         file = load_motion(path, body.template.dtype)

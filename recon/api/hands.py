@@ -35,7 +35,7 @@ _KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
 
 @dataclass(frozen=True)
 class _SeenHands:
-    """What one sensor saw of both hands, in the frames of the motion."""
+    """The points of both hands that one sensor saw, in the frames of the motion."""
 
     values: Float[Tensor, "time 42 dims"]
     confidence: Float[Tensor, "time 42"]
@@ -131,7 +131,7 @@ def _in_frames_of(
 
 
 def _noise(points: Float[Tensor, "moments 42 numbers"], known: tuple[float, ...]) -> float:
-    """Standard deviation of a coordinate; the usual one where too few frames tell it."""
+    """Standard deviation of a coordinate; a usual value where there are too few frames."""
     least, most, usual = known
     if len(points) < _FRAMES:
         return usual
@@ -193,7 +193,7 @@ def _hand_finding(hand: int, what: str) -> Finding:
 def _wrist_distance(
     seen: Sequence[_SeenHands], hand: int, place: Float[Tensor, "time 3"]
 ) -> float:
-    """Median distance of a hand's wrist, or of what is seen of it, from a wrist; metres."""
+    """Median distance of a hand from a wrist of the body, metres: of its wrist, if seen."""
     found = []
     for one in seen:
         view = one.view(hand)

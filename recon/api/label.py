@@ -113,7 +113,7 @@ def label(
             f"others by, got {len(named)}: give one whose markers have names with --like"
         )
     with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing are NaN, as meant
+        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of no values is NaN, as wanted
         model = distances_in_trial(trial.select(named), body)
         track = tracks_of(seen.positions, seen.visible, seen.fps)
         naming = Naming(track, seen.positions, seen.fps, model)

@@ -236,7 +236,7 @@ class Result(MotionResult):
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motion: stages, noise, residuals, findings.
+        """The report saved beside the motion: stages, noise, residuals, findings.
 
         Args:
             inputs: as of `MotionResult.report`.

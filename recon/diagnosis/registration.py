@@ -181,11 +181,11 @@ class ViewAlignment(Problem[_View]):
 
     @property
     def seen(self) -> Bool[np.ndarray, "moments points"]:
-        """Keypoints of the view whose points the others see."""
+        """Mask of this view's keypoints whose points the other views triangulate."""
         return self.images.seen[0, self.rows] & self.paths.exists[self.rows]
 
     @property
-    def trusted(self) -> bool:
+    def is_determined(self) -> bool:
         """Whether the other views agree with each other and enough keypoints are seen."""
         return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
@@ -197,14 +197,14 @@ class ViewAlignment(Problem[_View]):
             given.there.sum() < _MIN_KEYPOINTS
             or cauchy_mean(given.squared[given.there]) > _CLEAN_COST
         ):
-            return self.trusted
+            return self.is_determined
         normal, slope, _ = given.equations()
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
-        return self.trusted and gain > _CLEAN
+        return self.is_determined and gain > _CLEAN
 
     def solved(self) -> ViewCorrection | None:
         """The correction with the smallest residuals; None where the data do not determine it."""
-        if not self.trusted:
+        if not self.is_determined:
             return None
         start = self.images.pose[0, 0]
         (late, pose), _ = minimise(self, self._best_offset(start), _OPTIONS)

@@ -62,7 +62,7 @@ def find_vertical(
     *,
     known: bool,
 ) -> Vertical | None:
-    """The vertical in images of one still camera; None where lines do not tell it.
+    """The vertical in images of one still camera; None where lines do not determine it.
 
     They do not where there are few, where they explain little more than lines turned at random,
     and where images disagree because the camera turns.
@@ -133,7 +133,7 @@ def _share_by_chance(
     lengths: Float[np.ndarray, " focals"],
     chance: np.random.Generator,
 ) -> float:
-    """The largest share that is explained of segments turned at random, some times over."""
+    """The largest share explained among several copies of the segments, turned at random."""
     turned = [_turned_at_random(segments, chance) for _ in range(_RANDOM_TURNS)]
     return max(_best_vertical(one, focal, chance)[1] for one in turned for focal in lengths)
 

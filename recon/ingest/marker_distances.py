@@ -26,7 +26,7 @@ _WIDTH = 0.05
 
 @dataclass(frozen=True)
 class MarkerDistances:
-    """Distances between the markers of a set, and their places seen from triads of them."""
+    """Distances between the markers of a set, and their positions in frames of marker triads."""
 
     names: tuple[str, ...]
     means: Float[np.ndarray, "2 markers markers"]
@@ -139,7 +139,7 @@ def _axes(
 def _seen_from_triads(
     x: Float[np.ndarray, "time markers 3"], noise: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Triads, those that tell most about each marker, its places there and their scatter."""
+    """The triads that locate each marker best, its position in their frames, and the scatter."""
     count = x.shape[1]
     triads = np.random.default_rng(0).integers(count, size=(_TRIADS, 3))
     triads = triads[[len(set(row)) == 3 for row in triads.tolist()]]

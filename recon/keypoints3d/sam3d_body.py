@@ -1,4 +1,4 @@
-"""Reads SAM 3D Body's results: 70 keypoints (MHR-70) and position of everybody per image.
+"""Reads SAM 3D Body's results: 70 keypoints (MHR-70) and the position of each person.
 
 A result is a dictionary for every person of an image. Saved are lists of them for every frame
 (.pkl, .npy), an .npz for every frame, or frame and person, in a folder, and .npz of arrays.

@@ -104,7 +104,7 @@ class SmoothedWindow:
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
-            # this many frames are held fixed, so that the motion continues smoothly
+            # keep `reach` fixed frames before the window, so that the motion continues smoothly
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective

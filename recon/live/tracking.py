@@ -160,7 +160,7 @@ class Tracking:
         return self._final_estimates(0)
 
     def known(self) -> KnownShape:
-        """What is known of the person by now."""
+        """The person's shape, as far as it is known by now."""
         now = self.smoothed
         if now is None:
             return self.person

@@ -74,7 +74,7 @@ class Stage(Generic[S]):
 
     @property
     def matches(self) -> bool:
-        """Whether any energy is over correspondences."""
+        """Whether any energy uses correspondences, which are found again in rounds."""
         return any(hasattr(term.energy, "matched") for term in self.terms)
 
     def matched(self, estimate: Estimate) -> "Stage[S]":
@@ -121,7 +121,7 @@ class StageReport:
     seconds: float
     compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
-    began: tuple[str, ...] = ()  # what is told of the motions that were proposed
+    began: tuple[str, ...] = ()  # remarks on the motions that were proposed
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
         """The report of some clips of the batch; `compared` is not cut."""

@@ -249,7 +249,7 @@ def _recording_of(
     tips = [bone for bone in tree.parents if bone not in inner]
     names = (*order, *(f"{bone}_end" for bone in tips))
     parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
-    # a bone's `direction` leads to the joint of its children
+    # a bone's `direction` is the offset of its children's joint
     offsets = np.stack([np.zeros(3) if p < 0 else tree.bones[order[p]].direction for p in parents])
 
     def local_poses() -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -59,7 +59,7 @@ class _Header:
         """Byte order of the file, as numpy and struct write it."""
         return ">" if self.processor == _MIPS else "<"
 
-    def bounds(self, trial: _Parameters) -> tuple[int, int]:
+    def first_and_last_frame(self, trial: _Parameters) -> tuple[int, int]:
         """First and last frame, by the group TRIAL where the header's 16 bits are too few."""
         bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
         pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
@@ -94,7 +94,9 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     point = groups.get("POINT", {})
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(1, header.bounds(groups.get("TRIAL", {}))[0])  # some programs count from 0
+    first = max(
+        1, header.first_and_last_frame(groups.get("TRIAL", {}))[0]
+    )  # some programs count from 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))
@@ -162,7 +164,7 @@ def _joint_centres(
     values = _floats(raw[: len(raw) // 4 * 4], header.processor)
     rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
-    first, last = header.bounds(groups.get("TRIAL", {}))
+    first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
     frames = last - first + 1
     JOINTS.check(len(labels), path, "ROTATION:LABELS")
     SAMPLES.check(max(0, frames) * len(labels), path, "header")
@@ -286,7 +288,7 @@ def _read_numbers(
     """Read some numbers of every frame (frames, columns), as they are stored."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
-    first, last = header.bounds(trial)
+    first, last = header.first_and_last_frame(trial)
     frames = last - first + 1
     size = frames * width * (4 if real else 2)
     if frames < 1 or start + size > len(data):
@@ -353,7 +355,7 @@ def read_analog(path: Path) -> AnalogChannels:
     fps = stated_rate(
         _positive_number(groups.get("POINT", {}), "RATE") or header.rate, path, "rate"
     )[0]
-    first = max(1, header.bounds(trial)[0])
+    first = max(1, header.first_and_last_frame(trial)[0])
     made = AnalogChannels(values, fps, (first - 1) / fps, groups)
     channels = values.shape[-1]
     scale = np.ones(channels)

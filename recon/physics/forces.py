@@ -206,7 +206,7 @@ def _load_shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tenso
 def _forces_by_foot(
     moving: Dynamics, centre: Tensor, share: Tensor, step: int
 ) -> Float[Tensor, "time 2 3"]:
-    """Forces of both feet: the vertical shared as told, the horizontal by `ground_forces`."""
+    """Forces of both feet: the vertical by given shares, the horizontal by `ground_forces`."""
     acceleration, mass_centre = (
         held_at_ends(moving.acceleration, step),
         held_at_ends(moving.centre, step),

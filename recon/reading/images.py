@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations.camera_paths import keypoint_feet, with_unit
+from observations.camera_paths import keypoint_feet, with_path_in_metres
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
@@ -51,7 +51,7 @@ def keypoints_of(
         unit_known=path is None or path.metric,
         lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
     )
-    return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
+    return view if view.unit_known else with_path_in_metres(view, keypoint_feet(view, body))
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:

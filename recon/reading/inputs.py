@@ -156,10 +156,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         OSError, ValueError: when a file is there and cannot be read.
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
-    del plain["detections"]  # where they are kept
+    del plain["detections"]  # only the folder of detections, which does not change a result
     for name in ("shape", "detector"):
         if plain[name] is None:
-            del plain[name]  # results older than these options keep their checksums
+            del plain[name]  # so that checksums stay those of versions without these options
     contents: dict[str, Any] = {
         "weights": _weights_checksums(settings),
         "tables": _bundled_checksums(

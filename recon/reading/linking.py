@@ -103,13 +103,13 @@ class _Person:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _FrameLinks:
     """Which person each detection of a frame is, and the same for the frames before it."""
 
     number: int
     labels: dict[int, int]
     """Row to label."""
-    before: "_Frame | None"
+    before: "_FrameLinks | None"
 
 
 @dataclass(frozen=True)
@@ -118,14 +118,14 @@ class _Assignment:
 
     people: tuple[_Person, ...]
     cost: float
-    frames: _Frame | None
+    frames: _FrameLinks | None
     fresh: int
     """The next label."""
     doubts: tuple[tuple[int, frozenset[int]], ...] = ()
     """First frame of every doubt, and the labels that it concerns from then on."""
 
     @property
-    def nameless(self) -> frozenset[tuple[int, ...]]:
+    def without_identities(self) -> frozenset[tuple[int, ...]]:
         """The last detection of every person, without identities.
 
         Equal for assignments that differ in names.
@@ -302,7 +302,7 @@ class _Linking:
                 people.append(self._new_person(fresh, row, frame))
                 labels[row] = fresh
                 fresh += 1
-        step = _Frame(frame, labels, assignment.frames)
+        step = _FrameLinks(frame, labels, assignment.frames)
         return _Assignment(tuple(people), cost, step, fresh, assignment.doubts)
 
     def _new_person(self, label: int, row: int, frame: int) -> _Person:
@@ -344,11 +344,11 @@ class _Linking:
         for one in assignments:
             if one.cost > assignments[0].cost + _WORST:
                 break
-            same = kept.get(one.nameless)
+            same = kept.get(one.without_identities)
             if same is None:
-                kept[one.nameless] = one
+                kept[one.without_identities] = one
             else:
-                kept[one.nameless] = _marked_if_doubtful(same, one)
+                kept[one.without_identities] = _marked_if_doubtful(same, one)
         return list(kept.values())[:_KEPT]
 
 
@@ -368,7 +368,7 @@ def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     return replace(best, doubts=(*best.doubts, doubt))
 
 
-def _first_difference(one: _Frame | None, two: _Frame | None) -> int:
+def _first_difference(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
     """The first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:

@@ -57,7 +57,7 @@ def middle_of(detections: Detections, row: int) -> Float[np.ndarray, "1 2"]:
 
 
 def gap(detections: Detections, a: int, b: int) -> float:
-    """Mean distance of keypoints that both detections show, in body sizes; infinite if too few."""
+    """Mean distance of the keypoints that two detections share, in body sizes; infinite if few."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
@@ -118,7 +118,7 @@ _NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
 
 
 def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
-    """The files or folders of single views, and notes on how folders were read.
+    """The files or folders of single views in some paths, and notes on how folders were read.
 
     A file is a view, and so is a folder of .json files. A folder of such folders, of films, or of
     one .csv table per camera, stands for them; a project for those of its first folder among

@@ -57,7 +57,7 @@ def positions_of(
             the message says what to do.
     """
     file = points_settled(file, path, body, unit=unit, up=up, hand=hand)
-    places, _ = _places(file, path, body)
+    places, _ = _places_on_body(file, path, body)
     kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
     visible = torch.from_numpy(file.visible)[None]
     points = torch.from_numpy(file.positions).float()[None] * visible[..., None]
@@ -102,7 +102,7 @@ def points_settled(
             f"{path}: no point is visible in any frame, so there is nothing to fit"
         )
     check_override(unit)
-    _, rest = _places(file, path, body)
+    _, rest = _places_on_body(file, path, body)
     metres = METRES[unit] if unit else 1.0
     turn, said = _turn_to_z_up(file, path, up)
     positions = file.positions @ turn.T * metres
@@ -121,7 +121,7 @@ def points_settled(
     )  # fmt: skip
 
 
-def _places(
+def _places_on_body(
     file: PositionsFile, path: str | Path, body: BodyModel
 ) -> tuple[tuple[int, ...], Tensor]:
     """Joint numbers or vertices of the named points, and their positions on the rest body."""

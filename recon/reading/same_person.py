@@ -177,7 +177,7 @@ class _TriangulatedPairs:
             self._made[v, a, w, b] = triangulated([(self.views[v], a), (self.views[w], b)])
         return self._made[v, a, w, b]
 
-    def least(self) -> float:
+    def smallest_error(self) -> float:
         """The smallest triangulation error of any pair of tracks."""
         return min((pair.error for pair in self._made.values()), default=float("inf"))
 

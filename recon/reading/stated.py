@@ -28,7 +28,7 @@ that may have been cut off."""
 def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     """Detections in a film or a file that states the size of its images; None for other files."""
     if is_film(path):
-        from recon.films.reader import read_film  # its networks and decoders are needed here only
+        from recon.films.reader import read_film  # imported here: it loads networks
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
@@ -58,7 +58,7 @@ def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> floa
     return float(np.mean(stated))
 
 
-def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
     """Detections in the pixels of a calibration, and a note where its images have another size.
 
     Images of the same form were scaled; others are taken as cut at their right and lower border.
@@ -174,7 +174,7 @@ def levelled(
     images = [ends[shown == one] for one in numbers]
     R = np.eye(3)[None]
     if turning is not None:
-        # lines are told as the middle picture would show them
+        # rotate the lines of all pictures into the view of the middle picture
         middle = turning.at(turning.frames[[len(turning.frames) // 2]])[0]
         R = middle.T @ turning.at(frames)
         images = [

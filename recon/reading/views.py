@@ -26,9 +26,9 @@ from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
 from recon.reading.stated import (
     in_one_shot,
-    in_size_of,
     levelled,
     read_sized_detections,
+    scaled_to_camera,
     stated_rate,
 )
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
@@ -105,7 +105,7 @@ def read_views(
         known.get(path) or read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
-    sized = [in_size_of(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    sized = [scaled_to_camera(one, camera) for one, camera in zip(found, cameras, strict=True)]
     found = [one for one, _ in sized]
     first, frames = _frame_range(found)
     shot = None
@@ -120,7 +120,7 @@ def read_views(
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     level: list[str] = []
-    if how.ground is None:  # a plane that was given tells more
+    if how.ground is None:  # a given ground plane also tells which way is up
         numbers = first + np.arange(frames)
         both = [levelled(*one, numbers) for one in zip(found, cameras, strict=True)]
         cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
@@ -358,7 +358,7 @@ def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[
 
 
 def _check_pixels(found: Detections, camera: CameraArrays) -> None:
-    """Refuse keypoints that are not in the pixels of this camera.
+    """Refuse keypoints in fractions of the image, or of images of another size.
 
     Raises:
         ValueError: for fractions of an image, a swapped width and height, or another resolution.

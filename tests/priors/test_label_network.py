@@ -215,7 +215,7 @@ def test_training_learns_goes_on_and_is_exported(tmp_path):
         variation=CloudVariation(fewest=40, most=60),
     )  # fmt: skip
     settings.out.mkdir()
-    LabelRun(settings, clouds, clouds).go()
+    LabelRun(settings, clouds, clouds).train_to_end()
     whole = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert [row["step"] for row in whole["rows"]] == [2, 4]
     assert 0 <= whole["rows"][-1]["wrong"] <= 1

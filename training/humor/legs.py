@@ -33,7 +33,7 @@ _FOLDED = 0.35
 
 @dataclass(frozen=True)
 class LegTargets(TensorStruct):
-    """Places at which pelvis and ankles shall be; feet keep their orientations in the world."""
+    """Target positions of pelvis and ankles; feet keep their orientations in the world."""
 
     root: Float[Tensor, "windows times 3 3"]
     pelvis: Float[Tensor, "windows times 3"]

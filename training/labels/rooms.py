@@ -62,7 +62,7 @@ def drawn_room(
     eye = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     eye[2] = max(random.uniform(0.3, 2.3), 0.15)
     target = middle + random.normal(0.0, 0.12, 3)
-    # people at a small distance should fit into the image about half of the time
+    # so that near people fit into the image in about half of the windows
     zoom = random.uniform(0.8, 1.15) * min(away / 2.2, 1.6)
     matrix = [[zoom * _FOCAL, 0, SIZE[0] / 2], [0, zoom * _FOCAL, SIZE[1] / 2], [0, 0, 1]]
     camera = Camera.create(
@@ -101,7 +101,7 @@ def glimpse(
     left_over: str,
     random: np.random.Generator,
 ) -> Glimpse:
-    """What the sensor sees of a person and of the things that a segmentation leaves.
+    """The points that the sensor measures of a person and of things not cut out.
 
     Args:
         vertices: of the person, metres.

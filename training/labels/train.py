@@ -115,7 +115,9 @@ def train(settings: LabelTraining) -> Path:
     """
     with in_folder(settings):
         learned, checked = make_training_clouds(settings)
-        return LabelRun(settings, CloudCorpus.load(learned), CloudCorpus.load(checked)).go()
+        return LabelRun(
+            settings, CloudCorpus.load(learned), CloudCorpus.load(checked)
+        ).train_to_end()
 
 
 def export_weights(settings: LabelTraining, path: Path) -> Path:

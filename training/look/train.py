@@ -1,4 +1,4 @@
-"""Training the network that looks first: windows of the corpus, seen by simulated sensors.
+"""Training the proposing network: windows of the corpus, seen by simulated sensors.
 
     python -m training look CORPUS --out look.safetensors
     python -m training.look.train --corpus CORPUS --out RUN [--start WEIGHTS] [--device cuda]
@@ -62,7 +62,7 @@ class LookWeights:
 
 @dataclass(frozen=True)
 class LookTraining(TrainingSettings):
-    """Settings of a run."""
+    """Settings of a training run of the proposing network."""
 
     steps: int = 20_000
     rate: float = 6e-4
@@ -116,7 +116,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         """Losses of drawn windows."""
         settings, body = self.settings, self.learned.body
         pool, place = divmod(self.step, 4 * _DRAWN_AT_ONCE)
-        # numbers are drawn by the step's own seeds, so that a run goes on as if it was never cut
+        # random numbers are seeded by the step, so that a resumed run continues exactly
         if place == 0 or self.drawn is None:
             self.random.manual_seed(settings.seed + pool)
             count = _DRAWN_AT_ONCE * settings.windows
@@ -136,7 +136,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 def seen_of(
     windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
-    """What simulated sensors see of windows."""
+    """Simulated sensor points of windows."""
     orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
     return seeing.points_of(windows.states.joints, orientations, body, random)
 
@@ -262,10 +262,10 @@ def train(settings: LookTraining) -> Path:
     """
     with in_folder(settings):
         body = BodyModel.load()
-        # poses on the ground and on furniture are worth seeing, though no steps are learned there
+        # also clips on the ground and on furniture, whose poses may be learned but not their steps
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
-        return LookRun(settings, learned, held_out).go()
+        return LookRun(settings, learned, held_out).train_to_end()
 
 
 def export_weights(settings: LookTraining, path: Path) -> Path:
