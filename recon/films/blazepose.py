@@ -55,7 +55,7 @@ class Region:
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], rim: Float[np.ndarray, "2"]) -> "Region":
-        """The square about a person, from the middle of the hips and a point of a circle around."""
+        """The square about a person, from the mid hips and a point of the circle around them."""
         way = rim - hips
         angle = float(np.arctan2(way[0], -way[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(way)), angle)
