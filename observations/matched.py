@@ -67,7 +67,7 @@ class Discs(TensorStruct):
     ) -> Float[Tensor, "*batch moments 3 points"]:
         """Middles of the discs of bodies of these shapes, metres."""
         count = shape.shape[-1]
-        away = shape[..., None, None, :] @ self.jacobian_by_shape[..., :count, :]
+        away = shape[..., None, None, :] @ self.by_shape[..., :count, :]
         return self.middles + away.unflatten(-1, self.middles.shape[-2:])[..., 0, :, :]
 
     def by_shape_along(
@@ -84,10 +84,7 @@ class Discs(TensorStruct):
             shifts: derivatives of the places to which bones move the origin, metres.
         """
         count = shifts.shape[-1]
-        own = (
-            self.jacobian_by_shape[..., :count, :].unflatten(-1, (3, -1))
-            * unposed[..., None, :, :]
-        )
+        own = self.by_shape[..., :count, :].unflatten(-1, (3, -1)) * unposed[..., None, :, :]
         carried = shifts.transpose(-1, -3).flatten(-3, -2) @ self.weights
         carried = carried.unflatten(-2, (count, 3)) * along[..., None, :, :]
         return (own + carried).sum(-2)

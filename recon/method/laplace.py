@@ -149,7 +149,7 @@ def _deviations_of_window(
         frame = _nearest_frames(one, motion)
         jacobian, weight = _jacobian_and_precision(one, noise, near, frame)
         h.add_frames(frame, jacobian.mT @ (jacobian * weight[..., None]))
-    poses = density.jacobian_by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
+    poses = density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
     h.inner[:, 0, -poses.shape[-1] :, -poses.shape[-1] :] += poses.mT @ poses
     bends = moved.new_zeros(motion.frames, 3, moved.shape[1])
     weight = density.acceleration * (motion.fps / REFERENCE_FPS) ** 3

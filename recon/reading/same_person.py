@@ -64,7 +64,7 @@ def across_views(
                 return tracks, (told, *said)
         raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
-            f"each other (least median error {pairs.least():.1%} of the body, at most "
+            f"each other (least median error {pairs.smallest_error():.1%} of the body, at most "
             f"{_CONSISTENT:.0%} expected). Does each view have its own camera, is the calibration "
             f"of this recording, do the frames belong together? There are {_listed_people(views)}"
         )

@@ -83,7 +83,7 @@ def test_trainings_take_what_the_manifest_allows(tmp_path: Path) -> None:
         [*rows_of("02_01"), replace(ROW, clip="35_01", poses=False, steps=False)], tmp_path
     )
     assert [clip.name for clip in settings.load_clips("train")] == ["02_01"]
-    steps = list(settings.taught("train", "steps"))
+    steps = list(settings.stretches_that_teach("train", "steps"))
     assert [(name, file.motion.frames) for name, _, file in steps] == [("02_01", 30)] * 2
     assert identity_of_run(settings) != before
 
