@@ -179,9 +179,8 @@ def fit(
         "max_seconds": max_seconds, "device": device,
         "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
-    result = result_of(
-        examined, clip, model, fps, options.completes, arguments, _finding_of_stop(stopper)
-    )
+    stop = _stop_finding(stopper)
+    result = result_of(examined, clip, model, fps, options.completes, arguments, stop)
     for finding in (*result.repairs, *result.warnings):
         _LOG.info("%s", finding.message)
     return result
@@ -285,7 +284,7 @@ def _start_in_fit_frame(
     return motion.carried(torch.from_numpy(np.asarray(T)).to(like), pelvis)
 
 
-def _finding_of_stop(stopper: Stopper | None) -> Finding | None:
+def _stop_finding(stopper: Stopper | None) -> Finding | None:
     if stopper is None or stopper.reason is None:
         return None
     return Finding(

@@ -86,9 +86,7 @@ def motion_given(
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
-        from recon.formats.motions import (
-            load_motion,
-        )  # imported here: fits of arrays need no files
+        from recon.formats.motions import load_motion  # imported here: only for files
 
         path = Path(given)
         file = load_motion(path, body.template.dtype)
