@@ -15,8 +15,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import FilmingCamera, Motion, MotionFile
 from recon.core.residuals import Noise
-from recon.diagnosis.certainty import certainty_report
-from recon.diagnosis.doubts import AlternativeMotion
+from recon.diagnosis.certainty import AlternativeMotion, certainty_report
 from recon.diagnosis.examination import ExaminedClip, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.records import Clip, Stretch

@@ -13,8 +13,14 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
-from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
-from recon.diagnosis.doubts import AlternativeMotion, alternatives, observed_joints
+from recon.diagnosis.certainty import (
+    MOST,
+    AlternativeMotion,
+    alternatives,
+    certainty,
+    fitted_contacts,
+    observed_joints,
+)
 from recon.diagnosis.findings import NOTHING, Finding, Findings, run_checks
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit

@@ -11,7 +11,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR
 from recon.core.struct import concatenate
-from recon.diagnosis.doubts import alternatives
+from recon.diagnosis.certainty import alternatives
 from recon.fitting.records import ClipFit
 from recon.method.free import FreeMotion
 from recon.method.reconstruction import solve

@@ -11,9 +11,8 @@ import torch
 from observations.keypoints2d import Keypoints2D
 from recon.core.skeleton import JOINTS, LEGS
 from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
-from recon.diagnosis.certainty import certainty
+from recon.diagnosis.certainty import AlternativeMotion, certainty
 from recon.diagnosis.checks import guessed, other_motions
-from recon.diagnosis.doubts import AlternativeMotion
 from recon.diagnosis.examination import ExaminedClip
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip

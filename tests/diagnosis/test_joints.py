@@ -3,7 +3,7 @@
 import torch
 
 from recon.core.scene import Scene
-from recon.diagnosis.doubts import observed_joints
+from recon.diagnosis.certainty import observed_joints
 from recon.method.protocols import Decoded, Estimate
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, walk
