@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
@@ -16,7 +17,8 @@ from recon.core.units import Unit, Up
 from recon.formats.outputs import Output, OutputKind
 from recon.formats.writing import writing
 from recon.ingest.marker_naming import Naming
-from recon.ingest.marker_places import distances_in_trial
+from recon.ingest.marker_places import bodies_of_set, body_of_trial
+from recon.ingest.marker_sets import markers_of_set
 from recon.ingest.marker_tracks import tracks_of
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
@@ -76,65 +78,74 @@ class LabelledMarkers:
 def label(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
-    like: str | Path | None = None,
+    like: str | Path | SkeletonRecording | MarkerRecording | None = None,
+    set: str | Path | None = None,
     unit: Unit | None = None,
     up: Up | None = None,
 ) -> LabelledMarkers:
-    """Name the markers of a recording as in another trial of the same person.
+    """Name the markers of a recording as in another trial of the same person, or of a set.
 
     Trajectories are cut where they jump, and named by their distances from each other and by
-    their places seen from others: in the named trial, and on its body in other poses. Names the
-    recording has are ignored. Doubtful points stay open (*1, *2, ...). Nothing is random.
+    their places seen from others: in the named trial, and on its body in other poses; or, of a
+    set, on bodies of many shapes, and then on the one that fits. Names the recording has are
+    ignored. Doubtful points stay open (*1, *2, ...). Nothing is random.
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.
-        like: a recording of this person, with names and the markers in the same places; needed.
+        like: a recording of this person, with names and the markers in the same places.
+        set: where there is none, a marker set (pig, cmu, opencap, bsm, halpe26), or a file .toml
+            or .json of marker = landmark.
         unit: of both files; default: found out.
         up: axis of both files that points up, or down; default: found out.
 
     Raises:
         ReconError: when one is no recording of markers, or the named trial has fewer than ten
-            markers or the other hardly fits it.
+            markers or the other hardly fits it, or neither or both of `like` and `set` are given.
         FileNotFoundError: when there is no such file.
     """
-    if like is None:
+    if (like is None) == (set is None):
         raise ReconError(
-            "expected a trial of the same person whose markers have names; give it with --like"
+            "expected a trial of the same person whose markers have names, give it with --like; "
+            "or where there is none, the set that the markers are of, with --set"
         )
     body = BodyModel.load()
-    trial = _markers(read_recording(like, unit=unit, up=up))
-    if isinstance(recording, str | Path):
-        recording = read_recording(recording, unit=unit, up=up)
-    seen = _markers(recording)
-    named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
-    if len(named) < _FEWEST_NAMES:
-        raise ReconError(
-            f"{trial.name}: expected a trial with {_FEWEST_NAMES} named markers or more to name "
-            f"others by, got {len(named)}: give one whose markers have names with --like"
-        )
-    with one_thread(), warnings.catch_warnings():
+    seen = _read(recording, unit, up)
+    with one_thread(), torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing are NaN, as meant
-        model = distances_in_trial(trial.select(named), body)
-        track = tracks_of(seen.positions, seen.visible, seen.fps)
-        naming = Naming(track, seen.positions, seen.fps, model)
+        if like is not None:
+            trial = _read(like, unit, up)
+            named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
+            if len(named) < _FEWEST_NAMES:
+                raise ReconError(
+                    f"{trial.name}: expected a trial with {_FEWEST_NAMES} named markers or more to "
+                    f"name others by, got {len(named)}: give one whose markers have names with --like"
+                )
+            source, bodies = trial.name, [body_of_trial(trial.select(named), body)[0]]
+        else:
+            markers = markers_of_set(set, body)
+            source, bodies = f"the set {set}", bodies_of_set(markers, body)
+        naming = Naming(seen, tracks_of(seen.positions, seen.visible, seen.fps), bodies)
         naming.run()
     if (naming.marker >= 0).sum() < _FEWEST_NAMES:
         raise ReconError(
-            f"{seen.name}: its points fit the markers of {trial.name} nowhere; expected the same "
+            f"{seen.name}: its points fit the markers of {source} nowhere; expected the same "
             "person with the same markers, seen at once; check the unit (--unit)"
         )
-    return _labelled(seen, naming, trial.name)
+    return _labelled(seen, naming, source)
 
 
-def _markers(recording: SkeletonRecording | MarkerRecording) -> MarkerRecording:
-    if isinstance(recording, SkeletonRecording):
-        raise ReconError(f"{recording.name}: expected markers, got the joints of a skeleton")
-    return recording
+def _read(
+    given: str | Path | SkeletonRecording | MarkerRecording, unit: Unit | None, up: Up | None
+) -> MarkerRecording:
+    read = read_recording(given, unit=unit, up=up) if isinstance(given, str | Path) else given
+    if isinstance(read, SkeletonRecording):
+        raise ReconError(f"{read.name}: expected markers, got the joints of a skeleton")
+    return read
 
 
 def _labelled(seen: MarkerRecording, naming: Naming, like: str) -> LabelledMarkers:
     """The recording in columns of names, then of tracks that stayed open."""
-    names, track = naming.model.names, naming.track
+    names, track = naming.bodies[0].markers.labels, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()
     ends: list[int] = []

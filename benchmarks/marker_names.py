@@ -1,0 +1,163 @@
+"""Markers of real trials named again, after their names are removed and their order is shuffled.
+
+    python -m benchmarks.marker_names OBSERVATIONS --out FOLDER
+
+Every marker loses about 5 % of its frames in gaps of up to half a second, columns are shuffled in
+every second, and 5 % ghosts are added, tracks of up to half a second within 30 cm of a marker.
+F1 is of all points (a marker in a frame): right is a point with its own name; wrong is another
+name, or any on a ghost; missed is a point of a marker of the set without its name. Time is CPU time
+over that of converting the named trial. `benchmarks/marker_names.toml` lists the trials, by person.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+import recon
+from benchmarks.protocol import Cell, Table, number, parser, recordings_source, tell
+from recon import BodyModel
+from recon.body.marker_labels import marker_sets, match_markers
+from recon.ingest.marker_conversion import convert_markers
+from recon.mocap.c3d import read_c3d
+from recon.mocap.recording import MarkerRecording
+from training.sources import read_packed
+
+LIST = Path(__file__).with_suffix(".toml")
+GAPS, GHOSTS, LONGEST_S, AROUND_M = 0.05, 0.05, 0.5, 0.3
+COLUMNS: list[tuple[str, int | None]] = [
+    ("person", None), ("trials", 0), ("F1 by a named trial", 3), ("time", 1),
+    ("F1 by the set", 3), ("time", 1),
+]  # fmt: skip
+
+
+def main() -> None:
+    """Shuffle, name, compare, print and write."""
+    asked = parser(__doc__, "observations")
+    asked.add_argument("--part", choices=("develop", "report"), default="report")
+    asked.add_argument("--person", help="only this one")
+    given = asked.parse_args()
+    people = tomllib.loads(LIST.read_text(encoding="utf-8"))[given.part]
+    rows, read = list[list[Cell]](), list[str]()
+    for person, own in people.items():
+        if given.person in (None, person):
+            read += [own[key] for key in ("like",) if key in own]
+            read += [one["path"] for one in own["trials"]]
+            found = [measured(given.observations, own, one) for one in own["trials"]]
+            rows.append([person, len(found), *map(number, np.mean(found, 0).tolist())])
+            print(rows[-1], flush=True)
+    values = np.array([[np.nan if v is None else v for v in row[2:]] for row in rows], float)
+    rows.append(["mean", len(rows), *map(number, np.nanmean(values, 0).tolist())])
+    sources = recordings_source(given.observations, sorted(set(read)))
+    tell(given.out, None, sources, {"marker-names": Table(COLUMNS, rows)})
+
+
+def measured(folder: Path, person: Mapping[str, Any], trial: Mapping[str, Any]) -> list[float]:
+    """F1 and relative time by a named trial, and by the set; NaN where there is no named trial."""
+    true = markers_of(folder / trial["path"], trial.get("seconds"))
+    unnamed, owner = shuffled(true, np.random.default_rng(0))
+    began = process_time()
+    convert_markers(true, BodyModel.load())
+    whole = process_time() - began
+    found: list[float] = []
+    ways: list[Mapping[str, Any]] = [{"set": person["set"]}]
+    if "like" in person:
+        ways.insert(0, {"like": markers_of(folder / person["like"], person.get("before"))})
+    else:
+        found += [np.nan, np.nan]
+    for way in ways:
+        wanted = way["like"].marker_names if "like" in way else set_named(way["set"])
+        began = process_time()
+        named = recon.label(unnamed, **way).recording
+        found += [f1(named, unnamed, owner, true.marker_names, wanted)]
+        found += [(process_time() - began) / whole]
+    return found
+
+
+def markers_of(path: Path, seconds: list[float] | None) -> MarkerRecording:
+    """Markers of known labels, in some seconds."""
+    read = read_packed(path) if path.name.endswith(".i4.xz") else read_c3d(path)
+    known, _ = match_markers(
+        [n for n, v in zip(read.marker_names, read.visible.T, strict=True) if v.any()]
+    )
+    part = read.select(list(known))
+    if seconds is None:
+        return part
+    return part.window(*(round(one * part.fps) for one in seconds))
+
+
+def shuffled(
+    true: MarkerRecording, random: np.random.Generator
+) -> tuple[MarkerRecording, np.ndarray]:
+    """The recording without names, and whose every point is: a marker's number, -1 of ghosts."""
+    frames, count = true.visible.shape
+    longest = max(2, round(LONGEST_S * true.fps))
+    seen = true.visible.copy()
+    for k in range(count):
+        while (seen[:, k] != true.visible[:, k]).mean() < GAPS * 0.75:
+            first = int(random.integers(frames))
+            seen[first : first + int(random.integers(1, longest)), k] = False
+    extra = 4 + round(2 * GHOSTS * count)
+    x = np.concatenate((true.positions, np.zeros((frames, extra, 3))), 1)
+    seen = np.concatenate((seen, np.zeros((frames, extra), bool)), 1)
+    while seen[:, count:].sum() < GHOSTS * seen[:, :count].sum():
+        first, k = int(random.integers(frames)), count + int(random.integers(extra))
+        some = slice(first, first + int(random.integers(1, longest)))
+        host = int(random.integers(count))
+        away = random.normal(size=3)
+        away *= AROUND_M * random.uniform(0.1, 1) / np.linalg.norm(away)
+        drift = np.arange(len(x[some]))[:, None] / true.fps * random.normal(0, 0.1, 3)
+        x[some, k] = true.positions[some, host] + away + drift
+        seen[some, k] = true.visible[some, host]
+    owner = np.tile(
+        np.where(np.arange(count + extra) < count, np.arange(count + extra), -1), (frames, 1)
+    )
+    for first in range(0, frames, round(true.fps)):
+        some = slice(first, first + round(true.fps))
+        order = random.permutation(count + extra)
+        x[some], seen[some], owner[some] = (
+            x[some][:, order],
+            seen[some][:, order],
+            owner[some][:, order],
+        )
+    names = tuple(f"*{k + 1}" for k in range(count + extra))
+    made = replace(
+        true, marker_names=names, positions=np.where(seen[..., None], x, 0.0), visible=seen
+    )
+    return made, owner
+
+
+def set_named(name: str) -> tuple[str, ...]:
+    """Labels of a marker set."""
+    return tuple(marker_sets()[name])
+
+
+def f1(
+    named: MarkerRecording,
+    unnamed: MarkerRecording,
+    owner: np.ndarray,
+    true: tuple[str, ...],
+    wanted: tuple[str, ...],
+) -> float:
+    """F1 over points; names mean the same where they mean the same landmark."""
+    meaning, _ = match_markers([*true, *wanted])
+    place = {meaning.get(name, name) for name in wanted}
+    told = {name: k for k, name in enumerate(named.marker_names) if name in wanted}
+    right = wrong = 0
+    for name, k in told.items():
+        for t in np.flatnonzero(named.visible[:, k]):
+            point = np.abs(unnamed.positions[t] - named.positions[t, k]).sum(-1)
+            who = owner[t, int(np.where(unnamed.visible[t], point, np.inf).argmin())]
+            ok = who >= 0 and meaning.get(true[who], true[who]) == meaning.get(name, name)
+            right, wrong = right + ok, wrong + (not ok)
+    mine = np.array([meaning.get(name, name) in place for name in true])
+    asked = int((unnamed.visible & (owner >= 0) & mine[owner]).sum())
+    return 2 * right / (right + wrong + asked)
+
+
+if __name__ == "__main__":
+    main()
