@@ -5,8 +5,8 @@
 Every marker loses about 5 % of its frames in gaps of up to half a second, columns are shuffled in
 every second, and 5 % ghosts are added, tracks of up to half a second within 30 cm of a marker.
 F1 is of all points (a marker in a frame): right is a point with its own name; wrong is another
-name, or any on a ghost; missed is a point of a marker of the set without its name. Time is CPU time
-over that of converting the named trial. `benchmarks/marker_names.toml` lists the trials, by person.
+name, or any on a ghost; missed is a point of a marker of the set without its name. Time is CPU
+time over that of converting the named trial. `benchmarks/marker_names.toml` lists the trials.
 """
 
 import tomllib

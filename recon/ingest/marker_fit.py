@@ -134,7 +134,9 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
     )
 
 
-def subject_energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> SubjectEnergies:
+def subject_energies(
+    recording: MarkerRecording, markers: MarkerSet, body: BodyModel
+) -> SubjectEnergies:
     """Energies of all frames of a subject whose shape and marker offsets are still unknown."""
     visible, vertices = torch.from_numpy(recording.visible), torch.tensor(markers.vertices)
     positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)

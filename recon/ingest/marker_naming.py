@@ -10,10 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from recon.core.errors import ReconError
-from recon.ingest.marker_fit import fit_markers
 from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses
 from recon.ingest.marker_start import FoundBody, found_body
@@ -22,8 +20,10 @@ from recon.mocap.recording import MarkerRecording
 
 _RATE, _BEGINNINGS = 10.0, 6
 """Frames a second that the body follows, and frames in which it is looked for."""
-_GOOD = 0.12
-"""Cost at which it is found."""
+_GOOD = 0.1, 1.4
+"""Cost at which it is found, and how that grows by metre of the markers' spread."""
+_SURE, _ROUNDS, _CALIBRATING = 0.03, 2, 24
+"""Metres of spread of markers whose offsets are known; and rounds and frames to find them."""
 _LEAST, _ODDS = -4.0, 2.0
 """Log odds that a frame takes from a name at most, and without which a track has none."""
 _WEIGHT = 8.0
@@ -55,12 +55,17 @@ class Naming:
         """Find the body, follow it, fit it, and name the tracks."""
         found, at = self._beginning()
         body = found.body
-        self._follow(body, found, at)
+        self._follow(found, at)
         self._settle()
-        for _ in range(2 if len(self.bodies) > 1 else 1):
-            if not self._fitted(body):
-                return
-            self._settle()
+        if body.spread > _SURE:
+            for _ in range(_ROUNDS):  # tables are right about places, not about offsets
+                body = self._calibrated(body)
+                table = replace(body, offsets=body.markers.nominal, spread=found.body.spread)
+                self._look_again(body, table)
+                self._settle()
+            body = self._calibrated(body)
+        self._look_again(body, body)
+        self._settle()
 
     def _beginning(self) -> tuple[FoundBody, int]:
         """The body in the frame that it fits best, of some that show most points."""
@@ -73,7 +78,7 @@ class Naming:
             found = found_body(points, self.bodies)
             if best is None or found.cost < best[0].cost:
                 best = found, at
-            if best[0].cost < _GOOD:
+            if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
                 break
         assert best is not None
         return best
@@ -84,25 +89,35 @@ class Naming:
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
-    def _follow(self, body: MarkedBody, found: FoundBody, at: int) -> None:
+    def _follow(self, found: FoundBody, at: int) -> None:
         """Carry the body from a key frame to all others, and note what it says of tracks."""
-        skin = body.points()
+        body = found.body
+        kept = [found.pose] * len(self.keys)
         for order in (range(at, len(self.keys)), range(at - 1, -1, -1)):
             pose = found.pose
             for k in order:
                 points, tracks = self._points(k)
                 if k != at:  # first by the tracks that are known, then by all
-                    held = self._assigned(self._mean(tracks))
-                    pose = _posed(body, pose, points, held)
-                for last in (False, True):
-                    places = skin.places(pose)[0].mT.double().numpy()
-                    said = _log_odds(points[:, None] - places, body.spread)
-                    held = self._assigned(self._mean(tracks) + said)
-                    if not last:
-                        pose = _posed(body, pose, points, held)
-                        continue
-                    self._sum[tracks] += said
-                    self._count[tracks] += 1
+                    pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
+                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
+                held = self._assigned(self._mean(tracks) + said)
+                kept[k] = pose = _posed(body, pose, points, held)
+                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
+                self._sum[tracks] += said
+                self._count[tracks] += 1
+        self._move(kept)
+
+    def _move(self, poses: list[Poses]) -> None:
+        self._translation = torch.cat([one.translation for one in poses])
+        self._rotations = torch.cat([one.rotations for one in poses])
+
+    def _calibrated(self, body: MarkedBody) -> MarkedBody:
+        """The body with a shape and offsets that fit the named markers."""
+        x, seen = self.named(self.keys)
+        parts = np.array_split(np.arange(len(self.keys)), min(_CALIBRATING, len(self.keys)))
+        some = np.array([part[seen[part].sum(1).argmax()] for part in parts])
+        poses = body.posed(self._translation[some], self._rotations[some])
+        return body.calibrated(x[some], seen[some], poses)
 
     def _mean(self, tracks: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points markers"]:
         """What is known of tracks: mean log odds, weighted by their length."""
@@ -163,19 +178,15 @@ class Naming:
         x[rows, marker], seen[rows, marker] = self.seen.positions[frames[rows], points], True
         return x, seen
 
-    def _fitted(self, body: MarkedBody) -> bool:
-        """Fit the body to the named markers, and note anew what it says of all tracks."""
+    def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
+        """Pose the body by the named markers, and note anew what another says of all tracks."""
         from scipy.interpolate import CubicSpline
 
         x, seen = self.named(self.keys)
-        rate = self.seen.fps * (len(self.keys) - 1) / max(1, self.keys[-1] - self.keys[0])
-        some = MarkerRecording(self.seen.name, body.markers.labels, x, seen, rate, ())
-        try:
-            fit = fit_markers(some, body.markers, body.body)
-        except ReconError:
-            return False
-        spread = 0.02
-        places = fit.predicted.double().numpy()
+        poses = body.posed(self._translation, self._rotations)
+        poses = minimise_frames(body.energies(x, seen), poses, _STEP).state
+        self._move([poses])
+        places = told.places(poses)
         frames, numbers = self._sampled()
         path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
         self._sum[:], self._count[:] = 0.0, 0.0
@@ -184,9 +195,8 @@ class Naming:
             place = path(frame) if path is not None else places[np.abs(self.keys - frame).argmin()]
             column = {int(t): p for p, t in enumerate(self.track[frame].tolist())}
             points = self.seen.positions[frame, [column[int(t)] for t in mine]]
-            self._sum[mine] += _log_odds(points[:, None] - place, spread)
+            self._sum[mine] += _log_odds(points[:, None] - place, told.spread)
             self._count[mine] += 1
-        return True
 
     def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
         """Frames and tracks at which tracks are compared: some of every track."""

@@ -1,6 +1,7 @@
 """A body with a set of markers on it: from a trial in which they have names, or from a table."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -8,9 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core.errors import ReconError
-from recon.core.motion import Motion
-from recon.ingest.marker_fit import fit_markers, subject_energies
+from recon.ingest.marker_calibration import calibrated
+from recon.ingest.marker_fit import OUTLIER, fit_markers, subject_energies
 from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, drawn_poses, natural_pose
 from recon.ingest.marker_sets import MarkerSet, full_body_markers
 from recon.mocap.recording import MarkerRecording
@@ -35,14 +35,30 @@ class MarkedBody:
     """Metres by which a marker lies beside its place."""
     poses: Float[Tensor, "poses 21 3 3"]
 
-    def points(self) -> SkinPoints:
+    @cached_property
+    def skin(self) -> SkinPoints:
         """The markers as points of the body."""
-        vertices = torch.tensor(self.markers.vertices)
-        return SkinPoints.of(self.body, self.shape, vertices, self.offsets)
+        return self._still.markers
+
+    @cached_property
+    def _still(self) -> PoseEnergies:
+        """Energies of one frame in which no marker is seen."""
+        count = len(self.markers.labels)
+        nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
+        subject = subject_energies(self._recording(*nothing), self.markers, self.body)
+        free = replace(subject, under=None).of(self.shape, self.offsets).untied()
+        return replace(free, weight=1.0)
+
+    def _recording(self, positions: np.ndarray, visible: np.ndarray) -> MarkerRecording:
+        return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
         """Poses of this body."""
-        return Poses.of(translation, rotations, self.body.rest_joints(self.shape))
+        return Poses.of(translation, rotations, self._still.rest)
+
+    def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
+        """Where the markers are, metres."""
+        return self.skin.places(poses).mT.double().numpy()
 
     def energies(
         self,
@@ -50,17 +66,31 @@ class MarkedBody:
         visible: Bool[np.ndarray, "frames markers"],
     ) -> PoseEnergies:
         """Energies of the poses of frames that do not depend on each other."""
-        labels = self.markers.labels
-        some = MarkerRecording("", labels, positions, visible, 30.0, ())
-        subject = subject_energies(some, self.markers, self.body)
-        free = replace(subject, under=None).of(self.shape, self.offsets).untied()
-        return replace(free, weight=1.0)
+        return replace(
+            self._still,
+            positions=torch.from_numpy(positions).float().mT.contiguous(),
+            visible=torch.from_numpy(visible).float(),
+            linked=torch.zeros(len(visible) - 1, dtype=torch.bool),
+        )
+
+    def calibrated(
+        self,
+        positions: Float[np.ndarray, "frames markers 3"],
+        visible: Bool[np.ndarray, "frames markers"],
+        poses: Poses,
+    ) -> "MarkedBody":
+        """The body whose shape and offsets fit some frames, from rough poses in them."""
+        some = subject_energies(self._recording(positions, visible), self.markers, self.body)
+        free = replace(some.poses.untied(), weight=1.0)
+        known = replace(some, under=None, poses=free)
+        found = calibrated(known, poses.translation, poses.rotations, OUTLIER)
+        return replace(self, shape=found.shape, offsets=found.offsets, spread=_KNOWN)
 
 
 def body_of_trial(
     trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
-) -> tuple[MarkedBody, Motion]:
-    """A body fitted to some frames of a named trial, and its motion.
+) -> MarkedBody:
+    """A body fitted to some frames of a named trial.
 
     Args:
         trial: named.
@@ -73,8 +103,7 @@ def body_of_trial(
     known = markers or full_body_markers(trial, body)
     fit = fit_markers(trial.select(known.labels).evenly(_FITTED), known, body)
     poses = torch.cat((fit.motion.rotations[::4, 1:], _usual_poses()))
-    found = MarkedBody(body, known, fit.motion.shape, fit.offsets, _KNOWN, poses)
-    return found, fit.motion
+    return MarkedBody(body, known, fit.motion.shape, fit.offsets, _KNOWN, poses)
 
 
 def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:

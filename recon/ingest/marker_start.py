@@ -42,7 +42,7 @@ def found_body(points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody]) 
     for own in bodies:
         turns = torch.cat((upright.expand(len(own.poses), 1, 3, 3), own.poses), 1)
         poses = own.posed(torch.zeros(len(turns), 3), turns)
-        placed.append(own.points().places(poses).mT.double().numpy())
+        placed.append(own.places(poses))
     every = np.stack(placed)
     every -= every.mean(2, keepdims=True)
     angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
@@ -51,7 +51,7 @@ def found_body(points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody]) 
     shape, middle = turned.shape[:3], np.median(points, 0)
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True) + middle
-    rough = np.array([_chamfer(one, points) for one in flat])
+    rough = _chamfer(flat, points)
     likely = np.argsort(rough)[:_NEAR]
     costs = np.array([assigned(one, points, _REACH[0])[1] for one in flat[likely]])
     best: FoundBody | None = None
@@ -63,7 +63,7 @@ def found_body(points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody]) 
         roots = torch.tensor(about[where[rows, 2]]).float() @ upright
         turns = torch.cat((roots[:, None], body.poses[poses]), 1)
         start = body.posed(torch.zeros(len(rows), 3), turns)
-        rests = body.points().places(start).mT.double().numpy()
+        rests = body.places(start)
         shift = torch.tensor((flat[chosen[rows]] - rests).mean(1)).float()
         for found in _fitted(body, body.posed(shift, turns), points):
             if best is None or found.cost < best.cost:
@@ -76,18 +76,17 @@ def _fitted(
     body: MarkedBody, state: Poses, points: Float[np.ndarray, "points 3"]
 ) -> list[FoundBody]:
     """Poses of one body fitted to the points, and how well each fits."""
-    skin = body.points()
     count = len(state.translation)
     found: list[tuple[np.ndarray, float]] = []
     for reach in _REACH:
-        places = skin.places(state).mT.double().numpy()
+        places = body.places(state)
         found = [assigned(one, points, reach) for one in places]
         x, seen = np.zeros_like(places), np.zeros(places.shape[:2], bool)
         for k, (marker, _) in enumerate(found):
             held = np.flatnonzero(marker >= 0)
             x[k, marker[held]], seen[k, marker[held]] = points[held], True
         state = minimise_frames(body.energies(x, seen), state, _FEW).state
-    places = skin.places(state).mT.double().numpy()
+    places = body.places(state)
     found = [assigned(one, points, _REACH[-1]) for one in places]
     return [FoundBody(body, state[[k]], *found[k]) for k in range(count)]
 
@@ -108,8 +107,10 @@ def assigned(
     return marker, float(capped[rows, columns].sum() / fewer)
 
 
-def _chamfer(places: np.ndarray, points: np.ndarray) -> float:
-    """Mean squared distance from places to the nearest points and back, capped."""
-    away = ((points**2).sum(-1)[:, None] + (places**2).sum(-1)) - 2 * points @ places.T
-    away = np.minimum(away, _REACH[0] ** 2)
-    return float(away.min(0).mean() + away.min(1).mean())
+def _chamfer(
+    places: Float[np.ndarray, "poses markers 3"], points: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, " poses"]:
+    """Mean squared distances from places to the nearest points and back, capped."""
+    a, b = torch.from_numpy(places).float(), torch.from_numpy(points).float()
+    away = torch.cdist(a, b.expand(len(a), *b.shape)).clamp(max=_REACH[0]).square()
+    return (away.amin(1).mean(-1) + away.amin(2).mean(-1)).numpy()

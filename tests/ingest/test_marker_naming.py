@@ -55,8 +55,35 @@ def test_shuffled_markers_with_a_gap_and_a_ghost_get_the_names_of_a_named_trial(
     assert right.sum() >= 0.95 * seen.sum()
     assert right.sum() >= 0.98 * named.visible.sum()
     assert found.recording.visible.sum() == seen.sum() + len(x)
-    found.save(tmp_path / "out.trc")
-    assert read_recording(tmp_path / "out.trc").marker_names[: len(NAMES)] == tuple(NAMES)
+    for out in (tmp_path / "out.trc", tmp_path / "out.csv"):
+        found.save(out)
+        again = read_recording(out)
+        assert set(NAMES) <= set(again.marker_names)
+        shown = again.select(list(NAMES))
+        assert np.allclose(shown.positions, named.positions, atol=1e-5)
+    with pytest.raises(recon.ReconError, match="copy of one"):
+        found.save(tmp_path / "out.c3d")
+
+
+@pytest.mark.numerics
+def test_a_set_s_table_names_markers_of_somebody_unknown():
+    true = trial(slice(60, 120))
+    order = np.random.default_rng(0).permutation(len(NAMES))
+    unnamed = dataclasses.replace(
+        true,
+        marker_names=tuple(f"*{k}" for k in range(len(order))),
+        positions=true.positions[:, order],
+    )
+    found = recon.label(unnamed, set="pig").recording
+    right = 0
+    for k, name in enumerate(NAMES):
+        if name in found.marker_names:
+            column = found.marker_names.index(name)
+            same = np.abs(found.positions[:, column] - true.positions[:, k]).max(-1) < 1e-9
+            right += int((same & found.visible[:, column]).sum())
+    assert right >= 0.85 * true.visible.sum()
+    with pytest.raises(recon.ReconError, match="expected one of the marker sets"):
+        recon.label(unnamed, set="vicon")
 
 
 def test_trials_without_names_are_refused(tmp_path):
