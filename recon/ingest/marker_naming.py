@@ -22,8 +22,9 @@ _RATE, _BEGINNINGS = 10.0, 6
 """Frames a second that the body follows, and frames in which it is looked for."""
 _GOOD = 0.1, 1.4
 """Cost at which it is found, and how that grows by metre of the markers' spread."""
-_SURE, _ROUNDS, _CALIBRATING = 0.03, 2, 24
-"""Metres of spread of markers whose offsets are known; and rounds and frames to find them."""
+_SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
+"""Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
+on both sides of the first from which they are found at first."""
 _LEAST, _ODDS = -4.0, 2.0
 """Log odds that a frame takes from a name at most, and without which a track has none."""
 _WEIGHT = 8.0
@@ -54,16 +55,26 @@ class Naming:
     def run(self) -> None:
         """Find the body, follow it, fit it, and name the tracks."""
         found, at = self._beginning()
+        unknown = found.body.spread
+        every = np.arange(len(self.keys))
+        if unknown > _SURE:  # the person's shape and offsets, by the frames about the first
+            near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
+            self._follow(found, at, near)
+            self._settle()
+            body = self._calibrated(found.body, near)
+            pose = body.posed(self._translation[[at]], self._rotations[[at]])
+            found = replace(found, body=body, pose=pose)
         body = found.body
-        self._follow(found, at)
+        self._sum[:], self._count[:] = 0.0, 0.0
+        self._follow(found, at, every)
         self._settle()
-        if body.spread > _SURE:
+        if unknown > _SURE:
             for _ in range(_ROUNDS):  # tables are right about places, not about offsets
-                body = self._calibrated(body)
-                table = replace(body, offsets=body.markers.nominal, spread=found.body.spread)
+                body = self._calibrated(body, every)
+                table = replace(body, offsets=body.markers.nominal, spread=unknown)
                 self._look_again(body, table)
                 self._settle()
-            body = self._calibrated(body)
+            body = self._calibrated(body, every)
         self._look_again(body, body)
         self._settle()
 
@@ -72,14 +83,17 @@ class Naming:
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         best: tuple[FoundBody, int] | None = None
-        for part in parts:
-            at = int(part[counts[part].argmax()])
-            points = self._points(at)[0]
-            found = found_body(points, self.bodies)
-            if best is None or found.cost < best[0].cost:
-                best = found, at
-            if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
-                break
+        for effort in (1, 3):  # unusual poses take longer
+            for part in parts:
+                at = int(part[counts[part].argmax()])
+                found = found_body(self._points(at)[0], self.bodies, effort)
+                if best is None or found.cost < best[0].cost:
+                    best = found, at
+                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
+                    return best
+            assert best is not None
+            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.spread):
+                return best
         assert best is not None
         return best
 
@@ -89,13 +103,13 @@ class Naming:
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
-    def _follow(self, found: FoundBody, at: int) -> None:
-        """Carry the body from a key frame to all others, and note what it says of tracks."""
+    def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
+        """Carry the body from a key frame to others about it, and note what it says of tracks."""
         body = found.body
         kept = [found.pose] * len(self.keys)
-        for order in (range(at, len(self.keys)), range(at - 1, -1, -1)):
+        for order in (keys[keys >= at], keys[keys < at][::-1]):
             pose = found.pose
-            for k in order:
+            for k in order.tolist():
                 points, tracks = self._points(k)
                 if k != at:  # first by the tracks that are known, then by all
                     pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
@@ -111,10 +125,10 @@ class Naming:
         self._translation = torch.cat([one.translation for one in poses])
         self._rotations = torch.cat([one.rotations for one in poses])
 
-    def _calibrated(self, body: MarkedBody) -> MarkedBody:
-        """The body with a shape and offsets that fit the named markers."""
+    def _calibrated(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
+        """The body with a shape and offsets that fit the named markers of some key frames."""
         x, seen = self.named(self.keys)
-        parts = np.array_split(np.arange(len(self.keys)), min(_CALIBRATING, len(self.keys)))
+        parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
         some = np.array([part[seen[part].sum(1).argmax()] for part in parts])
         poses = body.posed(self._translation[some], self._rotations[some])
         return body.calibrated(x[some], seen[some], poses)

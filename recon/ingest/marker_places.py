@@ -15,7 +15,7 @@ from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, drawn_pos
 from recon.ingest.marker_sets import MarkerSet, full_body_markers
 from recon.mocap.recording import MarkerRecording
 
-_FITTED, _DRAWN = 40, 30
+_FITTED, _DRAWN = 40, 100
 """Frames of a named trial that the body is fitted to, and poses drawn from the density."""
 _KNOWN, _TABLE = 0.02, 0.05
 """Metres by which a marker lies beside its place, once offsets are known, and by a table."""

@@ -16,8 +16,9 @@ from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
-_TURNS, _NEAR, _TRIED = 16, 200, 12
-"""Turns about the vertical, poses whose points are assigned, and those that are fitted."""
+_TURNS, _USUAL, _NEAR, _TRIED = 16, 40, 200, 12
+"""Turns about the vertical, poses that are tried at first, those whose points are assigned, and
+those that are fitted."""
 _REACH = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1, 0.1, 0.1)
 """Metres beyond which a point is no marker, by iteration."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
@@ -35,12 +36,21 @@ class FoundBody:
     """Share of markers and points that do not fit, 0 to 1."""
 
 
-def found_body(points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody]) -> FoundBody:
-    """The body of those given that fits some points best."""
+def found_body(
+    points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody], effort: int
+) -> FoundBody:
+    """The body of those given that fits some points best.
+
+    Args:
+        points: of one frame, metres.
+        bodies: one of them is there.
+        effort: 1 to try the first poses of each, 3 to try all, thrice as many of them closely.
+    """
     upright = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
     placed: list[np.ndarray] = []
     for own in bodies:
-        turns = torch.cat((upright.expand(len(own.poses), 1, 3, 3), own.poses), 1)
+        some = own.poses if effort > 1 else own.poses[:_USUAL]
+        turns = torch.cat((upright.expand(len(some), 1, 3, 3), some), 1)
         poses = own.posed(torch.zeros(len(turns), 3), turns)
         placed.append(own.places(poses))
     every = np.stack(placed)
@@ -52,10 +62,10 @@ def found_body(points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody]) 
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True) + middle
     rough = _chamfer(flat, points)
-    likely = np.argsort(rough)[:_NEAR]
+    likely = np.argsort(rough)[: _NEAR * effort]
     costs = np.array([assigned(one, points, _REACH[0])[1] for one in flat[likely]])
     best: FoundBody | None = None
-    chosen = likely[np.argsort(costs)[:_TRIED]]
+    chosen = likely[np.argsort(costs)[: _TRIED * effort]]
     where = np.stack(np.unravel_index(chosen, shape), 1)
     for b in np.unique(where[:, 0]).tolist():
         rows = np.flatnonzero(where[:, 0] == b)
