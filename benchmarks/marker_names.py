@@ -5,10 +5,13 @@
 Every marker loses about 5 % of its frames in gaps of up to half a second, columns are shuffled in
 every second, and 5 % ghosts are added, tracks of up to half a second within 30 cm of a marker.
 F1 is of all points (a marker in a frame): right is a point with its own name; wrong is another
-name, or any on a ghost; missed is a point of a marker of the set without its name. Time is CPU
-time over that of converting the named trial. `benchmarks/marker_names.toml` lists the trials.
+name, or any on a ghost; missed is a point of a marker without its name. The set's table has the
+labels of the trial, one of each place on the body. Time is CPU time over that of converting the
+trial with its names. `benchmarks/marker_names.toml` lists the trials.
 """
 
+import json
+import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,7 +24,7 @@ import numpy as np
 import recon
 from benchmarks.protocol import Cell, Table, number, parser, recordings_source, tell
 from recon import BodyModel
-from recon.body.marker_labels import marker_sets, match_markers
+from recon.body.marker_labels import match_markers
 from recon.ingest.marker_conversion import convert_markers
 from recon.mocap.c3d import read_c3d
 from recon.mocap.recording import MarkerRecording
@@ -39,17 +42,17 @@ def main() -> None:
     """Shuffle, name, compare, print and write."""
     asked = parser(__doc__, "observations")
     asked.add_argument("--part", choices=("develop", "report"), default="report")
-    asked.add_argument("--person", help="only this one")
+    asked.add_argument("--most", type=int, default=2, help="trials of a person")
     given = asked.parse_args()
     people = tomllib.loads(LIST.read_text(encoding="utf-8"))[given.part]
     rows, read = list[list[Cell]](), list[str]()
     for person, own in people.items():
-        if given.person in (None, person):
-            read += [own[key] for key in ("like",) if key in own]
-            read += [one["path"] for one in own["trials"]]
-            found = [measured(given.observations, own, one) for one in own["trials"]]
-            rows.append([person, len(found), *map(number, np.mean(found, 0).tolist())])
-            print(rows[-1], flush=True)
+        trials = own["trials"][: given.most]
+        read += [own[key] for key in ("like",) if key in own] + [one["path"] for one in trials]
+        found = [measured(given.observations, own, one) for one in trials]
+        means = [None if np.isnan(one) else number(one) for one in np.mean(found, 0).tolist()]
+        rows.append([person, len(found), *means])
+        print(rows[-1], flush=True)
     values = np.array([[np.nan if v is None else v for v in row[2:]] for row in rows], float)
     rows.append(["mean", len(rows), *map(number, np.nanmean(values, 0).tolist())])
     sources = recordings_source(given.observations, sorted(set(read)))
@@ -63,28 +66,25 @@ def measured(folder: Path, person: Mapping[str, Any], trial: Mapping[str, Any]) 
     began = process_time()
     convert_markers(true, BodyModel.load())
     whole = process_time() - began
-    found: list[float] = []
-    ways: list[Mapping[str, Any]] = [{"set": person["set"]}]
-    if "like" in person:
-        ways.insert(0, {"like": markers_of(folder / person["like"], person.get("before"))})
-    else:
-        found += [np.nan, np.nan]
-    for way in ways:
-        wanted = way["like"].marker_names if "like" in way else set_named(way["set"])
+    like = person.get("like")
+    found = [np.nan, np.nan]
+    if like is not None:
+        named = markers_of(folder / like, person.get("before"))
+        found = [f1(unnamed, owner, true, like=named)]
+        found.append((process_time() - began) / whole - 1)
+    with tempfile.TemporaryDirectory() as temporary:
+        table = Path(temporary) / "set.json"
+        table.write_text(json.dumps(match_markers(true.marker_names)[0]), encoding="utf-8")
         began = process_time()
-        named = recon.label(unnamed, **way).recording
-        found += [f1(named, unnamed, owner, true.marker_names, wanted)]
-        found += [(process_time() - began) / whole]
-    return found
+        return [*found, f1(unnamed, owner, true, set=table), (process_time() - began) / whole]
 
 
 def markers_of(path: Path, seconds: list[float] | None) -> MarkerRecording:
-    """Markers of known labels, in some seconds."""
+    """Markers of known labels, one of each place, in some seconds."""
     read = read_packed(path) if path.name.endswith(".i4.xz") else read_c3d(path)
-    known, _ = match_markers(
-        [n for n, v in zip(read.marker_names, read.visible.T, strict=True) if v.any()]
-    )
-    part = read.select(list(known))
+    names = [read.marker_names[k] for k in np.flatnonzero(read.visible.any(0))]
+    places = {place: name for name, place in reversed(match_markers(names)[0].items())}
+    part = read.select([name for name in names if name in places.values()])
     if seconds is None:
         return part
     return part.window(*(round(one * part.fps) for one in seconds))
@@ -131,32 +131,17 @@ def shuffled(
     return made, owner
 
 
-def set_named(name: str) -> tuple[str, ...]:
-    """Labels of a marker set."""
-    return tuple(marker_sets()[name])
-
-
-def f1(
-    named: MarkerRecording,
-    unnamed: MarkerRecording,
-    owner: np.ndarray,
-    true: tuple[str, ...],
-    wanted: tuple[str, ...],
-) -> float:
-    """F1 over points; names mean the same where they mean the same landmark."""
-    meaning, _ = match_markers([*true, *wanted])
-    place = {meaning.get(name, name) for name in wanted}
-    told = {name: k for k, name in enumerate(named.marker_names) if name in wanted}
+def f1(unnamed: MarkerRecording, owner: np.ndarray, true: MarkerRecording, **way: Any) -> float:
+    """F1 over points, once they are named."""
+    found = recon.label(unnamed, **way)
     right = wrong = 0
-    for name, k in told.items():
-        for t in np.flatnonzero(named.visible[:, k]):
-            point = np.abs(unnamed.positions[t] - named.positions[t, k]).sum(-1)
-            who = owner[t, int(np.where(unnamed.visible[t], point, np.inf).argmin())]
-            ok = who >= 0 and meaning.get(true[who], true[who]) == meaning.get(name, name)
-            right, wrong = right + ok, wrong + (not ok)
-    mine = np.array([meaning.get(name, name) in place for name in true])
-    asked = int((unnamed.visible & (owner >= 0) & mine[owner]).sum())
-    return 2 * right / (right + wrong + asked)
+    for k, name in enumerate(found.recording.marker_names):
+        if not name.startswith("*"):
+            seen = np.flatnonzero(found.columns[:, k] >= 0)
+            who = owner[seen, found.columns[seen, k]]
+            right += int((who == true.marker_names.index(name)).sum())
+            wrong += int((who != true.marker_names.index(name)).sum())
+    return 2 * right / (right + wrong + int((unnamed.visible & (owner >= 0)).sum()))
 
 
 if __name__ == "__main__":

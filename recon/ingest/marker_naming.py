@@ -164,7 +164,7 @@ class Naming:
         for track in np.argsort(-score.max(1)).tolist():
             if self._count[track] == 0:
                 continue
-            free = ~taken[frames[track]].any(0)
+            free = ~np.any(taken[frames[track]], axis=0)
             own = np.where(free, total[track], -np.inf)
             best = int(np.where(free, score[track], -np.inf).argmax())
             if not free[best] or votes[track, best] == 0:

@@ -1,7 +1,6 @@
 """Reads optical markers from C3D files, by the user guide of 2021 (www.c3d.org).
 
-Read here and not through ezc3d because that crashes the process on damaged files; the two are
-compared in the tests.
+Not through ezc3d, which crashes the process on damaged files; the tests compare the two.
 """
 
 import math
@@ -40,7 +39,7 @@ _Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Header:
-    """Numbers of the header that say where and how samples are stored."""
+    """Where and how samples are stored."""
 
     processor: int
     points: int
@@ -124,9 +123,8 @@ def _markers(
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
     if left := [name for k, name in enumerate(names) if k not in set(chosen)]:
-        notes.append(
-            f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
-        )
+        said = f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
+        notes.append(said)
     if header.analog > 0:
         channels = [name for name in texts(groups.get("ANALOG", {}), "LABELS") if name]
         notes.append(
