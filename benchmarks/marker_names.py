@@ -139,8 +139,9 @@ def f1(unnamed: MarkerRecording, owner: np.ndarray, true: MarkerRecording, **way
         if not name.startswith("*"):
             seen = np.flatnonzero(found.columns[:, k] >= 0)
             who = owner[seen, found.columns[seen, k]]
-            right += int((who == true.marker_names.index(name)).sum())
-            wrong += int((who != true.marker_names.index(name)).sum())
+            own = true.marker_names.index(name) if name in true.marker_names else -2
+            right += int((who == own).sum())
+            wrong += int((who != own).sum())
     return 2 * right / (right + wrong + int((unnamed.visible & (owner >= 0)).sum()))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from recon.api.results import Tables, closing_fields, in_ten_lines
 from recon.detections.records import Detections
@@ -131,7 +132,15 @@ def _numbered(found: Detections, tracks: tuple[Track, ...]) -> Detections:
         frame=frame[order],
         pixels=np.concatenate([one.pixels for one in tracks])[order],
         confidence=np.concatenate([one.confidence for one in tracks])[order],
+        hands=_hands_of(tracks, order),
         identity=np.repeat([one.number for one in tracks], [len(one.frame) for one in tracks])[
             order
         ],
     )
+
+
+def _hands_of(
+    tracks: tuple[Track, ...], order: Int[np.ndarray, " rows"]
+) -> Float[np.ndarray, "rows 42 3"] | None:
+    hands = [one.hands for one in tracks if one.hands is not None]
+    return np.concatenate(hands)[order] if hands else None

@@ -1,9 +1,10 @@
 """The step of a fit after the body: fingers from the points of hands that observations have."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -73,7 +74,9 @@ def with_fingers(
     posed = body.pose(motion)
     places = posed.joints[:, list(WRISTS)].double()
     turns = posed.orientations[:, list(WRISTS)].double()
+    seen, repairs = _exchanged_in_images(seen, places)
     chosen, found = _hands_of_wrists(seen, places)
+    found = Findings(repairs, ()) + found
     model = HandModel.of(body, motion.shape)
     rotations = torch.eye(3).repeat(motion.frames, len(HAND_JOINTS), 1, 1).to(motion.rotations)
     lengths = torch.zeros(len(HAND_JOINTS) + 10).to(motion.rotations)
@@ -162,7 +165,9 @@ def _hands_of_wrists(
             few = f"fewer than {_FEWEST} of its {_POINTS} points are seen in most frames"
             leave_out(hand, few)
     spatial = [one for one in seen if one.camera is None]
-    away = [[_distance(spatial, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
+    views = [one for one in seen if one.camera is not None]
+    spatial += [_triangulated(views)] if len(views) > 1 else []
+    away = [[_distance(seen, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
     sides = [_bent_as(spatial, hand) for hand in (0, 1)]
     there = [hand for hand in (0, 1) if chosen[hand] is not None]
     other = {hand: away[hand][1 - hand] < away[hand][hand] - _NEARER for hand in there}
@@ -184,12 +189,57 @@ def _hands_of_wrists(
     return chosen, Findings((), tuple(warnings))
 
 
+def _exchanged_in_images(
+    seen: Sequence[_Seen], places: Float[Tensor, "time 2 3"]
+) -> tuple[list[_Seen], tuple[Finding, ...]]:
+    """Views in which each hand lies at the other wrist, with the hands exchanged back."""
+    out, numbers = list(seen), []
+    for k, one in enumerate(seen):
+        away = [[_distance([one], hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
+        there = [bool((one.view(hand).weights > 0).any()) for hand in (0, 1)]
+        if one.camera is None or not all(there):
+            continue
+        if all(
+            away[hand][1 - hand] < min(away[hand][hand] - _NEARER, _ELSEWHERE) for hand in (0, 1)
+        ):
+            both = [*range(_POINTS, 2 * _POINTS), *range(_POINTS)]
+            values, confidence = one.values[:, both], one.confidence[:, both]
+            out[k] = replace(one, values=values, confidence=confidence)
+            numbers.append(str(k))
+    if not numbers:
+        return out, ()
+    said = (
+        f"the points of the left and the right hand are exchanged in view {', '.join(numbers)}: "
+        "each lies at the other wrist; they were exchanged back"
+    )
+    return out, (Finding("sides exchanged", said),)
+
+
+def _triangulated(views: Sequence[_Seen]) -> _Seen:
+    """The points of hands that two or more views see, where their rays meet; world, metres."""
+    from recon.reading.tracks import nearest_to_rays
+
+    rays, poses = [], []
+    for one in views:
+        matrix, pose = one.camera.camera_matrix, one.camera.T_camera_world
+        local = torch.nn.functional.pad(one.values, (0, 1), value=1.0) @ matrix.inverse().mT
+        rays.append(local[..., :2].numpy())
+        poses.append(pose[:, None, :3].expand(len(one.values), 1, 3, 4).numpy())
+    seen = torch.stack([one.confidence > 0 for one in views])
+    points = torch.from_numpy(nearest_to_rays(np.stack(rays), np.stack(poses), seen.numpy()))
+    met = (seen.sum(0) > 1).double()
+    return _Seen(points * met[..., None], met, None, _NOISE_M[2])
+
+
 def _said(hand: int, what: str) -> Finding:
     return Finding("hand", f"{SIDES[hand]} hand: {what}", (f"{SIDES[hand]}_wrist",))
 
 
 def _distance(seen: Sequence[_Seen], hand: int, place: Float[Tensor, "time 3"]) -> float:
-    """Median distance of a hand's wrist, or of what is seen of it, from a wrist; metres."""
+    """Median distance of a hand's wrist, or of what is seen of it, from a wrist; metres.
+
+    In an image it is that across the line of sight, at the depth of the wrist.
+    """
     found = []
     for one in seen:
         view = one.view(hand)
@@ -197,7 +247,14 @@ def _distance(seen: Sequence[_Seen], hand: int, place: Float[Tensor, "time 3"]) 
         wrist = shown[:, :1].bool()
         shown = torch.where(wrist, torch.nn.functional.pad(shown[:, :1], (0, 20)), shown)
         middle = (shown[..., None] * view.values).sum(1) / shown.sum(1, keepdim=True).clamp(min=1)
-        found.append((middle - place).norm(dim=-1)[shown.any(1)])
+        if one.camera is None:
+            away = (middle - place).norm(dim=-1)
+        else:
+            seen_at = one.camera.project(place[:, None])
+            focal = one.camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
+            pixels = (middle - seen_at.pixels[:, 0]).norm(dim=-1)
+            away = pixels * seen_at.depth[:, 0].abs() / focal
+        found.append(away[shown.any(1)])
     every = torch.cat(found) if found else torch.zeros(0)
     return float(every.median()) if len(every) > 0 else 0.0
 

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.bone_names import BoneNames, renamed
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.units import to_z_up
-from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 

@@ -287,7 +287,8 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
         )
     width, height = file.camera.image_size
     kernel = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
-    confidence = file.confidence.copy()
+    hands = np.zeros((len(frames), 0, 3)) if file.fingers is None else file.fingers
+    confidence = np.concatenate((file.confidence, hands[..., 2]), 1)
     for t, frame in enumerate(frames):
         visible = masks.visible(frame)
         if visible is None:
@@ -298,9 +299,12 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
                 f"{visible.shape[1]} x {visible.shape[0]}"
             )
         wide = cv2.dilate(visible.astype(np.uint8), kernel) != 0
-        column, row = np.floor(file.pixels[t]).astype(np.int64).T
+        places = np.concatenate((file.pixels[t], hands[t, :, :2]))
+        column, row = np.floor(places).astype(np.int64).T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         seen = wide[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
         confidence[t, ~(inside & seen)] = 0.0
+    confidence, of_hands = np.split(confidence, [file.confidence.shape[1]], 1)
     pixels = np.where(confidence[..., None] > 0, file.pixels, 0.0)
-    return replace(file, pixels=pixels, confidence=confidence)
+    fingers = None if file.fingers is None else np.where(of_hands[..., None] > 0, hands, 0.0)
+    return replace(file, pixels=pixels, confidence=confidence, fingers=fingers)

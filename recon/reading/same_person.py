@@ -158,7 +158,9 @@ def _tracks_of(
         order = np.argsort(frame)
         pixels = np.concatenate([track.pixels for track in tracks])[order]
         confidence = np.concatenate([track.confidence for track in tracks])[order]
-        out.append(Track(tracks[0].number, frame[order], pixels, confidence))
+        hands = [track.hands for track in tracks if track.hands is not None]
+        both = np.concatenate(hands)[order] if hands else None
+        out.append(Track(tracks[0].number, frame[order], pixels, confidence, both))
     return out
 
 

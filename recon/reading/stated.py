@@ -77,9 +77,10 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.ptp(ratio) < _SAME_FORM:
         scaled = (found.pixels + 0.5) * ratio - 0.5
         pixels = np.where((found.confidence > 0)[..., None], scaled, 0.0)
-        behind, lines = found.background, found.lines
+        behind, lines, hands = found.background, found.lines, found.hands
         return replace(
             found, pixels=pixels, image_size=expected,
+            hands=None if hands is None else _scaled(hands, ratio),
             lines=None if lines is None else (lines + 0.5) * ratio - 0.5,
             background=None if behind is None
             else replace(behind, pixels=(behind.pixels + 0.5) * ratio - 0.5),
@@ -87,6 +88,13 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.abs(ratio - 1).max() > _CUT:
         raise ObservationError(f"{said}; give the calibration of this film")
     return found, f"{said}: taken as cut at the right and below"
+
+
+def _scaled(
+    hands: Float[np.ndarray, "rows 42 3"], ratio: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "rows 42 3"]:
+    pixels = np.where(hands[..., 2:] > 0, (hands[..., :2] + 0.5) * ratio - 0.5, 0.0)
+    return np.concatenate((pixels, hands[..., 2:]), -1)
 
 
 _SHOTS_LISTED = 8
@@ -138,6 +146,7 @@ def in_one_shot(
             pixels=found.pixels[mine],
             confidence=found.confidence[mine],
             identity=found.identity[mine],
+            hands=None if found.hands is None else found.hands[mine],
             background=behind,
         ),
         (starts[best], ends[best]),

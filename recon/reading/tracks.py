@@ -33,6 +33,8 @@ class Track:
     """Frame numbers, increasing."""
     pixels: Float[np.ndarray, "seen points 2"]
     confidence: Float[np.ndarray, "seen points"]
+    hands: Float[np.ndarray, "seen 42 3"] | None = None
+    """Pixels and confidence of the points of hands, where the file has any."""
     ended_by: int | None = None
     """The frame where it ended because another person was about as near, or None."""
 
@@ -59,7 +61,10 @@ class Track:
 
     def turned_over(self, height: int) -> "Track":
         """The track in an image of this height whose y counts the other way."""
-        return replace(self, pixels=self.pixels * (1, -1) + (0, height))
+        hands = self.hands
+        if hands is not None:
+            hands = np.where(hands[..., 2:] > 0, hands * (1, -1, 1) + (0, height, 0), 0.0)
+        return replace(self, pixels=self.pixels * (1, -1) + (0, height), hands=hands)
 
     def __str__(self) -> str:
         place = self.pixels[self.confidence > 0].mean(0)
@@ -105,6 +110,7 @@ def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -
             frame=detections.frame[rows[labels == label]],
             pixels=detections.pixels[rows[labels == label]],
             confidence=detections.confidence[rows[labels == label]],
+            hands=None if detections.hands is None else detections.hands[rows[labels == label]],
             ended_by=ended.get(label),
         )
         for number, label in enumerate(order)

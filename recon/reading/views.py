@@ -279,8 +279,11 @@ class SeenViews:
         pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
         pixels[track.frame - self.first_frame] = track.pixels
         confidence[track.frame - self.first_frame] = track.confidence
-        layout, camera = self.found[view].layout, self.cameras[view]
-        return KeypointsFile(pixels, confidence, layout, self.fps, camera)
+        layout, camera, fingers = self.found[view].layout, self.cameras[view], None
+        if track.hands is not None:
+            fingers = np.zeros((self.frames, *track.hands.shape[1:]))
+            fingers[track.frame - self.first_frame] = track.hands
+        return KeypointsFile(pixels, confidence, layout, self.fps, camera, fingers=fingers)
 
 
 def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) -> CameraArrays:
@@ -337,6 +340,9 @@ def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[
     most = np.array(camera.image_size) - 1 - _BORDER
     inside = ((found.pixels > _BORDER) & (found.pixels < most)).all(-1)
     seen = found.confidence > 0
+    if (hands := found.hands) is not None:
+        within = ((hands[..., :2] > _BORDER) & (hands[..., :2] < most)).all(-1, keepdims=True)
+        found = replace(found, hands=np.where(within, hands, 0.0))
     count = int((seen & ~inside).sum())
     if count == 0:
         return found, ""
