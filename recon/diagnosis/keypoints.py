@@ -15,6 +15,7 @@ from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_median
 from recon.diagnosis.exact import unchanged
+from recon.diagnosis.exchanged_pairs import repaired_pairs
 from recon.diagnosis.findings import (
     NOTHING,
     Finding,
@@ -32,7 +33,7 @@ from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import plausible
 from recon.diagnosis.rays import Rays, scale_findings
 from recon.diagnosis.rigs import median_miss
-from recon.diagnosis.sides import repaired_by_rays, repaired_pairs, repaired_sides
+from recon.diagnosis.sides import repaired_by_rays, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
 _MIN_HELD_MOMENTS = 4
