@@ -129,7 +129,7 @@ def label(
     if len(np.unique(naming.marker[naming.marker >= 0])) < _FEWEST_NAMES:
         raise ReconError(
             f"{seen.name}: its points fit the markers of {like_what} nowhere; expected one person "
-            "with these markers, seen at once; check the unit (--unit) and the axis (--up)"
+            "with these markers, upright at some time; check the unit (--unit) and axis (--up)"
         )
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled(seen, naming, like_what, source)

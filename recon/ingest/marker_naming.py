@@ -25,6 +25,8 @@ _GOOD = 0.1, 1.4
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
 on both sides of the first from which they are found at first."""
+_NOWHERE = 0.35
+"""Cost from which on it is not found."""
 _LEAST, _ODDS = -4.0, 2.0
 """Log odds that a frame takes from a name at most, and without which a track has none."""
 _WEIGHT = 8.0
@@ -53,8 +55,10 @@ class Naming:
         self._sum, self._count = np.zeros(shape), np.zeros(shape[0])
 
     def run(self) -> None:
-        """Find the body, follow it, fit it, and name the tracks."""
+        """Find the body, follow it, fit it, and name the tracks; no track where there is none."""
         found, at = self._beginning()
+        if found.cost > _NOWHERE:
+            return
         unknown = found.body.spread
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # the person's shape and offsets, by the frames about the first

@@ -5,11 +5,11 @@ the points that lie nearest to their markers, which are then assigned again (ite
 points, with one point for a marker).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from recon.core import rotations as so3
 from recon.ingest.marker_places import MarkedBody
@@ -19,6 +19,8 @@ from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 _TURNS, _USUAL, _NEAR, _TRIED = 16, 40, 200, 12
 """Turns about the vertical, poses that are tried at first, those whose points are assigned, and
 those that are fitted."""
+_APART = 0.6
+"""Metres between points of a body and those of others or of objects."""
 _REACH = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1, 0.1, 0.1)
 """Metres beyond which a point is no marker, by iteration."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
@@ -46,6 +48,7 @@ def found_body(
         bodies: one of them is there.
         effort: 1 to try the first poses of each, 3 to try all, thrice as many of them closely.
     """
+    points, among = _one_body(points)
     upright = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
     placed: list[np.ndarray] = []
     for own in bodies:
@@ -79,7 +82,21 @@ def found_body(
             if best is None or found.cost < best.cost:
                 best = found
     assert best is not None
-    return best
+    marker = np.full(len(among), -1)
+    marker[among] = best.marker
+    return replace(best, marker=marker)
+
+
+def _one_body(
+    points: Float[np.ndarray, "points 3"],
+) -> tuple[Float[np.ndarray, "some 3"], Bool[np.ndarray, " points"]]:
+    """The largest group of points apart from all others, and which they are."""
+    from scipy.cluster.hierarchy import fclusterdata
+
+    group = fclusterdata(points, _APART, "distance") if len(points) > 1 else np.ones(len(points))
+    names, counts = np.unique(group, return_counts=True)
+    among = group == names[counts.argmax()]
+    return points[among], among
 
 
 def _fitted(

@@ -23,6 +23,7 @@ NAMES = {
     "RTIB": "right_shank_lateral", "LANK": "left_ankle_lateral", "RANK": "right_ankle_lateral",
     "LTOE": "left_toe2_base", "RTOE": "right_toe2_base",
 }  # fmt: skip
+NAMES_IN_ORDER = list(NAMES)
 
 
 def trial(frames: slice) -> MarkerRecording:
@@ -84,6 +85,37 @@ def test_a_set_s_table_names_markers_of_somebody_unknown():
     assert right >= 0.85 * true.visible.sum()
     with pytest.raises(recon.ReconError, match="expected one of the marker sets"):
         recon.label(unnamed, set="vicon")
+
+
+def without_names(x: np.ndarray) -> MarkerRecording:
+    """A recording of unnamed points that are always seen."""
+    names = tuple(f"*{k}" for k in range(x.shape[1]))
+    return MarkerRecording("cloud.trc", names, x, np.ones(x.shape[:2], bool), 30.0, ())
+
+
+@pytest.mark.numerics
+@pytest.mark.parametrize("what", ["millimetres", "upside down", "five markers"])
+def test_points_that_are_no_upright_person_get_no_names(what):
+    x = trial(slice(60, 90)).positions
+    cloud = {
+        "millimetres": 1000 * x,
+        "upside down": x * [1, -1, -1],
+        "five markers": x[:, :5],
+    }[what]
+    with pytest.raises(recon.ReconError, match="nowhere"):
+        recon.label(without_names(cloud), like=trial(slice(0, 60)))
+
+
+@pytest.mark.numerics
+def test_of_two_people_one_is_named_and_the_other_stays_open():
+    x = trial(slice(60, 90)).positions
+    other = x[::-1] + [1.5, 0.4, 0.0]
+    found = recon.label(without_names(np.concatenate((x, other), 1)), like=trial(slice(0, 60)))
+    named = found.recording.select(list(found.confidence))
+    one = [NAMES_IN_ORDER.index(name) for name in named.marker_names]
+    right = [np.abs(named.positions - own[:, one]).max(-1) < 1e-9 for own in (x, other)]
+    assert max(same.sum() for same in right) >= 0.95 * x[..., 0].size
+    assert any("no name" in said for said in found.warnings)
 
 
 def test_trials_without_names_are_refused(tmp_path):
