@@ -109,7 +109,7 @@ def test_points_that_are_no_upright_person_get_no_names(what):
 @pytest.mark.numerics
 def test_of_two_people_one_is_named_and_the_other_stays_open():
     x = trial(slice(60, 90)).positions
-    other = x[::-1] + [1.5, 0.4, 0.0]
+    other = x[::-1] + np.array([1.5, 0.4, 0.0])
     found = recon.label(without_names(np.concatenate((x, other), 1)), like=trial(slice(0, 60)))
     named = found.recording.select(list(found.confidence))
     one = [NAMES_IN_ORDER.index(name) for name in named.marker_names]
