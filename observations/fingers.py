@@ -1,4 +1,4 @@
-"""Points of hands among those of a body: told apart, and checked."""
+"""Splits points of hands from those of a body, and checks them."""
 
 from collections.abc import Sequence
 from typing import Any

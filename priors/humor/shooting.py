@@ -168,7 +168,7 @@ class Shooting(Prior[HumorVariables]):
         """
         del noise, body, method  # the weights were given to the constructor
         if self.data_weights is not None:
-            data = tuple(_weighted(term, self.data_weights) for term in data)
+            data = tuple(_with_sensor_weight(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
@@ -218,7 +218,7 @@ def _first_frames(variables: HumorVariables) -> HumorVariables:
     return variables.first(FIRST_FRAMES)
 
 
-def _weighted(term: Term, weights: Mapping[str, float]) -> Term:
+def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
     """The term with the weight of its sensor's unit; terms of no sensor are unchanged."""
     unit: str = getattr(term.energy, "unit", "")
     return term if unit not in weights else replace(term, weight=weights[unit])

@@ -28,7 +28,7 @@ class DetectedPeople:
 
     @property
     def tables(self) -> Tables:
-        """Where and how surely everybody was seen."""
+        """Frames, share of keypoints seen and mean confidence of every person."""
         rows = {
             f"person {one.number}": {
                 "frames": len(one.frame),
@@ -96,7 +96,7 @@ def detect(
     detector: str | None = None,
     detections: str | None = None,
 ) -> DetectedPeople:
-    """Detect people in a film: 33 keypoints of everybody in every frame, for a look or a swap.
+    """Detect people in a film: 33 keypoints of everybody in every frame, to look at before a fit.
 
     `recon fit` takes films as well as the file that this writes. People are followed past each
     other; what lies beyond the border or behind others has no or little confidence.

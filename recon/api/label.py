@@ -1,6 +1,7 @@
 """`recon.label`: names for the markers of a recording that has none."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.units import Unit, Up
+from recon.diagnosis.findings import listed
 from recon.formats.outputs import Output, OutputKind
 from recon.formats.writing import writing
 from recon.ingest.marker_naming import Naming
@@ -106,7 +108,8 @@ def label(
     Trajectories are cut where they jump, and named by their distances from each other and by
     their places seen from others: in the named trial, and on its body in other poses; or, of a
     set, on bodies of many shapes, and then on the one that fits. Names the recording has are
-    ignored. Doubtful points stay open (*1, *2, ...). Nothing is random.
+    ignored. Doubtful points stay open (*1, *2, ...). Nothing is random. A trial that is named like
+    itself gets exchanged names and ghosts put right; a warning counts them.
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.
@@ -208,6 +211,13 @@ def _labelled(
         said.append(f"{100 * (1 - share):.0f} % of the points have no name: they are doubtful")
     if lacking:
         said.append(f"nowhere found: {', '.join(lacking)}")
+    held = naming.marker[numbers] >= 0
+    before = np.array(seen.marker_names)[points[held]]
+    after = np.array(names)[naming.marker[numbers[held]]]
+    other = after[(before != after) & np.isin(before, names)]
+    if len(other):  # a trial that has names, some of them wrong
+        which = [f"{name} ({count})" for name, count in Counter(other.tolist()).most_common()]
+        said.append(f"{len(other)} points had another marker's name: {listed(which)}")
     recording = dataclasses.replace(
         seen,
         marker_names=tuple(labels),

@@ -282,7 +282,7 @@ def _straight_lines(
 def _numbers_of_rows(
     arrays: dict[str, Shaped[np.ndarray, "..."]], shape: tuple[int, int], path: Path
 ) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, "frames people"]]:
-    """Frame numbers and the number of everybody in them, from 0 on and -1 where none is given.
+    """Frame numbers, and person numbers per frame; -1 where a person has no number.
 
     Raises:
         ValueError: when there is not one for each, or frame numbers do not rise.
@@ -301,7 +301,7 @@ def _numbers_of_rows(
 
 
 def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
-    """What `read_detection_arrays` reads: a column for every person, by their numbers.
+    """Arrays that `read_detection_arrays` reads: a column for every person, by their numbers.
 
     People without a number stand in the order of their frame.
     """

@@ -123,7 +123,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
         for number in range(2 ** len(free))
     ])  # fmt: skip
-    met = [_met_under(images, state, images.counterparts) for state in states]
+    met = [_triangulated_under(images, state, images.counterparts) for state in states]
     here = _costs_of_moments(met, states, images.sided[None])
     if views > 1:
         facing = [facing_agreement(images.points, points, exists) for points, exists, _ in met]
@@ -132,7 +132,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
     return states[_cheapest_paths(here, between)[0]].T
 
 
-def _met_under(
+def _triangulated_under(
     images: Images, exchanged: Bool[np.ndarray, " views"], order: Int[np.ndarray, " points"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points where rays meet when some views have names in another order, and a mask of them.
@@ -233,7 +233,7 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         turned, own = order.copy(), np.array(pairs)
         turned[own], groups = own[:, ::-1], np.isin(order, own) & (order == own[:, :1])
         groups[np.arange(len(own)), own[:, 1]] = True
-        met = [_met_under(images, state, turned) for state in states]
+        met = [_triangulated_under(images, state, turned) for state in states]
         here = _costs_of_moments(met, states, groups)
         paths = _cheapest_paths(here, _costs_of_changes(images, states, turned, groups))
         for pair, path, cost in zip(pairs, paths, here, strict=True):

@@ -92,7 +92,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
 
 
 def _humanoid(bones: Sequence[str]) -> dict[str, Any]:
-    """The extensions by which VRM 1.0 finds bones, which have its names, and the animation."""
+    """Extensions of VRM 1.0 (glTF), which name the bones and the animation of a person."""
     humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
     told = {"specVersion": "1.0", "humanoid": humanoid}
     licence = "https://vrm.dev/licenses/1.0/"

@@ -35,7 +35,7 @@ _STEP = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
 
 
 class Naming:
-    """The markers that the tracks of a recording are, as far as found."""
+    """Assigns the markers of a set to the tracks of a recording, as far as they can be found."""
 
     def __init__(
         self,

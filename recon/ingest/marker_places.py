@@ -101,7 +101,7 @@ def body_of_trial(
         ReconError: when too few labels are known.
     """
     known = markers or full_body_markers(trial, body)
-    fit = fit_markers(trial.select(known.labels).evenly(_FITTED), known, body)
+    fit = fit_markers(trial.select(known.labels).evenly_spread(_FITTED), known, body)
     poses = torch.cat((fit.motion.rotations[::4, 1:], _usual_poses()))
     return MarkedBody(body, known, fit.motion.shape, fit.offsets, _KNOWN, poses)
 

@@ -67,7 +67,7 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
         points, time = moment["points"], moment.get("time")
         several = any(_is_sensor(one) for one in points)
         arrays = [_array(one) for one in points] if several else _array(points)
-        return arrays, None if time is None else float(str(time))  # true is no time
+        return arrays, None if time is None else float(str(time))  # float("True") raises
     except Exception as error:  # bad lines are reported; the stream goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '

@@ -96,7 +96,7 @@ class Stream:
         self._findings: list[Finding] = []
 
     def _set_prior(self, prior: str | Prior[Any] | Look) -> None:
-        """Load what is likely: a prior, or a network whose first look is given."""
+        """Load the prior, or the network whose proposals are the estimates."""
         self._look: Look | None = None
         self._prior: Prior[Any] | None = None
         named = prior in registered_places(LOOKS) if isinstance(prior, str) else callable(prior)
@@ -136,7 +136,7 @@ class Stream:
             return self._pushed(seen, time)
 
     def finish(self) -> tuple[LiveEstimate, ...]:
-        """The estimates of the moments that were pushed last; the stream then begins anew."""
+        """The estimates of the last moments; the stream then starts over."""
         with torch.no_grad():
             newest = self._newest_with_findings(self._end_tracking())
             self._given = None

@@ -46,7 +46,7 @@ def write_renamed_c3d(
     old, chosen = c3d.chosen_points(header, groups)
     kept = [k for k in range(header.points) if k not in set(chosen)]
     new = [*names, *(old[k] for k in kept)]
-    first, last = header.bounds(groups.get("TRIAL", {}))
+    first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
     frames, real = last - first + 1, header.scale < 0
     point, start = (16 if real else 8), (header.data_start - 1) * c3d.BLOCK
     width = header.points * point + header.analog * point // 4

@@ -40,7 +40,7 @@ class People:
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What should be read before the results are used; each names its person."""
+        """All warnings, each with the number of its person."""
         return self._findings("warnings")
 
     @property

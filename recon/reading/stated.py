@@ -25,10 +25,10 @@ _SAME_FORM, _CUT = 0.002, 0.05
 that may have been cut off."""
 
 
-def with_image_size(path: Path, how: ReadOptions) -> Detections | None:
+def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     """Detections in a film or a file that states the size of its images; None for other files."""
     if is_film(path):
-        from recon.films.reader import read_film  # its networks and decoders are needed here only
+        from recon.films.reader import read_film  # imported here: it loads networks
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
@@ -58,7 +58,7 @@ def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> floa
     return float(np.mean(stated))
 
 
-def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
     """Detections in the pixels of a calibration, and a note where its images have another size.
 
     Images of the same form were scaled; others are taken as cut at their right and lower border.
@@ -157,7 +157,7 @@ def in_one_shot(
 def levelled(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"]
 ) -> tuple[CameraArrays, str]:
-    """A camera with what the background of its film tells: rotations, the vertical, focal length.
+    """A camera with the rotations, vertical and focal length that its background shows.
 
     Straight lines tell the vertical, and points of the background how the camera turns. Unchanged,
     and without a note, where its pose is known or the background tells nothing.
@@ -169,7 +169,7 @@ def levelled(
     """
     if camera.T_camera_world is not None or camera.path is not None:
         return camera, ""
-    camera, turning, turned = _turned(found, camera)
+    camera, turning, turned = _with_turning(found, camera)
     if found.lines is None and turning is None:
         return camera, turned
     from recon.films.vertical import find_vertical  # films only
@@ -183,11 +183,11 @@ def levelled(
     images = [ends[shown == one] for one in numbers]
     R = np.eye(3)[None]
     if turning is not None:
-        # lines are told as the middle picture would show them
+        # rotate the lines of all pictures into the view of the middle picture
         middle = turning.at(turning.frames[[len(turning.frames) // 2]])[0]
         R = middle.T @ turning.at(frames)
         images = [
-            _seen_turned(one, focal, middle.T @ turn)
+            _turned_segments(one, focal, middle.T @ turn)
             for one, turn in zip(images, turning.at(numbers), strict=True)
         ]
     told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
@@ -221,8 +221,10 @@ def _turning_path(R: Float[np.ndarray, "frames 3 3"], *, level: bool) -> CameraP
     return CameraPath(T_world_camera, metric=True, level=level)
 
 
-def _turned(found: Detections, camera: CameraArrays) -> tuple[CameraArrays, "Turning | None", str]:
-    """The camera with the focal length that its turning tells, the turning, and a note."""
+def _with_turning(
+    found: Detections, camera: CameraArrays
+) -> tuple[CameraArrays, "Turning | None", str]:
+    """The camera with the focal length found from its turning, the turning, and a note."""
     behind = found.background
     if behind is None or len(behind.frame) == 0:
         return camera, None, ""
@@ -255,10 +257,10 @@ _BESIDE = 0.3
 """Least cosine between what is seen and the axis of the camera in whose image it is drawn."""
 
 
-def _seen_turned(
+def _turned_segments(
     ends: Float[np.ndarray, "lines 2 2"], focal: float, R: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "lines 2 2"]:
-    """Segments as a turned camera would see them, pixels from the principal point.
+    """Segments in pixels from the principal point, after a rotation of the camera.
 
     Args:
         ends: of the segments.
