@@ -30,6 +30,8 @@ from recon.live.tracking import LiveEstimate
 
 Pose = dict[str, list[float]]
 """Position and quaternion (x, y, z, w) of every bone to its parent, by name."""
+_KEPT = 10
+"""Every how many poses one is kept and compared: all of ten minutes fill the memory."""
 FROM_UNITY = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 FROM_UNREAL = np.diag([1.0, -1.0, 1.0]) / 100
 TREES: dict[type, tuple[str, ...]] = {
@@ -56,7 +58,7 @@ def measure(fps: float, count: int) -> None:
     receivers, links, told = [], [], []
     for kind, receive in ((VmcLink, receive_vmc), (LiveLink, receive_json)):
         mine, theirs = context.Pipe()
-        process = context.Process(target=receive, args=(theirs,), daemon=True)
+        process = context.Process(target=receive, args=(theirs, _KEPT), daemon=True)
         process.start()
         receivers.append((kind, mine, process))
         links.append(kind(f"127.0.0.1:{mine.recv()}", complain=told.append))
@@ -80,6 +82,7 @@ def measure(fps: float, count: int) -> None:
         worst = max(
             float(np.abs(rebuilt(kind, pose) - estimates[k % len(estimates)].joints.numpy()).max())
             for k, (_, pose) in frames.items()
+            if pose
         )
         p50, p95, p99 = np.percentile(late, (50, 95, 99))
         print(
@@ -119,8 +122,8 @@ def rebuilt(kind: type, pose: Pose) -> np.ndarray:
     return np.array(places) @ (FROM_UNITY if kind is VmcLink else FROM_UNREAL).T
 
 
-def receive_vmc(pipe: Any) -> None:
-    """Receive by python-osc's server until told to end; send the time, arrival and pose of all."""
+def receive_vmc(pipe: Any, every: int = 1) -> None:
+    """Receive by python-osc's server until told to end; send the time, arrival and some poses."""
     dispatcher = import_module("pythonosc.dispatcher").Dispatcher()
     blocking: Any = import_module("pythonosc.osc_server").BlockingOSCUDPServer
     found: list[tuple[float, float, Pose]] = []
@@ -134,7 +137,7 @@ def receive_vmc(pipe: Any) -> None:
     def set_bone(_: str, name: str, *values: float) -> None:
         pose[name] = list(values)
         if len(pose) == len(JOINTS):
-            found.append((seconds, arrived, pose))
+            found.append((seconds, arrived, pose if len(found) % every == 0 else {}))
 
     class Server(blocking):
         """Keeps packets with their arrival; reading them would delay the next one."""
@@ -156,8 +159,8 @@ def receive_vmc(pipe: Any) -> None:
     pipe.send(found)
 
 
-def receive_json(pipe: Any) -> None:
-    """Receive JSON Live Link until told to end; send the time, arrival and pose of all."""
+def receive_json(pipe: Any, every: int = 1) -> None:
+    """Receive JSON Live Link until told to end; send the time, arrival and some poses."""
     found: list[tuple[float, float, Pose]] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
@@ -172,7 +175,8 @@ def receive_json(pipe: Any) -> None:
             arrived = time.monotonic()
             ((_, bones),) = json.loads(packet).items()
             pose = {bone["Name"]: bone["Location"] + bone["Rotation"] for bone in bones}
-            found.append((bones[0]["Time"], arrived, pose))
+            kept = pose if len(found) % every == 0 else {}
+            found.append((bones[0]["Time"], arrived, kept))
 
         until_told(pipe, receive)
     pipe.send(found)
