@@ -112,7 +112,7 @@ _AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 @dataclass(frozen=True, eq=False)
 class Shooting(Prior[HumorVariables]):
-    """The motion is decoded from a first state and latents, which are optimised.
+    """HuMoR by single shooting: the first state and the latents are optimised.
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
     the mixture for an energy and the latents the conditional prior. The usual start is the motion

@@ -75,7 +75,9 @@ class LookAtPoints:
             rotations, pelvis, std, seen.visible[0].any(-1)
         )
         placement, first = _Placement(seen, body), int(log_weight.argmax())
-        own = placement.carried(rotations[first], pelvis[first], body.rest_joints(shape)[None])[0]
+        own = placement.points_on_bodies(
+            rotations[first], pelvis[first], body.rest_joints(shape)[None]
+        )[0]
         shape = placement.shape(rotations[first], pelvis[first], shape)
         every = zip(rotations, pelvis, strict=True)
         moved = torch.stack([placement.pelvis(*one, shape) for one in every])
@@ -183,7 +185,7 @@ def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
-    """Some windows of the only clip, as clips."""
+    """Windows of the single clip, as a batch of clips."""
     count = len(cuts)
     return SeenPoints(
         torch.cat([seen.positions[:, cut] for cut in cuts]),
@@ -220,7 +222,7 @@ class _Placement:
     seen: SeenPoints
     body: BodyModel
 
-    def carried(
+    def points_on_bodies(
         self,
         rotations: Float[Tensor, "time 22 3 3"],
         pelvis: Float[Tensor, "time 3"],
@@ -248,7 +250,7 @@ class _Placement:
         rows = frames[torch.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).long()]
         one = torch.eye(len(shape))
         rest = self.body.rest_joints(torch.cat((shape[None], shape + one)))
-        found = self.carried(rotations[rows], pelvis[rows], rest)
+        found = self.points_on_bodies(rotations[rows], pelvis[rows], rest)
         away, slope = self.seen.positions[0, rows] - found[0], found[1:] - found[0]
         weight = _robust_weights(away, self.seen.visible[0, rows])
         share = weight / weight.sum(1, keepdim=True).clamp(min=1e-6)
@@ -265,7 +267,7 @@ class _Placement:
         shape: Float[Tensor, " shape"],
     ) -> Float[Tensor, "time 3"]:
         """The path of the pelvis, shifted by the mean distance of points near in time."""
-        found = self.carried(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
+        found = self.points_on_bodies(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
         away = self.seen.positions[0] - found
         weight = _robust_weights(away, self.seen.visible[0])
         pull = torch.cat(((weight * away).sum(1), weight.sum(1)), -1)

@@ -332,10 +332,10 @@ def result_of(
 
         cameras = filming_cameras(examined, clip, T, motion)
     if examined.belt is not None:
-        from recon.diagnosis.movement import in_room, path_of_belt  # rarely needed
+        from recon.diagnosis.movement import motion_in_room, path_of_belt  # rarely needed
 
         belt = path_of_belt(motion, examined.belt)
-        motion = in_room(motion, examined.belt)
+        motion = motion_in_room(motion, examined.belt)
     if any(getattr(one, "fingers", None) is not None for one in clip.observations):
         from recon.api.hands import with_fingers  # few observations show hands
 

@@ -178,7 +178,7 @@ _SMALLEST_SHIFT = 0.01
 
 @dataclass(frozen=True)
 class CorrectedRig:
-    """The views after all certain corrections, and a doubtful one where there is any."""
+    """The views after all certain corrections, and the uncertain correction, if any."""
 
     images: Images
     """All views after the corrections."""

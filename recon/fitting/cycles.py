@@ -87,7 +87,7 @@ class CycleClock:
 
     @classmethod
     def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
-        """A clock at the first observation's rate, a multiple or a divisor of it, over all data.
+        """A clock over all data, at the first observation's rate, a multiple or a divisor of it.
 
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.

@@ -116,7 +116,7 @@ def fit_long(
 
 @dataclass(frozen=True)
 class _WindowFits:
-    """Motions of the windows of one round of fits."""
+    """Motions of the windows that were fitted in one round."""
 
     motions: dict[int, Motion]
     failed: tuple[int, ...]

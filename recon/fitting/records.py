@@ -56,7 +56,7 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
 
 
 def start_times(clip: Clip) -> tuple[float, ...]:
-    """Times of the first frames of whole observations, seconds."""
+    """Start times of the observations before any cut, seconds."""
     return clip.starts or tuple(one.start_time for one in clip.observations)
 
 

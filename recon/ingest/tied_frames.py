@@ -206,7 +206,7 @@ class _Curvatures:
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
     def of(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """The Cholesky factors of some frames."""
+        """Cholesky factors of the damped Hessians of some frames."""
         return self.factors[self.owner[rows]]
 
     def size(

@@ -147,7 +147,7 @@ class Neighbourhood:
 
     @property
     def ground_coordinates(self) -> int:
-        """Coordinates of the ground."""
+        """Number of coordinates of an unknown ground; 0 where it is known."""
         return 0 if self.ground is None else self.ground.coordinates
 
     @cached_property

@@ -198,7 +198,7 @@ def _surface_samples(
 def _slip_of_feet(
     body: BodyModel, skin: Tensor, own: slice, following: Tensor, steps: Tensor, fps: float
 ):
-    """Mask of feet whose lowest vertex stays low, and the speed of this vertex."""
+    """Mask of feet whose lowest vertex stays low, and the horizontal speed of this vertex."""
     owner = body.weights.argmax(-1)
     touch, slip = [], []
     for side in _SIDES:

@@ -104,7 +104,7 @@ def show_of_files(
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
-    """Make the scene that `view` draws of motion and observation files.
+    """The scene that `view` draws, made of motion and observation files.
 
     Raises:
         FileNotFoundError, ValueError: as there.
