@@ -52,7 +52,7 @@ def export_file(
     ply: Path | None = None,
     html: Path | None = None,
     names: Literal["smpl", "mixamo", "unreal", "vrm", "rigify", "xsens"] = "smpl",
-    markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
+    markers: Literal["joints", "halpe26", "opencap", "pig", "cmu", "bsm"] = "joints",
     model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
     mass: float | None = None,
     plates: Path | None = None,
@@ -60,6 +60,8 @@ def export_file(
     up: Axis = "y",
     smplx: Path | None = None,
     onto: Path | None = None,
+    character: Path | None = None,
+    bones: Path | None = None,
     body: Path | None = None,
     overwrite: bool = False,
 ) -> Exported | None:
@@ -95,6 +97,9 @@ def export_file(
         up: axis that points up in --trc; y is OpenSim's.
         smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
         onto: the body file of --smpl (SMPL, SMPL-H, SMPL-X; .npz or .pkl).
+        character: your own rigged character (.glb, .vrm, .gltf), which --glb then is, with the
+            motion as one animation more.
+        bones: TOML file of its bones, lines left_knee = "name"; default: found by names.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         overwrite: replace files that are there and recon did not write.
 
@@ -116,6 +121,13 @@ def export_file(
     of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
     _refuse_alone(of_trc, trc, "trc")
     _refuse_alone({"names": names != "smpl"}, glb or usd or bvh, "glb")
+    _refuse_alone({"character": character is not None}, glb, "glb")
+    _refuse_alone({"bones": bones is not None}, character, "character")
+    if character is not None and (names != "smpl" or usd or bvh):
+        raise ReconError(
+            "--character keeps its own names, and goes into --glb alone: leave out --names, "
+            "--usd and --bvh"
+        )
     _refuse_alone(
         {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
     )
@@ -137,6 +149,21 @@ def export_file(
     moved, name = file.motion, motion.stem
 
     loads = loads_of(file, own, mass, plates) if forces or moments else None
+    told: list[Exported] = []
+
+    def write_gltf(path: Path) -> None:
+        if character is None:
+            return write_glb(path, moved, own, names)
+        from recon.api.given import GivenMotion
+        from recon.api.retarget import ground_height
+        from recon.export.onto_character import write_character  # few have a character
+
+        level = ground_height(GivenMotion(file, str(motion)), None)
+        made = write_character(path, moved, own, character, bones=bones, ground=level)
+        rows = {joint: {"bone": name} for joint, name in made.bones.items()}
+        told.append(Exported("", made.warnings, {"bones of the character": rows}))
+        report.update(bones=made.bones, scale=made.scale, warnings=list(made.warnings))
+        return None
 
     def write_markers(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
@@ -145,7 +172,7 @@ def export_file(
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
     every: list[tuple[Path | None, OutputKind, Callable[[Path], object]]] = [
-        (glb, OutputKind.FILE, lambda path: write_glb(path, moved, own, names)),
+        (glb, OutputKind.FILE, write_gltf),
         (usd, OutputKind.FILE, lambda path: write_usd(path, moved, own, names)),
         (
             bvh,
@@ -176,8 +203,10 @@ def export_file(
         (html, OutputKind.FILE, lambda path: draw_html(path, show_of_files(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
-    report = {
-        "inputs": checksums([one for one in (motion, body, smplx, onto, plates) if one]),
+    report: dict[str, Any] = {
+        "inputs": checksums(
+            [one for one in (motion, body, smplx, onto, plates, character, bones) if one]
+        ),
         "versions": versions(),
         **({} if loads is None else loads.report()),
     }
@@ -185,10 +214,13 @@ def export_file(
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         for path, (_, write) in zip(staged, asked, strict=True):
             write(path)
-    if loads is None:
+    if loads is not None:
+        told.append(Exported("", loads.warnings, loads.tables()))
+    if not told:
         return None
     place = ", ".join(str(output.path) for output in outputs)
-    return Exported(place, loads.warnings, loads.tables())
+    warnings = tuple(warning for one in told for warning in one.warnings)
+    return Exported(place, warnings, {k: v for one in told for k, v in one.tables.items()})
 
 
 def _refuse_alone(given: dict[str, bool], target: Path | None, name: str) -> None:

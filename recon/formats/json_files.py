@@ -38,17 +38,25 @@ def read_json(path: Path) -> Any:
         FileNotFoundError: when there is no such file.
         ValueError: when it is empty or damaged.
     """
-    return _parsed(path, *_contents([path], path))
+    return parsed_json(path, read_bytes(path, JSON))
 
 
-def _contents(paths: Sequence[Path], source: Path) -> list[bytes]:
-    """Read files, and refuse them if their parsed contents would not fit into memory."""
-    found = [read_bytes(path, JSON) for path in paths]
+def parsed_json(path: Path, data: bytes) -> Any:
+    """The value of JSON that stands in a file.
+
+    Raises:
+        ValueError: when it is damaged or its parsed contents would not fit into memory.
+    """
+    _check_sizes([data], path)
+    return _parsed(path, data)
+
+
+def _check_sizes(found: Sequence[bytes], source: Path) -> None:
+    """Refuse JSON whose parsed contents would not fit into memory."""
     # Python needs two to four bytes per character of a text that is not ASCII
     JSON.check(sum(len(one) * (1 if one.isascii() else 2) for one in found), source)
     sizes = ((b"[", 2), (b"null", 2), (b"{", 6), (b",", 1))
     _ENTRIES.check(sum(size * one.count(mark) for one in found for mark, size in sizes), source)
-    return found
 
 
 def _parsed(path: Path, data: bytes) -> Any:
@@ -80,7 +88,8 @@ def read_frame_folder(folder: Path) -> Frames:
         raise FormatError(f"{folder}: expected one .json file per frame, found none")
     JSON.check(sum(path.stat().st_size for path in paths), folder)
     numbers = frame_numbers([path.stem for path in paths], str(folder))
-    found = _contents(paths, folder)
+    found = [read_bytes(path, JSON) for path in paths]
+    _check_sizes(found, folder)
     order = np.argsort(numbers, kind="stable").tolist()
     return [(numbers[k], _parsed(paths[k], found[k])) for k in order]
 

@@ -1,0 +1,312 @@
+"""Which bones of a character are which of our joints: by names, by VRM's table, by the tree."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.bone_names import names_of_joints
+from recon.core.errors import ReconError
+from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
+from recon.core.skeleton import JOINTS
+from recon.export.bone_tree import Tree, bones_by_tree
+from recon.formats.texts import read_toml
+
+_LIMBS = {
+    "shoulder": ("upperarm", "uparm", "arm", "armupper", "humerus", "shldr",
+                 "shldrbend", "shoulder"),
+    "elbow": ("forearm", "lowerarm", "lowarm", "loarm", "armlower", "elbow", "forearmbend"),
+    "wrist": ("hand", "wrist"),
+    "hip": ("upleg", "thigh", "upperleg", "uperleg", "legupper", "thighbend", "femur", "hip"),
+    "knee": ("shin", "calf", "lowerleg", "lowleg", "leglower", "knee", "tibia", "leg"),
+    "ankle": ("ankle", "foot"),
+    "foot": ("toebase", "toes", "toe", "ball", "foot"),
+}  # fmt: skip
+"""Names of every joint of a limb without side and separators, the surest first."""
+_NEEDED = tuple(
+    f"{side}_{name}" for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    for side in SIDES
+)  # fmt: skip
+_OTHERS = frozenset((
+    "ik", "fk", "pole", "ctrl", "control", "mch", "target", "end", "twist", "roll", "helper",
+    "nub", "tip", "adj", "tweak", "socket", "prop", "weapon", "dyn", "jiggle", "eff", "effector",
+))  # fmt: skip
+"""Words in names of bones that help others and are none of a person's."""
+_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_FINGER_WORDS = {
+    "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
+    "pinky": "pinky", "little": "pinky", "pinkie": "pinky",
+    "first": "thumb", "second": "index", "third": "middle", "fourth": "ring", "fifth": "pinky",
+}  # fmt: skip
+_METACARPALS = frozenset(("metacarpal", "meta", "mc", "palm", "0", "00"))
+_CLAVICLES = ("shoulder", "clavicle", "collar", "clav", "scapula")
+
+
+@dataclass(frozen=True)
+class BoneMap:
+    """The nodes of a character that move like a person's bones."""
+
+    nodes: Mapping[str, int]
+    """Of our joints, of which spine, neck and fingers may be missing."""
+    spine: tuple[int, ...]
+    """From above the hips to the node that bears the arms."""
+    neck: tuple[int, ...]
+    """From there to below the head."""
+    by_tree: tuple[str, ...]
+    """Joints that were found by the tree, as their names told nothing."""
+
+    def told(self, names: Sequence[str]) -> dict[str, str]:
+        """Names of the nodes by joint."""
+        chains = {"spine": self.spine, "neck": self.neck}
+        joined = {name: ", ".join(names[k] for k in chain) for name, chain in chains.items()}
+        return {name: names[node] for name, node in self.nodes.items()} | {
+            name: nodes for name, nodes in joined.items() if nodes
+        }
+
+
+def map_bones(
+    tree: Tree,
+    places: Float[np.ndarray, "nodes 3"],
+    document: Mapping[str, Any],
+    path: Path,
+    given: Path | None = None,
+) -> BoneMap:
+    """Find the bones of a person.
+
+    A file of the user goes before VRM's table, that before names, and names before the tree. Hips
+    are the lowest node above thighs and head, the spine leads from there to the node above both
+    arms.
+
+    Args:
+        tree: the nodes.
+        places: of the nodes in the character's rest pose, y up.
+        document: the glTF file's JSON.
+        path: of the file, for messages.
+        given: TOML file of lines `left_knee = "name of a node"`, by our names of joints.
+
+    Raises:
+        ReconError: when bones are missing or two are the same; the message has their names.
+    """
+    found, by_tree = _of_vrm(document, len(tree.names)) or _by_names(tree, path), list[str]()
+    found |= _of_user(given, tree) if given is not None else {}
+    missing = [joint for joint in (*_NEEDED, "head") if joint not in found]
+    if missing:
+        guessed = bones_by_tree(tree, places)
+        for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "foot")):
+            for side in SIDES:
+                names = [f"{side}_{joint}" for joint in limb]
+                if any(name in missing for name in names) and names[0] in guessed:
+                    chosen = {name: guessed[name] for name in names if name in guessed}
+                    by_tree += [name for name in chosen if name not in found]
+                    found |= {
+                        name: node
+                        for name, node in chosen.items()
+                        if name in missing or (name == names[-1] and name not in found)
+                    }
+        if "head" not in found and "head" in guessed:
+            found["head"] = guessed["head"]
+            by_tree.append("head")
+    lacking = [joint for joint in (*_NEEDED, "head") if joint not in found]
+    if lacking:
+        raise ReconError(
+            f"{path}: no bones were found for {', '.join(lacking)}. Name them in a file for "
+            f'--bones, as left_knee = "bone"; its bones are {_listed(tree)}'
+        )
+    return _completed(tree, found, tuple(by_tree), path)
+
+
+def _listed(tree: Tree) -> str:
+    names = [tree.names[k] for k in sorted(tree.joints)]
+    more = f" and {len(names) - 60} more" if len(names) > 60 else ""
+    return ", ".join(f"{name!r:.40}" for name in names[:60]) + more
+
+
+def _completed(tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path: Path) -> BoneMap:
+    """Add hips, spine, neck and collars, which lie between the bones that were found.
+
+    Raises:
+        ReconError: when these do not hang together as a body.
+    """
+    legs, arms = ([found[f"{s}_{joint}"] for s in SIDES] for joint in ("hip", "shoulder"))
+    hips = found.get("pelvis", tree.common([*legs, found["head"]]))
+    chest = tree.common(arms)
+    neck_base = tree.common([*arms, found["head"]])
+    spine = tree.between(hips, chest) if hips >= 0 else []
+    needed = {"pelvis": hips, "the node above both arms": chest}
+    if not spine or neck_base < 0:
+        lost = [name for name, node in needed.items() if node < 0] or ["spine"]
+        raise ReconError(
+            f"{path}: {', '.join(lost)} not found: expected a node above both thighs and the "
+            "head, and below it one above both arms. Are these two characters, or parts without "
+            'a common root? Name bones in a file for --bones, as pelvis = "bone"'
+        )
+    nodes: dict[str, int] = {"pelvis": hips, **found}
+    for side, arm in zip(SIDES, arms, strict=True):
+        between = tree.between(chest, arm)[:-1]
+        named = [k for k in between if any(word in tree.names[k].lower() for word in _CLAVICLES)]
+        if between and f"{side}_collar" not in nodes:
+            nodes[f"{side}_collar"] = (named or between)[-1]
+    chain = [*_NEEDED, "head", "pelvis"]
+    for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
+        for side in SIDES:
+            for above, below in pairwise(limb):
+                a, b = nodes[f"{side}_{above}"], nodes[f"{side}_{below}"]
+                if not tree.between(a, b):
+                    raise ReconError(
+                        f"{path}: {side}_{below} is {tree.names[b]!r:.40}, which does not lie "
+                        f"below {tree.names[a]!r:.40}, the {side}_{above}. Name the right bones "
+                        "in a file for --bones"
+                    )
+    for side in SIDES:
+        toes = f"{side}_foot"
+        if toes in nodes and not tree.between(nodes[f"{side}_ankle"], nodes[toes]):
+            del nodes[toes]
+    used = [nodes[name] for name in chain]
+    if len(set(used)) < len(used):
+        twice = next(tree.names[k] for k in used if used.count(k) > 1)
+        raise ReconError(f"{path}: {twice!r:.40} would be two bones; name them with --bones")
+    top = neck_base if neck_base in spine else chest
+    neck = tuple(tree.between(top, nodes["head"])[:-1])
+    chains = {"spine1", "spine2", "spine3", "neck"}
+    kept = {
+        joint: nodes[joint]
+        for joint in (*JOINTS, *HAND_JOINTS)
+        if joint in nodes and joint not in chains
+    }
+    return BoneMap(kept, tuple(spine), neck, by_tree)
+
+
+def _of_user(given: Path, tree: Tree) -> dict[str, int]:
+    """Bones that the user named.
+
+    Raises:
+        ReconError: when a name is none of a joint or node, or of two nodes.
+    """
+    found, known = {}, (*JOINTS, *HAND_JOINTS)
+    for joint, name in read_toml(given).items():
+        if joint not in known or joint in ("spine1", "spine2", "spine3", "neck"):
+            raise ReconError(
+                f"{given}: expected names of joints such as left_knee or right_index1 (spine and "
+                f"neck are what lies between), got {joint!r:.40}"
+            )
+        nodes = [k for k, own in enumerate(tree.names) if own == name]
+        if len(nodes) != 1:
+            count = "no node" if not nodes else f"{len(nodes)} nodes"
+            raise ReconError(
+                f"{given}: {joint} = {name!r:.40}, but {count} of the character has this name; "
+                f"its bones are {_listed(tree)}"
+            )
+        found[joint] = nodes[0]
+    return found
+
+
+def _of_vrm(document: Mapping[str, Any], count: int) -> dict[str, int]:
+    """Bones by the table of a VRM 1.0 or 0.x; empty where the file is none."""
+    extensions = document.get("extensions")
+    extensions = extensions if isinstance(extensions, dict) else {}
+    ours = {theirs: joint for joint, theirs in names_of_joints()["vrm"].items()}
+    rows: list[tuple[Any, Any]] = []
+    for key, old in (("VRMC_vrm", False), ("VRM", True)):
+        told = extensions.get(key)
+        told = told.get("humanoid") if isinstance(told, dict) else None
+        told = told.get("humanBones") if isinstance(told, dict) else None
+        if isinstance(told, dict):
+            rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
+        elif old and isinstance(told, list):
+            rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
+            # VRM 0.x counts the joints of the thumb as those of fingers
+            for side in SIDES:
+                ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
+                ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
+        if rows:
+            break
+    chains = ("spine1", "spine2", "spine3", "neck")
+    return {
+        ours[name]: node for name, node in rows
+        if name in ours and ours[name] not in chains and type(node) is int and 0 <= node < count
+    }  # fmt: skip
+
+
+def _parts(name: str) -> tuple[str, list[str]]:
+    """Side of a bone ("left", "right" or "") and the words of its name in lower case."""
+    plain = re.split(r"[:|]", name)[-1][-80:]
+    words, side = [], ""
+    for word in (one.lower() for one in _WORDS.findall(plain)):
+        if word in ("left", "l", "right", "r") and not side:
+            side = "left" if word[0] == "l" else "right"
+        else:
+            words.append(word)
+    return side, words
+
+
+def _by_names(tree: Tree, path: Path) -> dict[str, int]:
+    """Bones by their names.
+
+    Raises:
+        ReconError: when two bones have names of the same one.
+    """
+    told = {k: _parts(tree.names[k]) for k in sorted(tree.joints)}
+    told = {k: one for k, one in told.items() if not _OTHERS & set(one[1])}
+    candidates: dict[str, list[tuple[int, int, int]]] = {}
+    for node, (side, words) in told.items():
+        trailing = 0
+        while words and words[-1].lstrip("0") == "1":
+            words, trailing = words[:-1], trailing + 1
+        for cut in range(min(len(words), 4)):
+            key = "".join(words[cut:])
+            if key == "head" and not side:
+                candidates.setdefault("head", []).append((cut + trailing, 0, node))
+            for joint, keys in _LIMBS.items() if side else ():
+                if key in keys:
+                    row = (cut + trailing, keys.index(key), node)
+                    candidates.setdefault(f"{side}_{joint}", []).append(row)
+    found: dict[str, int] = {}
+    numbered = [k for k, (_, words) in told.items() if words[:-1] == ["spine"]]
+    if "head" not in candidates and len(numbered) > 3:
+        # Rigify counts neck and head as parts of the spine
+        found["head"] = max(numbered, key=lambda k: len(tree.path(k)))
+    # `foot` is an ankle where no other bone is one, and then no toes
+    for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
+        free = [row for row in rows if row[2] not in found.values()]
+        if not free:
+            continue
+        best = min(row[:2] for row in free)
+        nodes = [node for *how, node in free if tuple(how) == best]
+        top = [k for k in nodes if not set(tree.path(k)[1:]) & set(nodes)]
+        if len(top) > 1:
+            both = " and ".join(f"{tree.names[k]!r:.40}" for k in top[:2])
+            raise ReconError(
+                f"{path}: both {both} may be {joint}. Two characters go one by one; of one, name "
+                "the bones in a file for --bones"
+            )
+        found[joint] = top[0]
+    for side in SIDES:
+        if f"{side}_wrist" in found:
+            found |= _fingers(tree, found[f"{side}_wrist"], side, told)
+    return found
+
+
+def _fingers(
+    tree: Tree, hand: int, side: str, told: Mapping[int, tuple[str, list[str]]]
+) -> dict[str, int]:
+    """Joints of the fingers of one hand, by names and by their order along the fingers."""
+    rows: dict[str, list[tuple[int, int]]] = {finger: [] for finger in FINGERS}
+    for node, (_, words) in told.items():
+        if node == hand or not (below := tree.between(hand, node)):
+            continue
+        named = {_FINGER_WORDS[word] for word in words if word in _FINGER_WORDS}
+        if len(named) == 1:
+            (finger,) = named
+            words = [word.lstrip("0") or "0" for word in words]
+            if finger == "thumb" or not _METACARPALS & set(words):
+                rows[finger].append((len(below), node))
+    return {
+        f"{side}_{finger}{k + 1}": node
+        for finger, nodes in rows.items()
+        for k, (_, node) in enumerate(sorted(nodes)[:3])
+    }

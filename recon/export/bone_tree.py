@@ -1,0 +1,128 @@
+"""Bones of a character whose names tell nothing, by the branches of its tree and their places."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Nodes of a glTF file that may be bones."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """-1 for a node of the scene."""
+    joints: frozenset[int]
+    """Nodes that skins use."""
+
+    def path(self, node: int) -> list[int]:
+        """A node, its parent and so on up to the scene."""
+        found = [node]
+        while (parent := self.parents[found[-1]]) >= 0:
+            found.append(parent)
+        return found
+
+    def common(self, nodes: Sequence[int]) -> int:
+        """The lowest node that all others lie under or are; -1 where none is."""
+        first, *others = (self.path(node) for node in nodes)
+        rest = [set(one) for one in others]
+        return next((one for one in first if all(one in above for above in rest)), -1)
+
+    def between(self, top: int, node: int) -> list[int]:
+        """Nodes from below `top` down to `node`, which is the last."""
+        path = self.path(node)
+        return path[: path.index(top)][::-1] if top in path else []
+
+
+def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str, int]:
+    """Bones by branches of the tree and places: two legs down, two arms aside, a head above.
+
+    Hips are the joint under which two limbs reach the ground, the chest that from which two reach
+    farthest aside. Toes tell the front; where there are none it is +z, as glTF wants.
+    """
+    joints = sorted(tree.joints)
+    children: dict[int, list[int]] = {k: [] for k in joints}
+    for k in joints:
+        if tree.parents[k] in children:
+            children[tree.parents[k]].append(k)
+    leaves = [k for k in joints if not children[k]]
+    if len(leaves) < 5:
+        return {}
+    high = places[leaves, 1]
+    reach = np.ptp(places[joints, 1])
+    low = [k for k, y in zip(leaves, high, strict=True) if y <= high.min() + 0.12 * reach]
+    hips = tree.common(low)
+    branches = [[k for k in low if child in tree.path(k)] for child in children.get(hips, ())]
+    feet = [max(ends, key=lambda k: len(tree.path(k))) for ends in branches if ends]
+    if len(feet) != 2:
+        return {}
+    legs = [[k for k in tree.between(hips, foot) if k in tree.joints] for foot in feet]
+    rest = [k for k in leaves if k not in low]
+    aside = places[feet[0]] - places[feet[1]]
+    aside = aside / max(float(np.linalg.norm(aside)), 1e-9)
+    spread = (places[rest] - places[hips]) @ aside
+    arms = [rest[int(spread.argmax())], rest[int(spread.argmin())]] if rest else []
+    middle = [k for k in rest if abs((places[k] - places[hips]) @ aside) < 0.06 * reach]
+    if len(arms) < 2 or arms[0] == arms[1] or not middle:
+        return {}
+    top = max(middle, key=lambda k: places[k, 1])
+    chest = tree.common(arms)
+    found: dict[str, int] = {}
+    head = tree.between(chest, top)
+    if not head:
+        return {}
+    # a leaf above the head's joint is its tip
+    found["head"] = head[-2] if len(head) > 2 else head[-1]
+    chains = [_leg(legs[0], places), _leg(legs[1], places)]
+    ahead = sum((places[one[3]] - places[one[2]] for one in chains if len(one) > 3), np.zeros(3))
+    if np.linalg.norm(ahead[[0, 2]]) < 1e-3 * reach:
+        ahead = np.array([0.0, 0.0, 1.0])
+    left = np.cross([0.0, 1.0, 0.0], ahead)
+    for number, chain in enumerate(chains):
+        side = "left" if (left @ aside > 0) == (number == 0) else "right"
+        found |= dict(zip([f"{side}_{j}" for j in ("hip", "knee", "ankle", "foot")], chain,
+                          strict=False)) if len(chain) > 2 else {}  # fmt: skip
+        arm = _arm(tree, tree.between(chest, arms[number]), children, places)
+        names = [f"{side}_{j}" for j in ("collar", "shoulder", "elbow", "wrist")]
+        found |= {name: node for name, node in zip(names, arm, strict=False) if node >= 0}
+    return found
+
+
+def _leg(chain: list[int], places: Float[np.ndarray, "nodes 3"]) -> list[int]:
+    """Hip, knee, ankle and toes (where there are some) of a chain; fewer when it is too short."""
+    if len(chain) < 3:
+        return []
+    heights = places[chain, 1] - places[chain[-1], 1]
+    low = [k for k in range(2, len(chain)) if heights[k] < 0.25 * heights[0]]
+    ankle = low[0] if low else len(chain) - 1
+    half = 0.5 * (heights[0] + heights[ankle])
+    knee = min(range(1, ankle), key=lambda k: abs(heights[k] - half))
+    toes = [chain[ankle + 1]] if ankle + 1 < len(chain) else []
+    return [chain[0], chain[knee], chain[ankle], *toes]
+
+
+def _arm(
+    tree: Tree,
+    chain: list[int],
+    children: Mapping[int, list[int]],
+    places: Float[np.ndarray, "nodes 3"],
+) -> list[int]:
+    """Collar (-1 for none), shoulder, elbow and wrist of a chain from the chest to a tip."""
+    chain = [k for k in chain if k in tree.joints]
+    fork = [k for k, node in enumerate(chain) if len(children[node]) > 2]
+    end = fork[0] if fork else len(chain) - 1
+    if end < 2:
+        return []
+    along = np.r_[0, np.linalg.norm(np.diff(places[chain], axis=0), axis=-1).cumsum()]
+
+    def uneven(first: int) -> tuple[float, int]:
+        half = 0.5 * (along[first] + along[end])
+        elbow = min(range(first + 1, end), key=lambda k: abs(along[k] - half))
+        return abs(float(along[elbow] - half) / (along[end] - along[first])), elbow
+
+    # upper arm and forearm are about as long as each other
+    first = int(end > 2 and uneven(1)[0] < uneven(0)[0])
+    elbow = uneven(first)[1]
+    return [chain[0] if first else -1, chain[first], chain[elbow], chain[end]]

@@ -1,0 +1,315 @@
+"""A rigged character of a glTF file: its bones, its rest pose, and points of its skin."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.core import rotations as so3
+from recon.core.errors import FormatError, ReconError
+from recon.export.bone_map import BoneMap, map_bones
+from recon.export.bone_tree import Tree
+from recon.export.glb_file import GltfFile, normalised
+from recon.export.nodes import chained, from_top, joints_of, nodes_of
+
+_UNEVEN = 0.01
+"""Relative difference of scales along the axes of a bone that is refused."""
+_WAYS = 32
+"""Directions in which the farthest points of every bone's skin are kept."""
+
+
+@dataclass(frozen=True)
+class Character:
+    """A character at rest. Matrices are of nodes; y is up, lengths are those of its scene."""
+
+    file: GltfFile
+    bones: BoneMap
+    tree: Tree
+    local: Float[np.ndarray, "nodes 4 4"]
+    """Transform of every node to its parent, as the file has it."""
+    world: Float[np.ndarray, "nodes 4 4"]
+    """And to the scene."""
+    reference: Float[np.ndarray, "nodes 4 4"]
+    """Transform of every node in the pose that the skin was modelled in, in axes of the skin;
+    zeros of nodes that are no bones."""
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def read(cls, path: Path, bones: Path | None = None) -> "Character":
+        """Read a character and find its bones.
+
+        The rest pose is that in which the skin was bound, of a VRM that of its nodes.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it is damaged, has no skin, or no bones of a person are found.
+        """
+        file = GltfFile.read(path)
+        tree, local = nodes_of(file)
+        order = from_top(tree.parents, path)
+        world = chained(tree.parents, order, local)
+        places = world[:, :3, 3]
+        found = map_bones(tree, places, file.document, path, bones)
+        reference, warnings = world, tuple[str, ...]()
+        extensions = file.document.get("extensions")
+        if not isinstance(extensions, dict) or not {"VRM", "VRMC_vrm"} & set(extensions):
+            bound = _bind_pose(file, tree, order, local, found)
+            if bound is None:
+                warnings = (
+                    f"{path}: the pose in which the skin was bound cannot be read; its rest pose "
+                    "is taken to be that of its nodes",
+                )
+            else:
+                reference = bound
+        made = cls(file, found, tree, local, world, reference, warnings)
+        made.check()
+        return made
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Nodes, parents before children."""
+        return from_top(self.tree.parents, self.file.path)
+
+    @property
+    def driven(self) -> list[int]:
+        """Nodes that are animated, parents before children."""
+        used = {*self.bones.nodes.values(), *self.bones.spine, *self.bones.neck}
+        return [k for k in self.order if k in used]
+
+    def check(self) -> None:
+        """Refuse scales under which rotations of bones mean something else.
+
+        Raises:
+            ReconError: with the node.
+        """
+        inner = {above for k in self.driven for above in self.tree.path(k)}
+        for k in sorted(inner):
+            part = self.world[k, :3, :3]
+            sizes = np.linalg.norm(part, axis=0)
+            name, path = self.tree.names[k], self.file.path
+            if not np.isfinite(self.world[k]).all() or sizes.min() < 1e-9:
+                raise FormatError(f"{path}: the bone {name!r:.40} has no size")
+            if np.linalg.det(part) < 0:
+                raise ReconError(
+                    f"{path}: {name!r:.40} mirrors the character by a negative scale; apply the "
+                    "scale in your 3D program and export again"
+                )
+            even = part.T @ part / sizes.mean() ** 2
+            if np.abs(even - np.eye(3)).max() > 3 * _UNEVEN:
+                told = ", ".join(f"{size:.3g}" for size in sizes)
+                raise ReconError(
+                    f"{path}: {name!r:.40} is scaled unevenly ({told}); apply "
+                    "the scale in your 3D program and export again"
+                )
+
+    @cached_property
+    def frame(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation of axes of `reference` to ours: x to the person's left, y up, z ahead."""
+        nodes, place = self.bones.nodes, self.reference[:, :3, 3]
+        legs = place[[nodes["left_hip"], nodes["right_hip"]]]
+        arms = place[[nodes["left_shoulder"], nodes["right_shoulder"]]]
+        up = _nearest_axis(arms.mean(0) - legs.mean(0) + place[nodes["head"]] - legs.mean(0))
+        aside = (legs[0] - legs[1]) + (arms[0] - arms[1])
+        aside = aside - (aside @ up) * up
+        if np.linalg.norm(aside) < 1e-6 * np.linalg.norm(place[nodes["head"]] - legs.mean(0)):
+            raise ReconError(f"{self.file.path}: left and right bones are at the same places")
+        aside = aside / np.linalg.norm(aside)
+        return np.stack((aside, up, np.cross(aside, up)))
+
+    @cached_property
+    def turns(self) -> Float[Tensor, "nodes 3 3"]:
+        """Rotation of every node in the rest pose to our axes of the body."""
+        return torch.from_numpy(self.frame) @ _rotations(self.reference)
+
+    @cached_property
+    def places(self) -> Float[np.ndarray, "nodes 3"]:
+        """Positions in the rest pose, our axes of the body, lengths of the scene."""
+        return self.reference[:, :3, 3] @ self.frame.T * self.scale
+
+    @cached_property
+    def scale(self) -> float:
+        """Length in the scene per length in `reference`."""
+        nodes = self.bones.nodes
+        pairs = [
+            (nodes[f"{s}_{a}"], nodes[f"{s}_{b}"])
+            for s in ("left", "right")
+            for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
+        ]
+        lengths = [
+            sum(np.linalg.norm(np.diff(one[list(pair), :3, 3], axis=0)) for pair in pairs)
+            for one in (self.world, self.reference)
+        ]
+        if min(lengths) < 1e-9:
+            raise FormatError(f"{self.file.path}: its legs and arms have no length")
+        return float(lengths[0] / lengths[1])
+
+    @cached_property
+    def skin(self) -> dict[int, Float[np.ndarray, "points 3"]]:
+        """Points far out on the skin of every bone that is animated, in axes of its node.
+
+        They are relative to the node; multiplied by the size of the node they are lengths of the
+        scene. Empty where the mesh is compressed.
+        """
+        bearer: dict[int, int] = {}
+        driven = set(self.driven)
+        for k in self.order:
+            above = self.tree.parents[k]
+            bearer[k] = k if k in driven else bearer.get(above, -1)
+        found: dict[int, list[np.ndarray]] = {}
+        for joints, binds, places, own in self._skinned():
+            for slot in np.unique(own):
+                node = joints[slot]
+                if bearer[node] < 0:
+                    continue
+                points = places[own == slot] @ binds[slot, :3, :3].T + binds[slot, :3, 3]
+                back = np.linalg.inv(self.world[bearer[node]]) @ self.world[node]
+                points = points @ back[:3, :3].T + back[:3, 3]
+                found.setdefault(bearer[node], []).append(points)
+        return {node: _outermost(np.concatenate(points)) for node, points in found.items()}
+
+    def _skinned(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
+        """Of every readable part of the mesh: joints, inverse bind matrices, vertices, bones."""
+        file, parts = self.file, []
+        meshes, skins = file.listed("meshes"), file.listed("skins")
+        for node in file.listed("nodes"):
+            if "mesh" not in node or "skin" not in node:
+                continue
+            skin = skins[file.index(node["skin"], len(skins), "skin")]
+            mesh = meshes[file.index(node["mesh"], len(meshes), "mesh")]
+            joints, binds = joints_of(file, skin), _binds(file, skin)
+            primitives = mesh.get("primitives")
+            for one in primitives if isinstance(primitives, list) and binds is not None else ():
+                read = _primitive(file, one, len(joints))
+                if read is not None:
+                    parts.append((joints, binds, *read))
+        return parts
+
+    @cached_property
+    def lowest(self) -> float | None:
+        """Height of the lowest vertex of the rest pose in `places`; None where it is not known."""
+        up = self.frame[1] * self.scale
+        if self.reference is not self.world and (box := self._box()) is not None:
+            corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
+            return float((corners @ up).min())
+        low = [(self._at_rest(node, points) @ up).min() for node, points in self.skin.items()]
+        return float(min(low)) if low else None
+
+    def _at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
+        return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
+
+    def _box(self) -> Float[np.ndarray, "2 3"] | None:
+        """Smallest and largest coordinates of the vertices of the skin that has most bones."""
+        file = self.file
+        main, boxes = _main_skin(file, self.bones), []
+        accessors, meshes = file.listed("accessors"), file.listed("meshes")
+        for node in file.listed("nodes"):
+            if node.get("skin") != main or "mesh" not in node:
+                continue
+            mesh = meshes[file.index(node["mesh"], len(meshes), "mesh")]
+            for one in mesh.get("primitives") or ():
+                number = one.get("attributes", {}).get("POSITION")
+                told = accessors[file.index(number, len(accessors), "accessor")]
+                box = np.array([told.get("min"), told.get("max")], dtype=object)
+                if box.shape == (2, 3) and all(type(x) in (int, float) for x in box.flat):
+                    boxes.append(normalised(box.astype(float), told))
+        if not boxes:
+            return None
+        stacked = np.stack(boxes)
+        return np.stack((stacked[:, 0].min(0), stacked[:, 1].max(0)))
+
+
+def _main_skin(file: GltfFile, bones: BoneMap) -> int:
+    """The skin that has most of the bones."""
+    used = set(bones.nodes.values())
+    skins = [used & set(joints_of(file, skin)) for skin in file.listed("skins")]
+    return max(range(len(skins)), key=lambda k: len(skins[k]))
+
+
+def _binds(file: GltfFile, skin: dict[str, Any]) -> Float[np.ndarray, "joints 4 4"] | None:
+    """Inverse bind matrices of a skin; None where they cannot be read."""
+    count = len(joints_of(file, skin))
+    if "inverseBindMatrices" not in skin:
+        return np.tile(np.eye(4), (count, 1, 1))
+    numbers = file.numbers(skin["inverseBindMatrices"])
+    if numbers is None:
+        return None
+    if numbers.shape[0] < count or numbers.shape[1] != 16 or not np.isfinite(numbers).all():
+        raise FormatError(
+            f"{file.path}: expected {count} inverse bind matrices, got {numbers.shape[0]}, or "
+            "they are not finite"
+        )
+    return numbers[:count].astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
+
+
+def _bind_pose(
+    file: GltfFile, tree: Tree, order: list[int], local: np.ndarray, bones: BoneMap
+) -> Float[np.ndarray, "nodes 4 4"] | None:
+    """The pose in which the skin was bound, in the skin's own axes; None where it is not known."""
+    skin = file.listed("skins")[_main_skin(file, bones)]
+    binds = _binds(file, skin)
+    if binds is None or "inverseBindMatrices" not in skin:
+        return None
+    if np.abs(np.linalg.det(binds[:, :3, :3])).min() < 1e-15:
+        return None
+    own = dict(zip(joints_of(file, skin), np.linalg.inv(binds), strict=True))
+    made = np.zeros((len(tree.names), 4, 4))
+    for k in order:
+        above = tree.parents[k]
+        if k in own:
+            made[k] = own[k]
+        elif above >= 0 and made[above].any():
+            made[k] = made[above] @ local[k]
+    used = [*bones.nodes.values(), *bones.spine, *bones.neck]
+    turned = np.linalg.det(made[used][:, :3, :3])
+    return made if (turned > 1e-15).all() else None
+
+
+def _primitive(
+    file: GltfFile, one: Any, joints: int
+) -> tuple[np.ndarray, Int[np.ndarray, " vertices"]] | None:
+    """Vertices and the joint that moves each most; None where they cannot be read."""
+    attributes = one.get("attributes") if isinstance(one, dict) else None
+    extensions = one.get("extensions") if isinstance(one, dict) else None
+    if not isinstance(attributes, dict) or "KHR_draco_mesh_compression" in (extensions or {}):
+        return None
+    if not {"POSITION", "JOINTS_0", "WEIGHTS_0"} <= set(attributes):
+        return None
+    read = [file.numbers(attributes[name]) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0")]
+    places, slots, weights = read
+    if places is None or slots is None or weights is None:
+        return None
+    if not len(places) == len(slots) == len(weights) or slots.shape != weights.shape:
+        raise FormatError(f"{file.path}: a mesh has vertices without weights")
+    own = np.take_along_axis(slots, weights.argmax(1)[:, None], 1)[:, 0].astype(int)
+    if len(own) and (own.min() < 0 or own.max() >= joints or not np.isfinite(places).all()):
+        raise FormatError(f"{file.path}: a mesh has vertices of no joint, or they are not finite")
+    return places.astype(float), own
+
+
+def _outermost(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "some 3"]:
+    """Points that are farthest in some direction."""
+    k = np.arange(_WAYS) + 0.5
+    height, angle = 1 - 2 * k / _WAYS, np.pi * (1 + 5**0.5) * k
+    level = np.sqrt(1 - height**2)
+    ways = np.stack((level * np.cos(angle), level * np.sin(angle), height), 1)
+    best = [(points @ way).argmax() for way in ways]
+    return points[np.unique(best)]
+
+
+def _nearest_axis(way: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The direction along or against an axis that is nearest to another."""
+    at = int(np.abs(way).argmax())
+    return np.eye(3)[at] * np.sign(way[at])
+
+
+def _rotations(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[Tensor, "nodes 3 3"]:
+    """Rotations of transforms without their scales; the identity for zeros."""
+    parts = torch.from_numpy(matrices[:, :3, :3].copy())
+    sizes = parts.norm(dim=-2, keepdim=True)
+    some = (sizes > 0).all(-1, keepdim=True)
+    return so3.nearest(torch.where(some, parts / sizes.clamp(min=1e-300), torch.eye(3).to(parts)))

@@ -1,0 +1,257 @@
+"""Legs and arms of a character that keep a person's contacts with the ground."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.contacts import MAXIMUM_SPEED
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.fingers import SIDES
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+from recon.export.rig import Posed, Rig
+
+LEG, ARM = ("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")
+_REACH = 0.9995
+"""Share of a limb's length to which it is stretched at most."""
+_NEAR = 0.04
+"""Metres above the ground up to which a foot or hand touches it."""
+_LOW = 0.25
+"""Metres above that over which the height of our foot ceases to count for the character's."""
+_SOFT = 0.002
+"""Metres of height over which points share that they are the lowest."""
+_LEAVING = 3 * MAXIMUM_SPEED
+"""m/s of a foot that comes to its stand or leaves it."""
+_EASE = 0.25
+"""Seconds in which a hand comes to its contact, and hips are raised or lowered."""
+_BENT = 0.02
+"""Share of a leg's length by which the front of the thigh counts for the side of the knee."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Where the skin of one of our feet or hands is near the ground."""
+
+    height: Float[Tensor, " time"]
+    """Of its lowest point above the ground, metres."""
+    steps: Float[Tensor, "time 2"]
+    """How this point moved over the ground since the frame before, metres; first zero."""
+    stands: Bool[Tensor, " time"]
+    """Whether it touches and is slow."""
+
+    @classmethod
+    def of(cls, points: Float[Tensor, "time points 3"], fps: float) -> "Contacts":
+        """The contacts of skin over the ground z = 0."""
+        height = points[..., 2].amin(1)
+        steps = torch.nn.functional.pad(lowest_steps(points, points[..., 2]), (0, 0, 1, 0))
+        speed = steps.norm(dim=-1) * fps
+        near = (height < _NEAR) & (speed < _LEAVING)
+        return cls(height, steps[:, :2], _with_some(near, speed < MAXIMUM_SPEED))
+
+
+@dataclass(frozen=True)
+class Person:
+    """What a character needs of our own body; z up, metres."""
+
+    middle: Float[Tensor, "time 3"]
+    """Between the hip joints."""
+    leg: float
+    """Length of the straight leg, with the height of the ankle."""
+    contacts: dict[str, Contacts]
+    """Of feet, by ankles, and of hands, by wrists."""
+
+    @classmethod
+    def of(cls, motion: Motion, body: BodyModel, ground: float) -> "Person":
+        """A person on level ground of some height."""
+        posed, rest = body.pose(motion), body.rest_joints(motion.shape)
+        sole = body.rest_vertices(motion.shape)[:, 1].min()
+        own, contacts = body.weights.argmax(-1), {}
+        for side in SIDES:
+            for end, joints in (("ankle", ("ankle", "foot")), ("wrist", ("wrist",))):
+                rows = torch.tensor([joint_index(f"{side}_{joint}") for joint in joints])
+                points = posed.points(torch.isin(own, rows).nonzero()[:, 0])
+                shift = points.new_tensor([0.0, 0.0, ground])
+                contacts[f"{side}_{end}"] = Contacts.of(points - shift, motion.fps)
+        chain = rest[[joint_index(f"left_{joint}") for joint in LEG]]
+        length = chain.diff(dim=0).norm(dim=-1).sum() + chain[-1, 1] - sole
+        hips = [joint_index(f"{side}_hip") for side in SIDES]
+        return cls(posed.joints[:, hips].mean(1), float(length), contacts)
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A leg or an arm of a character."""
+
+    rig: Rig
+    chain: tuple[int, ...]
+    """Its three nodes."""
+    tip: tuple[int, ...]
+    """Animated nodes of the foot, or of the forearm and the hand."""
+    contacts: Contacts
+    is_arm: bool
+
+    @classmethod
+    def of(cls, rig: Rig, side: str, names: tuple[str, ...], person: Person) -> "Limb":
+        """The limb of a side, and the contacts that it has to keep."""
+        nodes, tree = rig.character.bones.nodes, rig.character.tree
+        chain = tuple(nodes[f"{side}_{name}"] for name in names)
+        # an arm that stands on a hand may have its thickest part above the wrist
+        end = chain[1 if names == ARM else 2]
+        tip = tuple(k for k in rig.rest if end in tree.path(k))
+        return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)
+
+    @property
+    def length(self) -> float:
+        """Of its two bones, in the scene."""
+        places = torch.from_numpy(self.rig.character.places)[list(self.chain)]
+        return float(places.diff(dim=0).norm(dim=-1).sum())
+
+    def goal(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
+        """Where the end joint belongs in every frame, (time, 3).
+
+        While our foot stands, the character's lowest point moves with the speed of ours, times
+        `ratio` where that is below 1, and between two stands what this takes is spread. Near the
+        ground, and a hand about its contacts, it is as high as ours times `ratio`; nowhere is it
+        in the ground.
+        """
+        end, stands = posed[self.chain[2]][:, :3, 3], self.contacts.stands
+        away = self._outside(posed) - end[:, None]
+        depth = away[..., 1].amin(1)
+        ours = self.contacts.steps * min(ratio, 1.0)
+        # x, y of ours are x, -z of the scene
+        ours = torch.stack((ours[:, 0], -ours[:, 1]), -1)
+        moves = end.diff(dim=0) + lowest_steps(away, away[..., 1])
+        shift = _while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
+        high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
+        near = _eased(stands, fps)
+        if not self.is_arm:
+            near = near.maximum(1 - _smooth((self.contacts.height - _NEAR) / _LOW))
+        high = (high * near).maximum((ground - depth - end[:, 1]).clamp(min=0.0))
+        return end + torch.stack((shift[:, 0], high, shift[:, 1]), -1)
+
+    def _outside(self, posed: Posed) -> Float[Tensor, "time points 3"]:
+        """Points of the skin of its end; where that cannot be read, the sole below joints."""
+        points = self.rig.points(posed, list(self.tip))
+        if points.shape[1]:
+            return points
+        character, found = self.rig.character, []
+        low = character.lowest
+        for node in self.tip:
+            depth = 0.0 if low is None or self.is_arm else character.places[node, 1] - low
+            turn = posed[node][:, :3, :3] @ self.rig.rest[node].mT
+            found.append(posed[node][:, :3, 3] - float(depth) * turn[..., 1])
+        return torch.stack(found, 1)
+
+    def missing(self, posed: Posed, goal: Float[Tensor, "time 3"]) -> Float[Tensor, " time"]:
+        """By how much the hips must sink so that it reaches its goal."""
+        joints = torch.stack([posed[k][:, :3, 3] for k in self.chain], 1)
+        length = _REACH * joints.diff(dim=1).norm(dim=-1).sum(1)
+        way = joints[:, 0] - goal
+        level = way[:, [0, 2]].square().sum(-1)
+        return (way[:, 1] - (length.square() - level).clamp(min=0.0).sqrt()).clamp(min=0.0)
+
+    def reaching(
+        self, posed: Posed, goal: Float[Tensor, "time 3"]
+    ) -> dict[int, Float[Tensor, "time 3 3"]]:
+        """World rotations of its two bones that take its end to a goal, or as near as it reaches.
+
+        The middle joint keeps its side of the line between the ends, and a knee, which a straight
+        leg does not tell the side of, that of the thigh's front.
+        """
+        top, middle, last = (posed[k][:, :3, 3] for k in self.chain)
+        a, b = (middle - top).norm(dim=-1), (last - middle).norm(dim=-1)
+        way, was = goal - top, _unit(last - top)
+        far = way.norm(dim=-1).clamp(max=_REACH * (a + b)).maximum((a - b).abs() / _REACH)
+        way = _unit(way)
+        side = middle - top
+        if not self.is_arm:
+            turn = posed[self.chain[0]][:, :3, :3] @ self.rig.rest[self.chain[0]].mT
+            side = side + _BENT * (a + b)[:, None] * turn[..., 2]
+        side = _unit(side - (side * was).sum(-1, keepdim=True) * was)
+        side = (so3.between(was, way) @ side[..., None])[..., 0]
+        along = (a.square() + far.square() - b.square()) / (2 * far)
+        out = (a.square() - along.square()).clamp(min=0.0).sqrt()
+        bend = top + along[:, None] * way + out[:, None] * side
+        first = so3.between(middle - top, bend - top)
+        second = so3.between(last - middle, top + far[:, None] * way - bend)
+        return {self.chain[0]: first, self.chain[1]: second}
+
+
+def lowest_steps(
+    points: Float[Tensor, "time points 3"], heights: Float[Tensor, "time points"]
+) -> Float[Tensor, "steps 3"]:
+    """How the lowest points move from frame to frame; points of like height share."""
+    share = torch.softmax((heights.amin(1, keepdim=True) - heights) / _SOFT, 1)
+    between = 0.5 * (share[1:] + share[:-1])
+    return (between[..., None] * points.diff(dim=0)).sum(1)
+
+
+def envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
+    """A smooth curve that is nowhere below values, and zero far from those that are not."""
+    reach = max(1, round(_EASE / 2 * fps))
+    rows = values[None, None]
+    high = torch.nn.functional.max_pool1d(
+        torch.nn.functional.pad(rows, (2 * reach, 2 * reach), mode="replicate"), 2 * reach + 1, 1
+    )
+    return torch.nn.functional.avg_pool1d(high, 2 * reach + 1, 1)[0, 0]
+
+
+def _unit(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
+    return vectors / vectors.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+
+
+def _stretches(stands: Bool[Tensor, " time"]) -> list[tuple[int, int]]:
+    """First frames of stretches of true values, and the frames after their ends."""
+    edges = torch.nn.functional.pad(stands.int(), (1, 1)).diff().nonzero()[:, 0].tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def _with_some(near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]) -> Bool[Tensor, " time"]:
+    """Stretches of true values without those in which another is never true."""
+    kept = torch.zeros_like(near)
+    for first, stop in _stretches(near):
+        kept[first:stop] = bool(slow[first:stop].any())
+    return kept
+
+
+def _eased(stands: Bool[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
+    """1 where a contact is, and less the farther it is."""
+    return envelope(stands.double(), fps)
+
+
+def _while_standing(
+    steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, fades: bool
+) -> Float[Tensor, "time 2"]:
+    """Shifts that change by given steps while a foot stands, and smoothly between.
+
+    They are zero on the average of every stand. With `fades` they go to zero between.
+    """
+    found, frames = steps.new_zeros(len(stands), 2), len(stands)
+    stretches = _stretches(stands)
+    for first, stop in stretches:
+        path = torch.nn.functional.pad(steps[first : stop - 1], (0, 0, 1, 0)).cumsum(0)
+        found[first:stop] = path - path.mean(0)
+    edges = [0, *(edge for stretch in stretches for edge in stretch), frames]
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        before = found[first - 1] if first else found.new_zeros(2)
+        after = found[stop] if stop < frames else found.new_zeros(2)
+        count = torch.arange(1, stop - first + 1, dtype=steps.dtype)[:, None]
+        if fades:
+            ease = max(1.0, _EASE * fps)
+            fall, rise = _smooth(1 - count / ease), _smooth(1 - count.flip(0) / ease)
+        else:
+            # before the first stand and after the last one nothing else counts
+            rise = _smooth(count / (stop - first + 1)) if first else torch.ones_like(count)
+            rise = rise if stop < frames else torch.zeros_like(count)
+            fall = 1 - rise
+        found[first:stop] = before * fall + after * rise
+    return found
+
+
+def _smooth(share: Tensor) -> Tensor:
+    """From 0 to 1 with level ends."""
+    share = share.clamp(0.0, 1.0)
+    return share * share * (3 - 2 * share)

@@ -1,0 +1,110 @@
+"""Nodes of a glTF file: their tree, their transforms, and which of them are joints of skins."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.errors import FormatError, ReconError
+from recon.export.bone_tree import Tree
+from recon.export.glb_file import GltfFile
+
+
+def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
+    """Nodes of the joints of a skin.
+
+    Raises:
+        ValueError: when these are no nodes of the file.
+    """
+    joints, count = skin.get("joints"), len(file.listed("nodes"))
+    if not isinstance(joints, list) or not joints:
+        raise FormatError(f"{file.path}: a skin has no joints")
+    return [file.index(one, count, "node") for one in joints]
+
+
+def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
+    """The tree of nodes and their transforms.
+
+    Raises:
+        ValueError: when there is no skin, or a node has two parents.
+    """
+    nodes, skins = file.listed("nodes"), file.listed("skins")
+    if not skins:
+        raise ReconError(
+            f"{file.path}: expected a rigged character, but it has no skin; bind the mesh to a "
+            "skeleton, in Blender or by a service for rigging, and export it again"
+        )
+    parents = [-1] * len(nodes)
+    for k, node in enumerate(nodes):
+        children = node.get("children", [])
+        if not isinstance(children, list):
+            raise FormatError(f"{file.path}: the children of node {k} are no list")
+        for child in children:
+            at = file.index(child, len(nodes), "node")
+            if parents[at] >= 0:
+                raise FormatError(f"{file.path}: node {at} has two parents")
+            parents[at] = k
+    names = tuple(str(one.get("name", f"node {k}")) for k, one in enumerate(nodes))
+    joints = frozenset(k for skin in skins for k in joints_of(file, skin))
+    local = np.stack([local_matrix(one, file.path) for one in nodes])
+    return Tree(names, tuple(parents), joints), local
+
+
+def local_matrix(node: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"]:
+    """Transform of a node to its parent.
+
+    Raises:
+        ValueError: when it has other numbers than it may have.
+    """
+    if "matrix" in node:
+        return _numbers(node["matrix"], 16, path).reshape(4, 4).T
+    made = np.eye(4)
+    x, y, z, w = _numbers(node.get("rotation", (0, 0, 0, 1)), 4, path)
+    size = x * x + y * y + z * z + w * w
+    if size < 1e-12:
+        raise FormatError(f"{path}: a node has the rotation zero")
+    n = 2 / size
+    turn = np.array([
+        [1 - n * (y * y + z * z), n * (x * y - z * w), n * (x * z + y * w)],
+        [n * (x * y + z * w), 1 - n * (x * x + z * z), n * (y * z - x * w)],
+        [n * (x * z - y * w), n * (y * z + x * w), 1 - n * (x * x + y * y)],
+    ])  # fmt: skip
+    made[:3, :3] = turn * _numbers(node.get("scale", (1, 1, 1)), 3, path)
+    made[:3, 3] = _numbers(node.get("translation", (0, 0, 0)), 3, path)
+    return made
+
+
+def _numbers(value: Any, count: int, path: Path) -> np.ndarray:
+    fits = isinstance(value, list | tuple) and len(value) == count
+    if not fits or not all(type(x) in (int, float) and abs(x) < 1e9 for x in value):
+        raise FormatError(f"{path}: expected {count} numbers of a node, got {value!r:.60}")
+    return np.array(value, float)
+
+
+def from_top(parents: tuple[int, ...], path: Path) -> list[int]:
+    """Nodes, parents before children.
+
+    Raises:
+        ValueError: when nodes are their own ancestors.
+    """
+    children: dict[int, list[int]] = {}
+    for k, parent in enumerate(parents):
+        children.setdefault(parent, []).append(k)
+    order = list(children.get(-1, ()))
+    for k in order:
+        order += children.get(k, ())
+    if len(order) < len(parents):
+        raise FormatError(f"{path}: its nodes lie below each other in a circle")
+    return order
+
+
+def chained(
+    parents: tuple[int, ...], order: list[int], local: Float[np.ndarray, "nodes 4 4"]
+) -> Float[np.ndarray, "nodes 4 4"]:
+    """Transforms of nodes to the scene, from those to their parents."""
+    world = local.copy()
+    for k in order:
+        if parents[k] >= 0:
+            world[k] = world[parents[k]] @ local[k]
+    return world

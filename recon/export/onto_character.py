@@ -1,0 +1,197 @@
+"""Writes a motion as an animation of a user's own rigged character."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.fingers import HAND_JOINTS, SIDES
+from recon.core.motion import Motion
+from recon.core.units import to_z_up
+from recon.export.character import Character
+from recon.export.limbs import ARM, LEG, Limb, Person, envelope
+from recon.export.rig import Carried, Posed, Rig, turns_of
+from recon.export.skeleton import one_clip, quaternions
+
+_UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Animated:
+    """A character that was animated, and what to know of it."""
+
+    bones: dict[str, str]
+    """Names of its nodes, by our joints."""
+    scale: float
+    """Ratio of its legs to the person's, by which the path was enlarged."""
+    warnings: tuple[str, ...]
+
+
+def write_character(
+    path: Path,
+    motion: Motion,
+    body: BodyModel,
+    character: Path,
+    *,
+    bones: Path | None = None,
+    ground: float = 0.0,
+) -> Animated:
+    """Write a user's character as GLB with a motion as one animation more.
+
+    Mesh, materials, other animations and extensions stay as they are in the file.
+
+    Args:
+        path: file to write.
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        character: a rigged .glb, .vrm or .gltf of any proportions, unit, rest pose and names.
+        bones: TOML file of lines `left_knee = "name of a node"`, where names tell nothing.
+        ground: height of the level ground in the motion, metres.
+
+    Raises:
+        FileNotFoundError: when a file is not there.
+        ValueError: when the character is damaged, has no skin, or bones are missing.
+    """
+    # read anew in double precision, since steps of feet are small differences
+    motion = one_clip(motion).to(dtype=torch.float64)
+    read = Character.read(character, bones)
+    rig, carried, ratio = carry(motion, body.to(dtype=torch.float64), read, ground)
+    posed, turned = rig.posed(carried), _fingers_and_all(read, motion)
+    tracks: list[tuple[int, str, np.ndarray]] = []
+    records: dict[int, dict[str, Any]] = {}
+    for node in turned:
+        record = dict(read.file.listed("nodes")[node])
+        if "matrix" in record:
+            record |= _parts(read.local[node])
+            del record["matrix"]
+            records[node] = record
+        above = read.tree.parents[node]
+        over = _above(rig, posed, node)
+        local = over[:, :3, :3].mT @ posed[node][:, :3, :3]
+        if node == rig.hips:
+            back = np.eye(4) if above < 0 else np.linalg.inv(read.world[above])
+            places = so3.transform(torch.from_numpy(back), posed[node][:, :3, 3])
+            tracks.append((node, "translation", places.numpy()))
+        tracks.append((node, "rotation", quaternions(local[:, None])[:, 0].numpy()))
+    times = np.arange(motion.frames) / motion.fps
+    read.file.write_with(path, "motion", times, tracks, records)
+    return Animated(read.bones.told(read.tree.names), ratio, _warnings(read, motion))
+
+
+def carry(
+    motion: Motion, body: BodyModel, character: Character, ground: float
+) -> tuple[Rig, Carried, float]:
+    """Move a character as a person moves; also the ratio of its legs to the person's.
+
+    Every bone turns as ours does, from a rest pose that is turned to ours. The middle of the hips
+    follows ours, enlarged by the ratio of the legs about its first place. Then feet that stand and
+    hands that touch the ground keep to it (`Limb.goal`): the hips sink where a leg is too short,
+    rise where other parts would be in the ground, and the two bones above follow.
+    """
+    rig, person = Rig.of(character, motion, body), Person.of(motion, body, ground)
+    up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
+    turns = {node: up @ turn for node, turn in turns_of(character, motion, body).items()}
+    legs = [Limb.of(rig, side, LEG, person) for side in SIDES]
+    arms = [Limb.of(rig, side, ARM, person) for side in SIDES]
+    nodes = character.bones.nodes
+    low = 0.0 if character.lowest is None else character.lowest
+    depth = float(np.mean([character.places[one.chain[2], 1] for one in legs])) - low
+    ratio = (float(np.mean([leg.length for leg in legs])) + max(depth, 0.0)) / person.leg
+    free = Carried(turns, motion.translation * 0)
+    posed = rig.posed(free)
+    hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
+    begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
+    way = (begin + ratio * (person.middle - begin)) @ up.T
+    # where our soles are in the ground theirs are on it, and the hips as much higher
+    soles = torch.stack([one.contacts.height for one in legs]).amin(0)
+    raised = ratio * envelope((-soles).clamp(min=0.0), motion.fps)
+    free = replace(free, hips=way - hips + raised[:, None] * _UP)
+    carried, feet, hands = free, *({k for one in two for k in one.tip} for two in (legs, arms))
+    # hands that the arms cannot lift are lifted with the body
+    for lifted in (feet | hands, feet, feet):
+        skin = rig.points(rig.posed(carried), [k for k in character.driven if k not in lifted])
+        if skin.shape[1]:
+            sunk = (ground - skin[..., 1].amin(1)).clamp(min=0.0)
+            free = replace(free, hips=free.hips + envelope(sunk, motion.fps)[:, None] * _UP)
+        posed = rig.posed(free)
+        goals = [one.goal(posed, motion.fps, ratio, ground) for one in legs]
+        short = [one.missing(posed, goal) for one, goal in zip(legs, goals, strict=True)]
+        sinks = envelope(torch.stack(short).amax(0), motion.fps)
+        free = replace(free, hips=free.hips - sinks[:, None] * _UP)
+        carried = _reaching(rig, free, legs, motion.fps, ratio, ground)
+        carried = _reaching(rig, carried, arms, motion.fps, ratio, ground)
+    return rig, carried, ratio
+
+
+def _reaching(
+    rig: Rig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
+) -> Carried:
+    """The character with limbs that end where they belong."""
+    posed, turns = rig.posed(carried), dict(carried.turns)
+    for one in limbs:
+        goal = one.goal(posed, fps, ratio, ground)
+        for node, turn in one.reaching(posed, goal).items():
+            turns[node] = turn @ turns[node]
+    return replace(carried, turns=turns)
+
+
+def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
+    """Nodes that the animation turns: fingers only where the motion has some."""
+    idle = {
+        node for joint, node in character.bones.nodes.items()
+        if motion.hands is None and joint in HAND_JOINTS
+    }  # fmt: skip
+    return [node for node in character.driven if node not in idle]
+
+
+def _above(rig: Rig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
+    """Rotation of a node's parent in every frame; nodes between animated ones are at rest."""
+    character = rig.character
+    path = character.tree.path(node)[1:]
+    rest = torch.from_numpy(_turned(character.world))
+    if not path:
+        return torch.eye(4, dtype=torch.float64).expand(len(posed[node]), 4, 4)
+    driven = next((k for k in path if k in posed), None)
+    if driven is None:
+        return so3.rigid(rest[path[0]], torch.zeros(3).double()).expand(len(posed[node]), 4, 4)
+    between = rest[driven].mT @ rest[path[0]]
+    return so3.rigid(posed[driven][:, :3, :3] @ between, posed[driven][:, :3, 3])
+
+
+def _turned(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[np.ndarray, "nodes 3 3"]:
+    sizes = np.linalg.norm(matrices[:, :3, :3], axis=1, keepdims=True)
+    return matrices[:, :3, :3] / np.maximum(sizes, 1e-300)
+
+
+def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
+    """Translation, rotation and scale of a matrix: animations move no matrices."""
+    sizes = np.linalg.norm(matrix[:3, :3], axis=0)
+    turn = torch.from_numpy(matrix[:3, :3] / sizes)
+    return {
+        "translation": matrix[:3, 3].tolist(),
+        "rotation": quaternions(turn[None, None])[0, 0].tolist(),
+        "scale": sizes.tolist(),
+    }
+
+
+def _warnings(character: Character, motion: Motion) -> tuple[str, ...]:
+    """What the user should know of how bones were found."""
+    path, found = character.file.path, list(character.warnings)
+    if character.bones.by_tree:
+        found.append(
+            f"{path}: names tell nothing of {', '.join(character.bones.by_tree)}; these bones "
+            "were found by the tree and their places: look at the table of bones"
+        )
+    if character.lowest is None:
+        found.append(
+            f"{path}: the mesh is compressed; soles are taken to be at the joints of the feet"
+        )
+    if motion.hands is not None and not any(j in HAND_JOINTS for j in character.bones.nodes):
+        found.append(f"{path}: no fingers were found; those of the motion are left out")
+    return tuple(found)

@@ -1,0 +1,184 @@
+"""The rig of a character in our rest pose, posed frame by frame, and how a person turns it."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.hands import finger_offsets, pose_fingers
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.fingers import FINGERS, HAND_JOINTS, SIDES
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, joint_index
+from recon.export.character import Character
+
+Posed = dict[int, Float[Tensor, "time 4 4"]]
+"""Rotation (without size) and position of every animated node in the scene."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A character in every frame, y up, lengths of its scene in `Character.unit`."""
+
+    turns: dict[int, Float[Tensor, "time 3 3"]]
+    """World rotation of every animated node since our rest pose, in which a person stands."""
+    hips: Float[Tensor, "time 3"]
+    """Position of the hips' node."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A character with what is needed to pose it."""
+
+    character: Character
+    rest: dict[int, Float[Tensor, "3 3"]]
+    """Rotation of every animated node when the person stands in our rest pose, our axes."""
+    shifts: dict[int, tuple[int, Float[Tensor, "3"]]]
+    """Of every animated node but the hips: the animated node above, and where it is from there,
+    along that node's axes and in lengths of the scene."""
+
+    @classmethod
+    def of(cls, character: Character, motion: Motion, body: BodyModel) -> "Rig":
+        """The rig of a character in the rest pose of a body."""
+        found = _to_rest_pose(character, motion, body)
+        rest = {node: turn @ character.turns[node] for node, turn in found.items()}
+        driven, shifts = set(character.driven), {}
+        for node in character.driven[1:]:
+            path = character.tree.path(node)
+            above = next(k for k in path[1:] if k in driven)
+            chain = np.eye(4)
+            for k in path[: path.index(above)][::-1]:
+                chain = chain @ character.local[k]
+            shifts[node] = (above, torch.from_numpy(chain[:3, 3] * _size(character, above)))
+        return cls(character, rest, shifts)
+
+    @property
+    def hips(self) -> int:
+        """The node of the hips."""
+        return self.character.driven[0]
+
+    def posed(self, carried: Carried) -> Posed:
+        """All animated nodes in the scene."""
+        found: Posed = {}
+        for node in self.character.driven:
+            place = carried.hips
+            if node in self.shifts:
+                above, shift = self.shifts[node]
+                place = found[above][:, :3, 3] + found[above][:, :3, :3] @ shift
+            found[node] = so3.rigid(carried.turns[node] @ self.rest[node], place)
+        return found
+
+    def points(self, posed: Posed, nodes: list[int]) -> Float[Tensor, "time points 3"]:
+        """Points far out on the skin of some nodes, in the scene."""
+        found = [so3.transform(posed[k], self._skin(k)) for k in nodes if k in self.character.skin]
+        return torch.cat(found, 1) if found else posed[self.hips][:, :0, :3]
+
+    def _skin(self, node: int) -> Float[Tensor, "points 3"]:
+        return torch.from_numpy(self.character.skin[node]) * _size(self.character, node)
+
+
+def turns_of(
+    character: Character, motion: Motion, body: BodyModel
+) -> dict[int, Float[Tensor, "time 3 3"]]:
+    """World rotation since the rest pose that a motion gives every animated node, z up.
+
+    A spine of another number of bones gets rotations between those of ours.
+    """
+    ours = body.pose(motion).orientations
+    bones = character.bones
+    found = {node: ours[:, joint_index(j)] for j, node in bones.nodes.items() if j in JOINTS}
+    fingers = None if motion.hands is None else pose_fingers(motion, body)[1]
+    for joint, node in bones.nodes.items():
+        if joint in HAND_JOINTS:
+            wrist = ours[:, joint_index(f"{joint.partition('_')[0]}_wrist")]
+            found[node] = wrist if fingers is None else fingers[:, HAND_JOINTS.index(joint)]
+    for nodes, chain in (
+        (bones.spine, ("pelvis", "spine1", "spine2", "spine3")),
+        (bones.neck, ("spine3", "neck")),
+    ):
+        steps = [ours[:, joint_index(joint)] for joint in chain]
+        for k, node in enumerate(nodes):
+            at = (k + 1) * (len(steps) - 1) / len(nodes)
+            low = min(int(at), len(steps) - 2)
+            share = ours.new_full(ours.shape[:1], at - low)
+            found[node] = so3.interpolate(steps[low], steps[low + 1], share)
+    return found
+
+
+def _size(character: Character, node: int) -> float:
+    """Lengths in the scene per length in a node's own axes."""
+    return float(np.linalg.norm(character.world[node, :3, :3], axis=0).mean())
+
+
+def _to_rest_pose(
+    character: Character, motion: Motion, body: BodyModel
+) -> dict[int, Float[Tensor, "3 3"]]:
+    """Rotation of every animated node from the character's rest pose to ours, our axes.
+
+    Arms, legs and fingers are turned until their bones point as ours do, each bone by the smallest
+    rotation; hands by knuckles too, half of whose turn about the forearm the forearm takes. Trunk,
+    head and feet stay: a person stands upright with flat feet in any rest pose.
+    """
+    nodes, eye = character.bones.nodes, torch.eye(3, dtype=torch.float64)
+    found = dict.fromkeys(character.driven, eye)
+    rest = body.rest_joints(motion.shape).double()
+    ours = {joint: rest[k] for k, joint in enumerate(JOINTS)}
+    places = torch.from_numpy(character.places)
+    offsets = dict(zip(HAND_JOINTS, finger_offsets(motion, body).double(), strict=False))
+
+    def turned(start: str, end: str, way: Tensor, before: Tensor) -> Tensor:
+        theirs = places[nodes[end]] - places[nodes[start]]
+        return so3.between(before @ theirs, way) @ before
+
+    for side in SIDES:
+        for limb in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
+            turn = eye
+            for start, end in pairwise(limb):
+                a, b = f"{side}_{start}", f"{side}_{end}"
+                turn = turned(a, b, ours[b] - ours[a], turn)
+                found[nodes[a]] = turn
+        fore = ours[f"{side}_wrist"] - ours[f"{side}_elbow"]
+        elbow, wrist = nodes[f"{side}_elbow"], nodes[f"{side}_wrist"]
+        found[wrist] = found[elbow]
+        knuckles = [f"{side}_{finger}1" for finger in ("index", "middle", "pinky")]
+        if all(name in nodes for name in knuckles):
+            hand = [
+                _frame(points[1], points[0] - points[2])
+                for points in (
+                    [offsets[name] for name in knuckles],
+                    [places[nodes[name]] - places[wrist] for name in knuckles],
+                )
+            ]
+            found[wrist] = hand[0] @ hand[1].mT
+            found[elbow] = _half_twist(found[wrist] @ found[elbow].mT, fore) @ found[elbow]
+        for finger in FINGERS:
+            turn = found[wrist]
+            for k in (1, 2, 3):
+                a, b = f"{side}_{finger}{k}", f"{side}_{finger}{k + 1}"
+                if motion.hands is not None and a in nodes and b in nodes:
+                    turn = turned(a, b, offsets[b], turn)
+                if a in nodes:
+                    found[nodes[a]] = turn
+    return found
+
+
+def _frame(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Axes along a hand, across it and out of its palm, as columns."""
+    x = along / along.norm()
+    z = torch.linalg.cross(along, across)
+    z = z / z.norm().clamp(min=1e-12)
+    return torch.stack((x, torch.linalg.cross(z, x), z), -1)
+
+
+def _half_twist(turn: Float[Tensor, "3 3"], way: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Half of what a rotation turns about a direction."""
+    axis = way / way.norm()
+    side = torch.linalg.cross(axis, torch.eye(3, dtype=axis.dtype)[int(axis.abs().argmin())])
+    side = side / side.norm()
+    moved = turn @ side
+    angle = torch.atan2(torch.linalg.cross(side, moved) @ axis, side @ moved)
+    return so3.exp(0.5 * angle * axis)
