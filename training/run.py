@@ -167,7 +167,7 @@ class Run(Generic[S, N]):
         self._write(
             CHECKPOINT,
             settings=plain_settings(self.settings),
-            identity_of_run=self.identity,
+            identity=self.identity,
             networks=self.networks.state_dict(),
             optimiser=self.optimiser.state_dict(),
             random=self.random.get_state(),

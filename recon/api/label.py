@@ -1,24 +1,29 @@
 """`recon.label`: names for the markers of a recording that has none."""
 
 import dataclasses
-import warnings
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from jaxtyping import Int
 
 from recon.api.results import Tables, closing_fields
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.units import Unit, Up
+from recon.diagnosis.findings import listed
 from recon.formats.outputs import Output, OutputKind
 from recon.formats.writing import writing
 from recon.ingest.marker_naming import Naming
-from recon.ingest.marker_places import distances_in_trial
+from recon.ingest.marker_places import MarkedBody, bodies_of_set, body_of_trial
+from recon.ingest.marker_sets import markers_of_set
 from recon.ingest.marker_tracks import tracks_of
-from recon.mocap.marker_tables import write_trc
+from recon.mocap.c3d_copy import write_renamed_c3d
+from recon.mocap.marker_tables import write_motive, write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.solver.solution import one_thread
@@ -30,15 +35,19 @@ _MANY_OPEN = 0.1
 
 @dataclass(frozen=True, repr=False)
 class LabelledMarkers:
-    """A recording whose markers have names, and the tracks that could not be named."""
+    """A recording whose markers have names, and those that stayed open."""
 
     recording: MarkerRecording
-    """Named markers, then points without a name (*1, *2, ...); metres, z up."""
+    """Named markers and points without a name (*1, *2, ...); metres, z up."""
     confidence: Mapping[str, float]
     """Mean probability of the name over the frames of each named marker."""
     named: float
     """Share of all points that have a name."""
     warnings: tuple[str, ...]
+    columns: Int[np.ndarray, "time points"]
+    """Which point of the file each point of `recording` was in every frame, -1 where unseen."""
+    source: Path | None
+    """The file; None of a recording that was given."""
 
     @property
     def tables(self) -> Tables:
@@ -59,82 +68,116 @@ class LabelledMarkers:
     def save(
         self, out: Path | str, *, overwrite: bool = False, report: Mapping[str, Any] | None = None
     ) -> None:
-        """Write a TRC file in millimetres, y up, and the report OUT.json.
+        """Write the markers and the report OUT.json.
+
+        A .c3d file is a copy of the one that was read, with other labels and columns of points;
+        .trc is in millimetres, y up, and .csv is Motive's table in metres, y up.
 
         Raises:
-            FormatError: when the name of the file does not end in .trc.
+            FormatError: when the name of the file ends in none of these, or a copy is asked for of
+                what is no C3D file.
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
-        if Path(out).suffix.lower() != ".trc":
-            raise FormatError(f"{out}: named markers are written as TRC; expected a name in .trc")
+        kind = Path(out).suffix.lower()
+        if kind not in (".c3d", ".trc", ".csv"):
+            raise FormatError(f"{out}: expected a name in .c3d, .trc or .csv for named markers")
+        if kind == ".c3d" and (self.source is None or self.source.suffix.lower() != ".c3d"):
+            raise FormatError(
+                f"{out}: a C3D file is written as a copy of one, but {self.recording.name} was "
+                "read from none; write .trc or .csv"
+            )
         said = self.report() if report is None else report
         output = Output(Path(out), OutputKind.FILE)
         with writing(output, report=said, overwrite=overwrite) as (staged,):
-            write_trc(staged, self.recording)
+            if kind == ".c3d" and self.source is not None:
+                write_renamed_c3d(staged, self.source, self.recording.marker_names, self.columns)
+            else:
+                (write_trc if kind == ".trc" else write_motive)(staged, self.recording)
 
 
 def label(
     recording: str | Path | SkeletonRecording | MarkerRecording,
     *,
-    like: str | Path | None = None,
+    like: str | Path | SkeletonRecording | MarkerRecording | None = None,
+    set: str | Path | None = None,
     unit: Unit | None = None,
     up: Up | None = None,
 ) -> LabelledMarkers:
-    """Name the markers of a recording as in another trial of the same person.
+    """Name the markers of a recording as in another trial of the same person, or of a set.
 
     Trajectories are cut where they jump, and named by their distances from each other and by
-    their places seen from others: in the named trial, and on its body in other poses. Names the
-    recording has are ignored. Doubtful points stay open (*1, *2, ...). Nothing is random.
+    their places seen from others: in the named trial, and on its body in other poses; or, of a
+    set, on bodies of many shapes, and then on the one that fits. Names the recording has are
+    ignored. Doubtful points stay open (*1, *2, ...). Nothing is random. A trial that is named like
+    itself gets exchanged names and ghosts put right; a warning counts them.
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.
-        like: a recording of this person, with names and the markers in the same places; needed.
+        like: a recording of this person, with names and the markers in the same places.
+        set: where there is none, a marker set (pig, cmu, opencap, bsm), or a file .toml or .json
+            of marker = landmark; beside `like`, where its markers are.
         unit: of both files; default: found out.
         up: axis of both files that points up, or down; default: found out.
 
     Raises:
         ReconError: when one is no recording of markers, or the named trial has fewer than ten
-            markers or the other hardly fits it.
+            markers or the other hardly fits it, or neither `like` nor `set` is given.
         FileNotFoundError: when there is no such file.
     """
-    if like is None:
+    seen = _read(recording, unit, up)
+    with one_thread(), torch.no_grad():
+        bodies, like_what = _bodies(like, set, unit, up)
+        naming = Naming(seen, tracks_of(seen.positions, seen.visible, seen.fps), bodies)
+        naming.run()
+    if len(np.unique(naming.marker[naming.marker >= 0])) < _FEWEST_NAMES:
         raise ReconError(
-            "expected a trial of the same person whose markers have names; give it with --like"
+            f"{seen.name}: its points fit the markers of {like_what} nowhere; expected one person "
+            "with these markers, upright at some time; check the unit (--unit) and axis (--up)"
         )
+    source = Path(recording) if isinstance(recording, str | Path) else None
+    return _labelled(seen, naming, like_what, source)
+
+
+def _bodies(
+    like: str | Path | SkeletonRecording | MarkerRecording | None,
+    set: str | Path | None,
+    unit: Unit | None,
+    up: Up | None,
+) -> tuple[list[MarkedBody], str]:
+    """Bodies with markers whose names are known, and where from."""
     body = BodyModel.load()
-    trial = _checked_markers(read_recording(like, unit=unit, up=up))
-    if isinstance(recording, str | Path):
-        recording = read_recording(recording, unit=unit, up=up)
-    seen = _checked_markers(recording)
+    markers = None if set is None else markers_of_set(set, body)
+    if like is None:
+        if markers is None:
+            raise ReconError(
+                "expected a trial of the same person whose markers have names, give it with "
+                "--like; or where there is none, the set that the markers are of, with --set"
+            )
+        return bodies_of_set(markers, body), f"the set {set}"
+    trial = _read(like, unit, up)
     named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
     if len(named) < _FEWEST_NAMES:
         raise ReconError(
             f"{trial.name}: expected a trial with {_FEWEST_NAMES} named markers or more to name "
             f"others by, got {len(named)}: give one whose markers have names with --like"
         )
-    with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of no values is NaN, as wanted
-        model = distances_in_trial(trial.select(named), body)
-        track = tracks_of(seen.positions, seen.visible, seen.fps)
-        naming = Naming(track, seen.positions, seen.fps, model)
-        naming.run()
-    if (naming.marker >= 0).sum() < _FEWEST_NAMES:
-        raise ReconError(
-            f"{seen.name}: its points fit the markers of {trial.name} nowhere; expected the same "
-            "person with the same markers, seen at once; check the unit (--unit)"
-        )
-    return _labelled(seen, naming, trial.name)
+    return [body_of_trial(trial.select(named), body, markers)], trial.name
 
 
-def _checked_markers(recording: SkeletonRecording | MarkerRecording) -> MarkerRecording:
-    if isinstance(recording, SkeletonRecording):
-        raise ReconError(f"{recording.name}: expected markers, got the joints of a skeleton")
-    return recording
+def _read(
+    given: str | Path | SkeletonRecording | MarkerRecording, unit: Unit | None, up: Up | None
+) -> MarkerRecording:
+    read = read_recording(given, unit=unit, up=up) if isinstance(given, str | Path) else given
+    if isinstance(read, SkeletonRecording):
+        raise ReconError(f"{read.name}: expected markers, got the joints of a skeleton")
+    return read
 
 
-def _labelled(seen: MarkerRecording, naming: Naming, like: str) -> LabelledMarkers:
-    """The recording with a column for every named marker, then for every track without a name."""
-    names, track = naming.model.names, naming.track
+def _labelled(
+    seen: MarkerRecording, naming: Naming, like: str, source: Path | None
+) -> LabelledMarkers:
+    """The recording in columns of names, then of tracks that stayed open."""
+    names, track = naming.bodies[0].markers.labels, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()
     ends: list[int] = []
@@ -145,10 +188,17 @@ def _labelled(seen: MarkerRecording, naming: Naming, like: str) -> LabelledMarke
         k = free[0] if free else len(ends)
         ends[k : k + 1] = [int(own[-1])]
         column[number] = len(names) + k
-    shape = (len(track), len(names) + len(ends))
-    positions, visible = np.zeros((*shape, 3)), np.zeros(shape, bool)
-    positions[frames, column[numbers]] = seen.positions[frames, points]
-    visible[frames, column[numbers]] = True
+    labels = [*names, *(f"*{k + 1}" for k in range(len(ends)))]
+    columns = np.full((len(track), len(labels)), -1)
+    columns[frames, column[numbers]] = points
+    seldom = np.where(columns >= 0, columns, np.nan)  # in the order of the file
+    shown = (columns >= 0).any(0)
+    order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]
+    order = np.concatenate((np.flatnonzero(shown)[order], np.flatnonzero(~shown)))
+    columns, labels = columns[:, order], [labels[k] for k in order.tolist()]
+    visible = columns >= 0
+    positions = seen.positions[np.arange(len(track))[:, None], columns]
+    positions = np.where(visible[..., None], positions, 0.0)
     sure = 1 / (1 + np.exp(-naming.margin))
     confidence: dict[str, float] = {}
     for k, name in enumerate(names):
@@ -161,11 +211,18 @@ def _labelled(seen: MarkerRecording, naming: Naming, like: str) -> LabelledMarke
         said.append(f"{100 * (1 - share):.0f} % of the points have no name: they are doubtful")
     if lacking:
         said.append(f"nowhere found: {', '.join(lacking)}")
+    held = naming.marker[numbers] >= 0
+    before = np.array(seen.marker_names)[points[held]]
+    after = np.array(names)[naming.marker[numbers[held]]]
+    other = after[(before != after) & np.isin(before, names)]
+    if len(other):  # a trial that has names, some of them wrong
+        which = [f"{name} ({count})" for name, count in Counter(other.tolist()).most_common()]
+        said.append(f"{len(other)} points had another marker's name: {listed(which)}")
     recording = dataclasses.replace(
         seen,
-        marker_names=(*names, *(f"*{k + 1}" for k in range(len(ends)))),
+        marker_names=tuple(labels),
         positions=positions,
         visible=visible,
         decisions=(*seen.decisions, f"{100 * share:.1f} % of the points named as in {like}"),
     )
-    return LabelledMarkers(recording, confidence, share, tuple(said))
+    return LabelledMarkers(recording, confidence, share, tuple(said), columns, source)

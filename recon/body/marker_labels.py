@@ -72,6 +72,13 @@ def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
     return {label: normalised_label(label[cut:]) for label in named}
 
 
+@cache
+def marker_sets() -> Mapping[str, Mapping[str, str]]:
+    """Landmark or keypoint of every label, of each set in `assets/marker_sets.toml`."""
+    text = files("recon").joinpath("assets", "marker_sets.toml").read_text(encoding="utf-8")
+    return cast("dict[str, dict[str, str]]", tomllib.loads(text))
+
+
 def load_marker_map(path: str | Path) -> dict[str, int | None]:
     """Read a user's mapping from marker labels to vertex numbers of the bundled body.
 

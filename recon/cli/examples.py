@@ -31,8 +31,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon convert recordings/ motions/ --all --processes 4",
     ),
     "label": (
-        "recon label trial.c3d --like named.c3d --out trial.trc",
-        "recon label walk.trc --like static.c3d --unit mm --out named.trc",
+        "recon label trial.c3d --like named.c3d --out labelled.c3d",
+        "recon label walk.trc --set pig --unit mm --out named.trc",
     ),
     "convert-all": (
         "recon convert-all recordings/ motions/",

@@ -32,7 +32,9 @@ CORE = {
     "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
     "refine": Verb("recon.api.refine:refine", settings=FitSettings(ground="unknown")),
     "convert": Verb("recon.api.convert:convert", out_follows=True),
-    "label": Verb("recon.api.label:label", out="file of named markers to write (.trc)."),
+    "label": Verb(
+        "recon.api.label:label", out="file of named markers to write (.c3d, .trc or .csv)."
+    ),
     "sample": Verb("recon.api.generate:sample", (Place("out", folder_or_npz_output),), _SEVERAL),
     "predict": Verb("recon.api.generate:predict", (Place("out", folder_or_npz_output),), _SEVERAL),
     "interpolate": Verb("recon.api.interpolate:interpolate"),

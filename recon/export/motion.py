@@ -52,7 +52,7 @@ def export_file(
     ply: Path | None = None,
     html: Path | None = None,
     names: Literal["smpl", "mixamo", "unreal", "vrm", "rigify", "xsens"] = "smpl",
-    markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
+    markers: Literal["joints", "halpe26", "opencap", "pig", "cmu", "bsm"] = "joints",
     model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
     mass: float | None = None,
     plates: Path | None = None,

@@ -1,11 +1,8 @@
 """Writes tables over time: OpenSim's coordinates (.mot), and joint angles as CSV."""
 
-import tomllib
 from collections.abc import Mapping
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +11,7 @@ from torch import Tensor
 from observations.correspondences import PLACES, BodyPlace, BodyPoints
 from recon.body.angles import ISB_ANGLES, isb_angles
 from recon.body.landmarks import landmarks
+from recon.body.marker_labels import marker_sets
 from recon.body.model import BodyModel
 from recon.body.opensim import MODEL_NAMES, OpenSimModel, opensim_coordinates
 from recon.core.errors import ReconError
@@ -109,7 +107,7 @@ def _write_table(
     write_text(path, "\n".join((*header, *lines)) + "\n")
 
 
-MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "bsm"]
+MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "cmu", "bsm"]
 """`joints` are the 22 joints of the body; the others stand in `assets/marker_sets.toml`."""
 
 
@@ -157,11 +155,5 @@ def places_of(markers: str) -> dict[str, BodyPlace]:
     known = landmarks()
     return {
         label: BodyPlace(landmarks=(point,)) if point in known else PLACES[point]
-        for label, point in _marker_sets()[markers].items()
+        for label, point in marker_sets()[markers].items()
     }
-
-
-@cache
-def _marker_sets() -> dict[str, dict[str, str]]:
-    text = files("recon").joinpath("assets", "marker_sets.toml").read_text(encoding="utf-8")
-    return cast("dict[str, dict[str, str]]", tomllib.loads(text))

@@ -19,7 +19,7 @@ from recon.core.bone_names import BoneNames, renamed
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
+from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 
 SUFFIXES = (".usd", ".usda", ".usdc")
@@ -49,22 +49,28 @@ def write_usd(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
     with replacing(path) as beside, TemporaryDirectory() as folder:
         # written under a plain name, since the library parses arguments in file names
         staged = Path(folder) / f"motion{path.suffix.lower()}"
-        _write_stage(staged, motion, body, joint_paths(names))
+        _write_stage(staged, motion, body, names)
         shutil.copyfile(staged, beside)
 
 
-def joint_paths(names: BoneNames = "smpl") -> list[str]:
+def joint_paths(
+    names: BoneNames = "smpl",
+    joints: tuple[str, ...] = JOINTS,
+    parents: tuple[int, ...] = PARENTS,
+) -> list[str]:
     """UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
     paths: list[str] = []
-    told = (re.sub(r"\W", "_", name) for name in renamed(JOINTS, names))
-    for name, parent in zip(told, PARENTS, strict=True):
+    told = (re.sub(r"\W", "_", name) for name in renamed(joints, names))
+    for name, parent in zip(told, parents, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths
 
 
-def _write_stage(path: Path, motion: Motion, body: BodyModel, joints: list[str]) -> None:
+def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) -> None:
     """Make a USD stage with one person and write it."""
     pxr: Any = import_module("pxr")
+    bones = Skeleton.of(motion, body)
+    joints = joint_paths(names, bones.names, bones.parents)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     stage = pxr.Usd.Stage.CreateNew(str(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
@@ -80,14 +86,18 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, joints: list[str])
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
     # the rest pose, in the world (bind) and relative to the parents (rest)
     skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joints))
-    skeleton.CreateBindTransformsAttr(_translation_matrices(pxr, rest))
-    skeleton.CreateRestTransformsAttr(_translation_matrices(pxr, rest_offsets(rest)))
+    skeleton.CreateBindTransformsAttr(_matrices(pxr, np.linalg.inv(bones.binds.astype(float))))
+    apart = np.tile(np.eye(4), (len(joints), 1, 1))
+    apart[:, :3, 3] = bones.offsets
+    skeleton.CreateRestTransformsAttr(_matrices(pxr, apart))
     animation = pxr.UsdSkel.Animation.Define(stage, "/person/motion")
-    _write_animation(pxr, animation, motion, rest, joints)
+    _write_animation(pxr, animation, motion, bones, joints)
     binding = pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     mesh = pxr.UsdGeom.Mesh.Define(stage, "/person/body")
-    _write_skin(pxr, mesh, skeleton, body, body.rest_vertices(motion.shape).detach().cpu().numpy())
+    _write_skin(
+        pxr, mesh, skeleton, body, bones, body.rest_vertices(motion.shape).detach().cpu().numpy()
+    )
     # viewers need bounding boxes over time to show the body
     reach = float(np.linalg.norm(rest - rest[0], axis=-1).max()) + 0.5
     middle = motion.translation.double().numpy() + rest[0]
@@ -98,26 +108,28 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, joints: list[str])
     layer.Save()
 
 
-def _translation_matrices(pxr: Any, places: Float[np.ndarray, "joints 3"]) -> Any:
-    matrix, vector = pxr.Gf.Matrix4d, pxr.Gf.Vec3d
-    moved = [matrix(1.0).SetTranslate(vector(*place)) for place in places.tolist()]
-    return pxr.Vt.Matrix4dArray(moved)
+def _matrices(pxr: Any, transforms: Float[np.ndarray, "joints 4 4"]) -> Any:
+    """Transforms of columns as USD has them, which multiplies rows."""
+    rows = transforms.transpose(0, 2, 1).tolist()
+    return pxr.Vt.Matrix4dArray(
+        [pxr.Gf.Matrix4d(*(x for row in one for x in row)) for one in rows]
+    )
 
 
 def _write_animation(
     pxr: Any,
     animation: Any,
     motion: Motion,
-    rest: Float[np.ndarray, "joints 3"],
+    bones: Skeleton,
     joints: list[str],
 ) -> None:
     """Write the rotations of all joints and the path of the pelvis into an animation."""
     animation.CreateJointsAttr(pxr.Vt.TokenArray(joints))
-    turns = quaternions(motion.rotations.double()).numpy().astype(np.float32)
-    places = np.tile(rest_offsets(rest), (motion.frames, 1, 1))
-    places[:, 0] = motion.translation.double().numpy() + rest[0]
+    turns = quaternions(bones.rotations.double()).numpy().astype(np.float32)
+    places = np.tile(bones.offsets.astype(float), (motion.frames, 1, 1))
+    places[:, 0] += motion.translation.double().numpy()
     rotations, translations = animation.CreateRotationsAttr(), animation.CreateTranslationsAttr()
-    ones = np.ones((len(JOINTS), 3), np.float16)
+    ones = np.ones((len(joints), 3), np.float16)
     animation.CreateScalesAttr(pxr.Vt.Vec3hArray.FromNumpy(ones))
     for frame, (turn, place) in enumerate(zip(turns, places.astype(np.float32), strict=True)):
         rotations.Set(pxr.Vt.QuatfArray.FromNumpy(turn), frame)
@@ -125,7 +137,12 @@ def _write_animation(
 
 
 def _write_skin(
-    pxr: Any, mesh: Any, skeleton: Any, body: BodyModel, vertices: Float[np.ndarray, "vertices 3"]
+    pxr: Any,
+    mesh: Any,
+    skeleton: Any,
+    body: BodyModel,
+    bones: Skeleton,
+    vertices: Float[np.ndarray, "vertices 3"],
 ) -> None:
     """Write the unposed surface and its skinning weights into a mesh."""
     integers, numbers = pxr.Vt.IntArray.FromNumpy, pxr.Vt.FloatArray.FromNumpy
@@ -136,7 +153,7 @@ def _write_skin(
     mesh.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([pxr.Gf.Vec3f(*_COLOUR)])
     mesh.CreateExtentAttr(_bounding_box(pxr, vertices))
-    weights, joints = influences(body.weights)
+    weights, joints = influences(bones.weights)
     count = weights.shape[1]
     binding = pxr.UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])

@@ -102,7 +102,7 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
                 f"are {int(visible.sum(-1).max())} of {len(markers.labels)} at most"
             )
         chosen = _frames_with_most_markers(visible, shown)
-        subject = _energies(recording, markers, body)
+        subject = subject_energies(recording, markers, body)
         found = _calibrated_to_frames(subject.frames(chosen), bones)
         offsets, poses = found.offsets, found.poses
         motion = Motion.create(poses.translation, poses.rotations, found.shape, recording.fps)
@@ -134,7 +134,9 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
     )
 
 
-def _energies(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> SubjectEnergies:
+def subject_energies(
+    recording: MarkerRecording, markers: MarkerSet, body: BodyModel
+) -> SubjectEnergies:
     """Energies of all frames of a subject whose shape and marker offsets are still unknown."""
     visible, vertices = torch.from_numpy(recording.visible), torch.tensor(markers.vertices)
     positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)

@@ -1,22 +1,37 @@
-"""Names the tracks of a recording by how the markers of a known set lie to each other."""
+"""Names the tracks of a recording by a body with markers that follows them.
 
-from collections.abc import Sequence
+A body is found in one frame; from there it is carried along, forwards and backwards: posed by the
+tracks that have names, it predicts where every marker is, and tracks are assigned anew. What every
+frame says about a track is added up. At last the body is fitted to all named markers, with its
+shape and their offsets, and everything is assigned once more.
+"""
+
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+import torch
+from jaxtyping import Float, Int
 
-from recon.ingest.marker_distances import MarkerDistances, matched
-from recon.ingest.marker_exchanges import mirrored
+from recon.ingest.marker_places import MarkedBody
+from recon.ingest.marker_poses import Poses
+from recon.ingest.marker_start import FoundBody, found_body
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.mocap.recording import MarkerRecording
 
-_FEWEST = 4
-"""Named neighbours without which no track is named."""
-_MARGIN = 4.0
-"""Log odds by which a name must be likelier than the next and than none."""
-_SAMPLES = 6
-"""Frames of a track in which it is compared with the others."""
-_LONG_S, _GAP_S = 3.0, 0.5
-"""Seconds after which a track is no better for being longer, and of gaps that are bridged."""
-_ROUNDS = 3
+_RATE, _BEGINNINGS = 10.0, 6
+"""Frames a second that the body follows, and frames in which it is looked for."""
+_GOOD = 0.1, 1.4
+"""Cost at which it is found, and how that grows by metre of the markers' spread."""
+_SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
+"""Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
+on both sides of the first from which they are found at first."""
+_NOWHERE = 0.35
+"""Cost from which on it is not found."""
+_LEAST, _ODDS = -4.0, 2.0
+"""Log odds that a frame takes from a name at most, and without which a track has none."""
+_WEIGHT = 8.0
+"""Frames after which a track is no better for being longer."""
+_STEP = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
 
 
 class Naming:
@@ -24,143 +39,210 @@ class Naming:
 
     def __init__(
         self,
+        seen: MarkerRecording,
         track: Int[np.ndarray, "time points"],
-        positions: Float[np.ndarray, "time points 3"],
-        fps: float,
-        model: MarkerDistances,
+        bodies: list[MarkedBody],
     ) -> None:
         """Begin without names; `track` is -1 where a point is not visible."""
-        self.track, self.positions, self.fps, self.model = track, positions, fps, model
-        frames, points = np.nonzero(track >= 0)
-        order = np.argsort(track[frames, points], kind="stable")
-        self._frames, self._x = frames[order], positions[frames[order], points[order]]
-        self._ends = np.append(0, np.cumsum(np.bincount(track[frames, points])))
-        self.marker = np.full(len(self._ends) - 1, -1)
-        self.margin = np.zeros(len(self.marker))
+        self.seen, self.track, self.bodies = seen, track, bodies
+        count = round(seen.frames / seen.fps * _RATE)
+        keys = np.unique(np.linspace(0, seen.frames - 1, max(2, count)).astype(int))
+        self.keys = keys[(track[keys] >= 0).any(1)]
+        shape = int(track.max()) + 1, len(bodies[0].markers.labels)
+        self.marker = np.full(shape[0], -1)
+        self.margin = np.zeros(shape[0])
         """Log odds by which the name of a track is likelier than the next."""
-        self._named = np.full((len(track), len(model.names), 3), np.nan)
+        self._sum, self._count = np.zeros(shape), np.zeros(shape[0])
 
     def run(self) -> None:
-        """Name the frame that shows most, then its neighbours, and take doubtful names back."""
-        self._begin()
-        for _ in range(_ROUNDS):
-            self._grow()
-            if not self._doubted():
-                return
+        """Find the body, follow it, fit it, and name the tracks; no track where there is none."""
+        found, at = self._beginning()
+        if found.cost > _NOWHERE:
+            return
+        unknown = found.body.spread
+        every = np.arange(len(self.keys))
+        if unknown > _SURE:  # the person's shape and offsets, by the frames about the first
+            near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
+            self._follow(found, at, near)
+            self._settle()
+            body = self._calibrated(found.body, near)
+            pose = body.posed(self._translation[[at]], self._rotations[[at]])
+            found = replace(found, body=body, pose=pose)
+        body = found.body
+        self._sum[:], self._count[:] = 0.0, 0.0
+        self._follow(found, at, every)
+        self._settle()
+        if unknown > _SURE:
+            for _ in range(_ROUNDS):  # tables are right about places, not about offsets
+                body = self._calibrated(body, every)
+                table = replace(body, offsets=body.markers.nominal, spread=unknown)
+                self._look_again(body, table)
+                self._settle()
+            body = self._calibrated(body, every)
+        self._look_again(body, body)
+        self._settle()
 
-    def _rows(self, track: int) -> slice:
-        return slice(int(self._ends[track]), int(self._ends[track + 1]))
+    def _beginning(self) -> tuple[FoundBody, int]:
+        """The body in the frame that it fits best, of some that show most points."""
+        counts = (self.track[self.keys] >= 0).sum(1)
+        parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
+        best: tuple[FoundBody, int] | None = None
+        for effort in (1, 3):  # unusual poses take longer
+            for part in parts:
+                at = int(part[counts[part].argmax()])
+                found = found_body(self._points(at)[0], self.bodies, effort)
+                if best is None or found.cost < best[0].cost:
+                    best = found, at
+                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
+                    return best
+            assert best is not None
+            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.spread):
+                return best
+        assert best is not None
+        return best
 
-    def _name(self, track: int, marker: int) -> None:
-        rows = self._rows(track)
-        if (old := self.marker[track]) >= 0:
-            self._named[self._frames[rows], old] = np.nan
-        self.marker[track] = marker
-        if marker >= 0:
-            self._named[self._frames[rows], marker] = self._x[rows]
+    def _points(self, at: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of the points of a key frame, and their tracks."""
+        frame = self.keys[at]
+        shown = self.track[frame] >= 0
+        return self.seen.positions[frame, shown], self.track[frame, shown]
 
-    def _begin(self) -> None:
-        """Name the tracks of the frame that shows most."""
-        life = np.minimum(np.diff(self._ends), _LONG_S * self.fps)
-        key = int(np.where(self.track >= 0, life[self.track], 0.0).sum(1).argmax())
-        here = self.track[key][self.track[key] >= 0]
-        here = here[np.argsort(-life[here])][: 2 * len(self.model.names)]
-        frames = np.unique(np.concatenate([self._frames[self._rows(k)] for k in here.tolist()]))
-        frames = frames[np.linspace(0, len(frames) - 1, 60).astype(int)]
-        x = self._at(np.append(frames, key), here)
-        with np.errstate(invalid="ignore"):
-            away = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
-        mean, variance = np.nanmean(away, 0), np.nanvar(away, 0)
-        found = matched(self.model, mean, variance, x[-1:], opposite_markers(self.model.names))
-        for track, marker in zip(here.tolist(), found.tolist(), strict=True):
-            if marker >= 0:
-                self._name(track, marker)
+    def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
+        """Carry the body from a key frame to others about it, and note what it says of tracks."""
+        body = found.body
+        kept = [found.pose] * len(self.keys)
+        for order in (keys[keys >= at], keys[keys < at][::-1]):
+            pose = found.pose
+            for k in order.tolist():
+                points, tracks = self._points(k)
+                if k != at:  # first by the tracks that are known, then by all
+                    pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
+                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
+                held = self._assigned(self._mean(tracks) + said)
+                kept[k] = pose = _posed(body, pose, points, held)
+                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
+                self._sum[tracks] += said
+                self._count[tracks] += 1
+        self._move(kept)
 
-    def _at(
-        self, frames: Int[np.ndarray, " frames"], tracks: Int[np.ndarray, " tracks"]
-    ) -> Float[np.ndarray, "frames tracks 3"]:
-        """Positions of some tracks in some frames; NaN where they are not."""
-        place = np.full(len(self.marker) + 1, -1)
-        place[tracks] = np.arange(len(tracks))
-        rows, points = np.nonzero(place[self.track[frames]] >= 0)
-        out = np.full((len(frames), len(tracks), 3), np.nan)
-        out[rows, place[self.track[frames[rows], points]]] = self.positions[frames[rows], points]
-        return out
+    def _move(self, poses: list[Poses]) -> None:
+        self._translation = torch.cat([one.translation for one in poses])
+        self._rotations = torch.cat([one.rotations for one in poses])
 
-    def _scores(self, track: int) -> Float[np.ndarray, " markers"]:
-        """Log odds of every marker for a track, by the named markers around it."""
-        rows, count = self._rows(track), len(self.model.names)
-        pick = np.unique(np.linspace(rows.start, rows.stop - 1, _SAMPLES).astype(int))
-        near = self._named[self._frames[pick]]
-        if self.marker[track] >= 0:
-            near[:, self.marker[track]] = np.nan
-        away = np.linalg.norm(near - self._x[pick][:, None], axis=-1)
-        j = np.flatnonzero(np.isfinite(away).any(0))
-        if len(j) < _FEWEST:
-            return np.full(count, -np.inf)
-        i = np.arange(count)[:, None]
-        odds = self.model.log_odds(np.nanmean(away[:, j], 0), np.nanvar(away[:, j], 0), i, j)
-        places = self.model.odds_of_places(near, self._x[pick][:, None], np.array([-1]))[0]
-        return np.where(i == j, 0.0, odds).sum(1) + places + self._continued(rows)
+    def _calibrated(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
+        """The body with a shape and offsets that fit the named markers of some key frames."""
+        x, seen = self.named(self.keys)
+        parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
+        some = np.array([part[seen[part].sum(1).argmax()] for part in parts])
+        poses = body.posed(self._translation[some], self._rotations[some])
+        return body.calibrated(x[some], seen[some], poses)
 
-    def _continued(self, rows: slice) -> Float[np.ndarray, " markers"]:
-        """Log odds of every marker by where it was before the track and is after it."""
-        total, reach = np.zeros(len(self.model.names)), int(_GAP_S * self.fps)
-        for own, step in ((rows.start, -1), (rows.stop - 1, 1)):
-            frame, x = int(self._frames[own]), self._x[own]
-            inner = own - step * min(2, rows.stop - rows.start - 1)
-            velocity = (x - self._x[inner]) / max(1, abs(int(self._frames[inner]) - frame))
-            side = frame + step * np.arange(1, reach + 1)
-            side = side[(side >= 0) & (side < len(self._named))]
-            if len(side) == 0:
+    def _mean(self, tracks: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points markers"]:
+        """What is known of tracks: mean log odds, weighted by their length."""
+        count = self._count[tracks][:, None]
+        return self._sum[tracks] / np.maximum(count, 1) * np.minimum(count, _WEIGHT)
+
+    @staticmethod
+    def _assigned(odds: Float[np.ndarray, "points markers"]) -> Int[np.ndarray, " points"]:
+        from scipy.optimize import linear_sum_assignment
+
+        rows, columns = linear_sum_assignment(-np.maximum(odds, 0.0))
+        marker = np.full(len(odds), -1)
+        good = odds[rows, columns] > 0
+        marker[rows[good]] = columns[good]
+        return marker
+
+    def _settle(self) -> None:
+        """Name every track by its votes: the markers it is assigned to, frame by frame."""
+        every = np.arange(len(self.marker))
+        total = self._mean(every)
+        votes = np.zeros_like(total)
+        for k in range(len(self.keys)):
+            tracks = self._points(k)[1]
+            marker = self._assigned(total[tracks])
+            votes[tracks[marker >= 0], marker[marker >= 0]] += 1
+        frames = self._frames_of_tracks()
+        taken = np.zeros((self.seen.frames, total.shape[1]), bool)
+        self.marker[:], self.margin[:] = -1, 0.0
+        score = np.where(votes > 0, votes, -np.inf) + 1e-3 * total
+        for track in np.argsort(-score.max(1)).tolist():
+            if self._count[track] == 0:
                 continue
-            part = self._named[side]
-            seen = np.isfinite(part[..., 0])
-            row = seen.argmax(0)
-            gap = (row + 1)[:, None]
-            away = np.linalg.norm(part[row, np.arange(len(total))] - x - velocity * gap, axis=-1)
-            time = gap[:, 0] / self.fps
-            sigma = 0.008 + 0.2 * time + 10 * time**2
-            odds = -0.5 * (away / sigma) ** 2 - np.log(15.75 * sigma**3)
-            total += np.where(seen.any(0), np.logaddexp(odds, np.log(0.05)), 0.0)
-        return total
+            free = ~np.any(taken[frames[track]], axis=0)
+            own = np.where(free, total[track], -np.inf)
+            best = int(np.where(free, score[track], -np.inf).argmax())
+            if not free[best] or votes[track, best] == 0:
+                best = int(own.argmax())
+            others = np.delete(own, best)
+            margin = float(own[best] - max(0.0, others.max(initial=-np.inf)))
+            if own[best] > _ODDS and margin > _ODDS:
+                self.marker[track], self.margin[track] = best, margin
+                taken[frames[track], best] = True
 
-    def _free(self, track: int) -> Bool[np.ndarray, " markers"]:
-        """The markers that no other track is in the frames of this one."""
-        return np.all(np.isnan(self._named[self._frames[self._rows(track)], :, 0]), axis=0)
+    def _frames_of_tracks(self) -> list[np.ndarray]:
+        rows, points = np.nonzero(self.track >= 0)
+        numbers = self.track[rows, points]
+        order = np.argsort(numbers, kind="stable")
+        ends = np.cumsum(np.bincount(numbers, minlength=len(self.marker)))[:-1]
+        return np.split(rows[order], ends)
 
-    def _grow(self) -> None:
-        """Name further tracks by those that are named, the surest first, until none is sure."""
-        named = True
-        while named:
-            sure: list[tuple[float, int, int]] = []
-            for track in np.flatnonzero(self.marker < 0).tolist():
-                scores = np.where(self._free(track), self._scores(track), -np.inf)
-                second, best = np.argsort(scores)[-2:].tolist()
-                if (margin := float(scores[best] - max(0.0, scores[second]))) > _MARGIN:
-                    sure.append((margin, track, best))
-            named = False
-            for margin, track, marker in sorted(sure, reverse=True):
-                if self._free(track)[marker]:
-                    self._name(track, marker)
-                    self.margin[track], named = margin, True
+    def named(self, frames: Int[np.ndarray, " frames"]) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of the named markers in some frames, and whether each is seen."""
+        shape = len(frames), self._sum.shape[1]
+        x, seen = np.zeros((*shape, 3)), np.zeros(shape, bool)
+        rows, points = np.nonzero(self.track[frames] >= 0)
+        marker = self.marker[self.track[frames[rows], points]]
+        rows, points, marker = rows[marker >= 0], points[marker >= 0], marker[marker >= 0]
+        x[rows, marker], seen[rows, marker] = self.seen.positions[frames[rows], points], True
+        return x, seen
 
-    def _doubted(self) -> int:
-        """Take back names that the markers around contradict, and return how many."""
-        taken = 0
-        for track in np.flatnonzero(self.marker >= 0).tolist():
-            scores, own = self._scores(track), self.marker[track]
-            scores[~self._free(track) & (np.arange(len(scores)) != own)] = -np.inf
-            mine, scores[own] = float(scores[own]), 0.0
-            self.margin[track] = mine - float(scores.max())
-            if self.margin[track] < _MARGIN:
-                self._name(track, -1)
-                taken += 1
-        return taken
+    def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
+        """Pose the body by the named markers, and note anew what another says of all tracks."""
+        from scipy.interpolate import CubicSpline
+
+        x, seen = self.named(self.keys)
+        poses = body.posed(self._translation, self._rotations)
+        poses = minimise_frames(body.energies(x, seen), poses, _STEP).state
+        self._move([poses])
+        places = told.places(poses)
+        frames, numbers = self._sampled()
+        path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
+        self._sum[:], self._count[:] = 0.0, 0.0
+        for frame in np.unique(frames).tolist():
+            mine = numbers[frames == frame]
+            place = path(frame) if path is not None else places[np.abs(self.keys - frame).argmin()]
+            column = {int(t): p for p, t in enumerate(self.track[frame].tolist())}
+            points = self.seen.positions[frame, [column[int(t)] for t in mine]]
+            self._sum[mine] += _log_odds(points[:, None] - place, told.spread)
+            self._count[mine] += 1
+
+    def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frames and tracks at which tracks are compared: some of every track."""
+        frames, numbers = list[np.ndarray](), list[np.ndarray]()
+        for track, own in enumerate(self._frames_of_tracks()):
+            pick = own[np.unique(np.linspace(0, len(own) - 1, int(_WEIGHT)).astype(int))]
+            frames.append(pick)
+            numbers.append(np.full(len(pick), track))
+        return np.concatenate(frames), np.concatenate(numbers)
 
 
-def opposite_markers(names: Sequence[str]) -> Int[np.ndarray, " markers"]:
-    """The marker of the other side of each: itself in the middle, -1 where it has none."""
-    others = [mirrored(name) for name in names]
-    pairs = enumerate(others)
-    return np.array([names.index(o) if o in names else -1 if o else k for k, o in pairs])
+def _posed(
+    body: MarkedBody, pose: Poses, points: np.ndarray, marker: Int[np.ndarray, " points"]
+) -> Poses:
+    """The pose fitted to some points that are markers, from another pose."""
+    held = np.flatnonzero(marker >= 0)
+    if len(held) < 4:
+        return pose
+    count = len(body.markers.labels)
+    x, seen = np.zeros((1, count, 3)), np.zeros((1, count), bool)
+    x[0, marker[held]], seen[0, marker[held]] = points[held], True
+    energies = replace(body.energies(x, seen), natural=pose.rotations[:, 1:])
+    return minimise_frames(energies, pose, _STEP).state
+
+
+def _log_odds(
+    away: Float[np.ndarray, "points markers 3"], spread: float
+) -> Float[np.ndarray, "points markers"]:
+    """Logarithm of how much likelier points are where markers should be than in a cubic metre."""
+    near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
+    return np.maximum(near, _LEAST)

@@ -1,55 +1,119 @@
-"""Distances between the markers of a set, from a trial in which they have names."""
+"""A body with a set of markers on it: from a trial in which they have names, or from a table."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core.errors import ReconError
-from recon.ingest.marker_distances import MarkerDistances
-from recon.ingest.marker_fit import fit_markers
-from recon.ingest.marker_poses import Poses, SkinPoints, drawn_poses
-from recon.ingest.marker_sets import full_body_markers
+from recon.ingest.marker_calibration import calibrated
+from recon.ingest.marker_fit import OUTLIER, fit_markers, subject_energies
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, drawn_poses, natural_pose
+from recon.ingest.marker_sets import MarkerSet, full_body_markers
 from recon.mocap.recording import MarkerRecording
 
-_POSES, _FITTED, _FRAMES = 120, 40, 120
-"""Poses of the body, frames that it is fitted to, and frames whose distances are taken."""
-_NOISE = 0.006
-"""Metres by which distances of markers on one segment differ between trials."""
+_FITTED, _DRAWN = 40, 100
+"""Frames of a named trial that the body is fitted to, and poses drawn from the density."""
+_KNOWN, _TABLE = 0.02, 0.05
+"""Metres by which a marker lies beside its place, once offsets are known, and by a table."""
+_STATURES = (-3.0, -1.5, 0.0, 1.5)
+"""First coefficients of the shapes that somebody unknown may have: 1.3 to 1.9 m."""
 
 
-def distances_in_trial(trial: MarkerRecording, body: BodyModel) -> MarkerDistances:
-    """How the markers of a named trial lie to each other, there and in other poses.
+@dataclass(frozen=True)
+class MarkedBody:
+    """A body of known shape with markers at known places, and poses it may have."""
 
-    A body is fitted to some frames; its markers are then seen in likely poses. Labels that no
-    table knows are known from the trial alone.
+    body: BodyModel
+    markers: MarkerSet
+    shape: Float[Tensor, " shape"]
+    offsets: Float[Tensor, "markers 3"]
+    spread: float
+    """Metres by which a marker lies beside its place."""
+    poses: Float[Tensor, "poses 21 3 3"]
+
+    @cached_property
+    def skin(self) -> SkinPoints:
+        """The markers as points of the body."""
+        return self._still.markers
+
+    @cached_property
+    def _still(self) -> PoseEnergies:
+        """Energies of one frame in which no marker is seen."""
+        count = len(self.markers.labels)
+        nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
+        subject = subject_energies(self._recording(*nothing), self.markers, self.body)
+        free = replace(subject, under=None).of(self.shape, self.offsets).untied()
+        return replace(free, weight=1.0)
+
+    def _recording(self, positions: np.ndarray, visible: np.ndarray) -> MarkerRecording:
+        return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
+
+    def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
+        """Poses of this body."""
+        return Poses.of(translation, rotations, self._still.rest)
+
+    def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
+        """Where the markers are, metres."""
+        return self.skin.places(poses).mT.double().numpy()
+
+    def energies(
+        self,
+        positions: Float[np.ndarray, "frames markers 3"],
+        visible: Bool[np.ndarray, "frames markers"],
+    ) -> PoseEnergies:
+        """Energies of the poses of frames that do not depend on each other."""
+        return replace(
+            self._still,
+            positions=torch.from_numpy(positions).float().mT.contiguous(),
+            visible=torch.from_numpy(visible).float(),
+            linked=torch.zeros(len(visible) - 1, dtype=torch.bool),
+        )
+
+    def calibrated(
+        self,
+        positions: Float[np.ndarray, "frames markers 3"],
+        visible: Bool[np.ndarray, "frames markers"],
+        poses: Poses,
+    ) -> "MarkedBody":
+        """The body whose shape and offsets fit some frames, from rough poses in them."""
+        some = subject_energies(self._recording(positions, visible), self.markers, self.body)
+        free = replace(some.poses.untied(), weight=1.0)
+        known = replace(some, under=None, poses=free)
+        found = calibrated(known, poses.translation, poses.rotations, OUTLIER)
+        return replace(self, shape=found.shape, offsets=found.offsets, spread=_KNOWN)
+
+
+def body_of_trial(
+    trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
+) -> MarkedBody:
+    """A body fitted to some frames of a named trial.
+
+    Args:
+        trial: named.
+        body: fitted to it.
+        markers: their places on the body; None takes the known labels.
+
+    Raises:
+        ReconError: when too few labels are known.
     """
-    count = len(trial.marker_names)
-    poses = np.full((1, count, 3), np.nan)
-    try:
-        known = full_body_markers(trial, body)
-        fit = fit_markers(trial.select(known.labels).evenly_spread(_FITTED), known, body)
-        places = posed_markers(body, known.vertices, fit.offsets, fit.motion.shape)
-        poses = np.full((len(places), count, 3), np.nan)
-        poses[:, [trial.marker_names.index(label) for label in known.labels]] = places
-    except ReconError:  # labels unknown to recon: distances in the trial alone must suffice
-        pass
-    some = trial.evenly_spread(_FRAMES)
-    seen = np.where(some.visible[..., None], some.positions, np.nan)
-    return MarkerDistances.of(trial.marker_names, seen, poses, _NOISE)
+    known = markers or full_body_markers(trial, body)
+    fit = fit_markers(trial.select(known.labels).evenly_spread(_FITTED), known, body)
+    poses = torch.cat((fit.motion.rotations[::4, 1:], _usual_poses()))
+    return MarkedBody(body, known, fit.motion.shape, fit.offsets, _KNOWN, poses)
 
 
-def posed_markers(
-    body: BodyModel,
-    vertices: tuple[int, ...],
-    offsets: Float[Tensor, "markers 3"],
-    shape: Float[Tensor, " shape"],
-) -> Float[np.ndarray, "poses markers 3"]:
-    """Places of markers on a body in poses drawn from the bundled density, metres."""
-    turns = torch.cat(
-        (torch.eye(3).to(shape).expand(_POSES, 1, 3, 3), drawn_poses(_POSES).to(shape)), 1
-    )
-    points = SkinPoints.of(body, shape, torch.tensor(vertices), offsets)
-    poses = Poses.of(shape.new_zeros(_POSES, 3), turns, body.rest_joints(shape))
-    return points.places(poses).mT.double().numpy()
+def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:
+    """Bodies of several statures with the markers where the table has them."""
+    shapes = [torch.zeros(body.shape_size) for _ in _STATURES]
+    for shape, stature in zip(shapes, _STATURES, strict=True):
+        shape[0] = stature
+    usual = _usual_poses()
+    return [MarkedBody(body, markers, own, markers.nominal, _TABLE, usual) for own in shapes]
+
+
+def _usual_poses() -> Float[Tensor, "poses 21 3 3"]:
+    return torch.cat((torch.eye(3).expand(1, 21, 3, 3), natural_pose()[None], drawn_poses(_DRAWN)))

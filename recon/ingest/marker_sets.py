@@ -1,7 +1,7 @@
 """Finds where on the body the markers of a recording sit, and which parts they cover."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from recon.body.marker_labels import (
     FEWEST_MARKERS,
     load_marker_map,
     mapping_to_write,
+    marker_sets,
     match_markers,
 )
 from recon.body.model import BodyModel
@@ -150,17 +151,50 @@ def full_body_markers(
     vertices = {label: vertices[label] for label in seen if label in vertices}
     unknown = tuple(label for label in seen if label not in vertices)
     bare = _bare_parts(recording.name, vertices, unknown, body)
-    labels = tuple(vertices)
+    found = markers_at(vertices, loose, body)
+    return replace(found, unknown=unknown, bare=bare, decisions=decisions)
+
+
+def markers_at(
+    vertices: Mapping[str, int], loose: Mapping[str, bool], body: BodyModel
+) -> MarkerSet:
+    """Markers on the skin at these vertices."""
+    places = tuple(vertices.values())
     return MarkerSet(
-        labels=labels,
-        vertices=tuple(vertices.values()),
-        loose=tuple(loose[label] for label in labels),
-        nominal=nominal_offsets(body, tuple(vertices.values())),
-        bones=_bones(vertices.values(), body),
-        unknown=unknown,
-        bare=bare,
-        decisions=decisions,
+        labels=tuple(vertices),
+        vertices=places,
+        loose=tuple(loose[label] for label in vertices),
+        nominal=nominal_offsets(body, places),
+        bones=_bones(places, body),
+        unknown=(),
     )
+
+
+def markers_of_set(name: str | Path, body: BodyModel) -> MarkerSet:
+    """Markers of a set, by its name (pig, cmu, ...) or a mapping file; keypoints are left out.
+
+    Raises:
+        FileNotFoundError: when there is no such set and no such file.
+        ReconError: when the file is damaged, or fewer than ten markers lie on the skin.
+    """
+    known = landmarks()
+    if (table := marker_sets().get(str(name))) is not None:
+        vertices = {label: known[place] for label, place in table.items() if place in known}
+    elif Path(name).suffix:
+        given = load_marker_map(name)
+        vertices = {label: vertex for label, vertex in given.items() if vertex is not None}
+    else:
+        raise ReconError(
+            f"{name}: expected one of the marker sets {', '.join(marker_sets())}, or a file .toml "
+            "or .json, marker = landmark"
+        )
+    if len(vertices) < FEWEST_MARKERS:
+        raise ReconError(
+            f"{name}: expected {FEWEST_MARKERS} markers on the skin or more, got {len(vertices)}"
+        )
+    places = {vertex: place for place, vertex in known.items()}
+    loose = {label: bool(_LOOSE.search(places.get(v, ""))) for label, v in vertices.items()}
+    return markers_at(vertices, loose, body)
 
 
 def right_handed_markers(

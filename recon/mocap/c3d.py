@@ -1,7 +1,6 @@
 """Reads optical markers from C3D files, by the user guide of 2021 (www.c3d.org).
 
-Read here and not through ezc3d because that crashes the process on damaged files; the two are
-compared in the tests.
+Not through ezc3d, which crashes the process on damaged files; the tests compare the two.
 """
 
 import math
@@ -19,8 +18,8 @@ from recon.core.units import Up, parse_unit
 from recon.formats.texts import read_binary
 from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 
-_BLOCK = 512
-_INTEL, _DEC, _MIPS = 84, 85, 86
+BLOCK = 512
+INTEL, DEC, MIPS = 84, 85, 86
 _OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 """Parameters of POINT that list trajectories which are no points (Plug-in-Gait outputs)."""
 _TYPES = {1: "u1", 2: "i2", 4: "f4"}
@@ -39,7 +38,9 @@ _Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
 
 
 @dataclass(frozen=True)
-class _Header:
+class Header:
+    """Where and how samples are stored."""
+
     processor: int
     points: int
     analog: int
@@ -57,7 +58,7 @@ class _Header:
     @property
     def order(self) -> str:
         """Byte order of the file, as numpy and struct write it."""
-        return ">" if self.processor == _MIPS else "<"
+        return ">" if self.processor == MIPS else "<"
 
     def first_and_last_frame(self, trial: _Parameters) -> tuple[int, int]:
         """First and last frame, by the group TRIAL where the header's 16 bits are too few."""
@@ -82,8 +83,8 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     """
     data = read_binary(path)
     try:
-        header = _read_header(data, path)
-        groups = _read_parameters(data, header)
+        header = read_header(data, path)
+        groups = read_parameters(data, header)
         if header.points == 0 and "ROTATION" in groups:
             raw = _joint_centres(data, header, groups, path)
         else:
@@ -92,22 +93,20 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         # an offset beyond the end of the file
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     point = groups.get("POINT", {})
-    hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
+    hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(
-        1, header.first_and_last_frame(groups.get("TRIAL", {}))[0]
-    )  # some programs count from 0
+    first = max(1, header.first_and_last_frame(groups.get("TRIAL", {}))[0])  # some count from 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))
     raw = replace(raw, start_time=(first - 1) / raw.fps)
-    units = _texts(point, "UNITS")
+    units = texts(point, "UNITS")
     declared = parse_unit(" ".join(units if header.points else units[:1]))
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=usual)
 
 
 def _markers(
-    data: bytes, header: _Header, groups: Mapping[str, _Parameters], path: Path
+    data: bytes, header: Header, groups: Mapping[str, _Parameters], path: Path
 ) -> MarkerRecording:
     """Read the points other than a model's angles and forces, in the file's unit and axes."""
     point = groups.get("POINT", {})
@@ -118,19 +117,16 @@ def _markers(
             f"{path}: damaged C3D file, it has no parameters for POINT (labels, rate, unit)"
         )
     values, residuals = _read_points(data, header, groups.get("TRIAL", {}), path)
-    names = _labels(point, header.points)
-    outputs = {label for key in _OUTPUTS for label in _texts(point, key)}
-    chosen = [k for k, name in enumerate(names) if name not in outputs]
+    names, chosen = chosen_points(header, groups)
     fps, said = stated_rate(_positive_number(point, "RATE") or header.rate, path, "POINT:RATE")
     if not chosen:
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
-    if left := [name for name in names if name in outputs]:
-        notes.append(
-            f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
-        )
+    if left := [name for k, name in enumerate(names) if k not in set(chosen)]:
+        said = f"{len(left)} angles, forces and other outputs left out: {_first_names(left)}"
+        notes.append(said)
     if header.analog > 0:
-        channels = [name for name in _texts(groups.get("ANALOG", {}), "LABELS") if name]
+        channels = [name for name in texts(groups.get("ANALOG", {}), "LABELS") if name]
         notes.append(
             f"analog channels left out: {_first_names(channels) if channels else 'without names'}"
         )
@@ -149,18 +145,27 @@ def _markers(
     )
 
 
+def chosen_points(
+    header: Header, groups: Mapping[str, _Parameters]
+) -> tuple[list[str], list[int]]:
+    """Names of all points, and which of them are no angles, forces and such."""
+    names = _labels(point := groups.get("POINT", {}), header.points)
+    outputs = {label for key in _OUTPUTS for label in texts(point, key)}
+    return names, [k for k, name in enumerate(names) if name not in outputs]
+
+
 def _joint_centres(
-    data: bytes, header: _Header, groups: Mapping[str, _Parameters], path: Path
+    data: bytes, header: Header, groups: Mapping[str, _Parameters], path: Path
 ) -> MarkerRecording:
     """Read segments' origins as joint centres (left_hip, ...), in the file's unit and axes.
 
     Raises:
         ValueError: when the data is cut short, or its segments are not known.
     """
-    rotation, labels = groups["ROTATION"], _texts(groups["ROTATION"], "LABELS")
+    rotation, labels = groups["ROTATION"], texts(groups["ROTATION"], "LABELS")
     if not (start := int(_positive_number(rotation, "DATA_START"))):
         raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
-    raw = data[(start - 1) * _BLOCK :]
+    raw = data[(start - 1) * BLOCK :]
     values = _floats(raw[: len(raw) // 4 * 4], header.processor)
     rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
@@ -202,27 +207,28 @@ def _joint_centres(
     )
 
 
-def _read_header(data: bytes, path: Path) -> _Header:
-    if len(data) < 2 * _BLOCK or data[1] != 0x50 or data[0] == 0:
+def read_header(data: bytes, path: Path) -> Header:
+    """Read the header of a file's bytes."""
+    if len(data) < 2 * BLOCK or data[1] != 0x50 or data[0] == 0:
         raise FormatError(f"{path}: expected a C3D file, but its first block is no C3D header")
-    processor = data[(data[0] - 1) * _BLOCK + 3]
-    if processor not in (_INTEL, _DEC, _MIPS):
+    processor = data[(data[0] - 1) * BLOCK + 3]
+    if processor not in (INTEL, DEC, MIPS):
         raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
-    words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
+    words = np.frombuffer(data, ">u2" if processor == MIPS else "<u2", 10, 2).tolist()
     scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
     empty = words[0] == 0  # without points the scale may be anything
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
     sizes = words[0], words[1], words[2], words[3]
-    return _Header(processor, *sizes, scale, words[7], rate, words[8])
+    return Header(processor, *sizes, scale, words[7], rate, words[8])
 
 
 def _floats(data: bytes, processor: int) -> np.ndarray:
     """Doubles from the four-byte numbers of any of three processors."""
     # no warnings about signalling NaNs of damaged files
     with np.errstate(invalid="ignore"):
-        if processor != _DEC:
-            return np.frombuffer(data, ">f4" if processor == _MIPS else "<f4").astype(np.float64)
+        if processor != DEC:
+            return np.frombuffer(data, ">f4" if processor == MIPS else "<f4").astype(np.float64)
         # VAX F numbers have swapped halves, and an exponent larger by two than IEEE's
         halves = np.frombuffer(data, "<u2").reshape(-1, 2)
         bits = (halves[:, 0].astype(np.uint32) << 16) | halves[:, 1]
@@ -230,9 +236,9 @@ def _floats(data: bytes, processor: int) -> np.ndarray:
         return np.where(bits & 0x7F800000, values, 0.0)
 
 
-def _read_parameters(data: bytes, header: _Header) -> dict[str, _Parameters]:
+def read_parameters(data: bytes, header: Header) -> dict[str, _Parameters]:
     """Read the parameters of all groups, keyed by group name."""
-    place = (data[0] - 1) * _BLOCK + 4
+    place = (data[0] - 1) * BLOCK + 4
     groups: dict[int, str] = {}
     found: dict[int, dict[str, np.ndarray | tuple[str, ...]]] = {}
     while place + 2 <= len(data) and data[place] != 0:
@@ -250,7 +256,7 @@ def _read_parameters(data: bytes, header: _Header) -> dict[str, _Parameters]:
     return {groups.get(number, ""): values for number, values in found.items()}
 
 
-def _parameter(data: bytes, place: int, header: _Header) -> np.ndarray | tuple[str, ...]:
+def _parameter(data: bytes, place: int, header: Header) -> np.ndarray | tuple[str, ...]:
     size, rank = struct.unpack_from("bB", data, place)
     start = place + 2 + rank
     shape = data[place + 2 : start]
@@ -267,7 +273,7 @@ def _parameter(data: bytes, place: int, header: _Header) -> np.ndarray | tuple[s
 
 
 def _read_points(
-    data: bytes, header: _Header, trial: _Parameters, path: Path
+    data: bytes, header: Header, trial: _Parameters, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read positions (frames, points, 3) in the file's unit, and residuals (negative: unseen)."""
     JOINTS.check(header.points, path, "header")
@@ -279,7 +285,7 @@ def _read_points(
 
 def _read_numbers(
     data: bytes,
-    header: _Header,
+    header: Header,
     trial: _Parameters,
     path: Path,
     columns: slice,
@@ -287,7 +293,7 @@ def _read_numbers(
 ) -> np.ndarray:
     """Read some numbers of every frame (frames, columns), as they are stored."""
     real = header.scale < 0
-    width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
+    width, start = 4 * header.points + header.analog, (header.data_start - 1) * BLOCK
     first, last = header.first_and_last_frame(trial)
     frames = last - first + 1
     size = frames * width * (4 if real else 2)
@@ -329,7 +335,7 @@ class AnalogChannels:
 
     def texts(self, group: str, key: str) -> tuple[str, ...]:
         """A parameter's words."""
-        return _texts(self.groups.get(group, {}), key)
+        return texts(self.groups.get(group, {}), key)
 
 
 def read_analog(path: Path) -> AnalogChannels:
@@ -341,20 +347,19 @@ def read_analog(path: Path) -> AnalogChannels:
     """
     data = read_binary(path)
     try:
-        header = _read_header(data, path)
-        groups = _read_parameters(data, header)
+        header = read_header(data, path)
+        groups = read_parameters(data, header)
     except (struct.error, IndexError) as error:
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     analog, trial = groups.get("ANALOG", {}), groups.get("TRIAL", {})
     if header.analog == 0 or header.analog_rows == 0:
         raise FormatError(f"{path}: expected a C3D file with analog channels, but it has none")
-    integer = "u2" if "".join(_texts(analog, "FORMAT")).upper() == "UNSIGNED" else "i2"
+    integer = "u2" if "".join(texts(analog, "FORMAT")).upper() == "UNSIGNED" else "i2"
     after = slice(4 * header.points, None)
     raw = _read_numbers(data, header, trial, path, after, integer)
     values = raw.reshape(len(raw), header.analog_rows, -1)
-    fps = stated_rate(
-        _positive_number(groups.get("POINT", {}), "RATE") or header.rate, path, "rate"
-    )[0]
+    rate = _positive_number(groups.get("POINT", {}), "RATE") or header.rate
+    fps = stated_rate(rate, path, "rate")[0]
     first = max(1, header.first_and_last_frame(trial)[0])
     made = AnalogChannels(values, fps, (first - 1) / fps, groups)
     channels = values.shape[-1]
@@ -374,16 +379,17 @@ def _positive_number(group: _Parameters, key: str) -> float:
     return float(value.flat[0]) if stated else 0.0  # type: ignore[union-attr]
 
 
-def _texts(group: _Parameters, key: str) -> tuple[str, ...]:
+def texts(group: _Parameters, key: str) -> tuple[str, ...]:
+    """A parameter's words, none where it is missing."""
     value = group.get(key, ())
     return value if isinstance(value, tuple) else ()
 
 
 def _labels(point: _Parameters, count: int) -> list[str]:
-    labels = list(_texts(point, "LABELS"))
+    labels = list(texts(point, "LABELS"))
     number = 2
     while f"LABELS{number}" in point:
-        labels += _texts(point, f"LABELS{number}")
+        labels += texts(point, f"LABELS{number}")
         number += 1
     labels = labels[:count] + [""] * (count - len(labels))
     return [label or f"*{k + 1}" for k, label in enumerate(labels)]

@@ -274,3 +274,27 @@ def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: A
             cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
         lines.append("\t".join(cells))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_motive(path: Path, recording: MarkerRecording) -> None:
+    """Write markers as a .csv file in Motive's table: metres, y up, blank where not visible."""
+    names = [f"Unlabeled {n[1:]}" if n[:1] == "*" else n for n in recording.marker_names]
+    names = ['"' + n.replace('"', '""') + '"' if set(n) & set(',"') else n for n in names]
+    three = [name for name in names for _ in range(3)]
+    rate = f"{recording.fps:g}"
+    lines = [
+        f"Format Version,1.23,Capture Frame Rate,{rate},Export Frame Rate,{rate},"
+        "Length Units,Meters",
+        "",
+        ",".join(["", "Type", *["Marker"] * len(three)]),
+        ",".join(["", "Name", *three]),
+        ",".join(["", "", *["Position"] * len(three)]),
+        ",".join(["Frame", "Time (Seconds)", *["X", "Y", "Z"] * len(names)]),
+    ]
+    values = recording.positions @ to_z_up("y")
+    for frame, (row, seen) in enumerate(zip(values, recording.visible, strict=True)):
+        cells = [str(frame), f"{recording.start_time + frame / recording.fps:.6f}"]
+        for point, shown in zip(row.tolist(), seen.tolist(), strict=True):
+            cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
+        lines.append(",".join(cells))
+    write_text(path, "\n".join(lines) + "\n")

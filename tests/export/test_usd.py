@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from recon import cli
+from recon.body.hands import RELAXED, HandModel, hands_of_angles, pose_fingers
 from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.usd import joint_paths, write_usd
@@ -90,3 +92,20 @@ def test_without_the_library_the_message_says_what_to_install(
     line[-1] = str(tmp_path / "m.obj")
     assert cli.run(line) == cli.BAD_INPUT
     assert ".usdc" in capsys.readouterr().err
+
+
+def test_fingers_are_where_the_library_puts_them(body, tmp_path):
+    pytest.importorskip("pxr.UsdSkel")
+    motion = make_motion(body, 3)
+    angles = RELAXED + torch.linspace(0, 0.3, 3, dtype=torch.float64)[:, None, None]
+    hands = hands_of_angles(angles.expand(3, 2, 22), HandModel.of(body, motion.shape))
+    motion = motion.replace(hands=hands.to(dtype=motion.translation.dtype))
+    write_usd(tmp_path / "m.usda", motion, body, "unreal")
+    stage = import_module("pxr.Usd").Stage.Open(str(tmp_path / "m.usda"))
+    fingers, _ = pose_fingers(motion, body)
+    for frame in range(3):
+        joints, _ = skinned(stage, frame)
+        assert joints.shape == (52, 3)
+        assert np.abs(joints[22:] - fingers[frame, :30].numpy()).max() < 1e-5  # m, float32
+    text = (tmp_path / "m.usda").read_text()
+    assert "hand_l/index_01_l/index_02_l/index_03_l" in text

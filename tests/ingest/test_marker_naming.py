@@ -23,6 +23,7 @@ NAMES = {
     "RTIB": "right_shank_lateral", "LANK": "left_ankle_lateral", "RANK": "right_ankle_lateral",
     "LTOE": "left_toe2_base", "RTOE": "right_toe2_base",
 }  # fmt: skip
+NAMES_IN_ORDER = list(NAMES)
 
 
 def trial(frames: slice) -> MarkerRecording:
@@ -55,8 +56,66 @@ def test_shuffled_markers_with_a_gap_and_a_ghost_get_the_names_of_a_named_trial(
     assert right.sum() >= 0.95 * seen.sum()
     assert right.sum() >= 0.98 * named.visible.sum()
     assert found.recording.visible.sum() == seen.sum() + len(x)
-    found.save(tmp_path / "out.trc")
-    assert read_recording(tmp_path / "out.trc").marker_names[: len(NAMES)] == tuple(NAMES)
+    for out in (tmp_path / "out.trc", tmp_path / "out.csv"):
+        found.save(out)
+        again = read_recording(out)
+        assert set(NAMES) <= set(again.marker_names)
+        shown = again.select(list(NAMES))
+        assert np.allclose(shown.positions, named.positions, atol=1e-5)
+    with pytest.raises(recon.ReconError, match="copy of one"):
+        found.save(tmp_path / "out.c3d")
+
+
+@pytest.mark.numerics
+def test_a_set_s_table_names_markers_of_somebody_unknown():
+    true = trial(slice(60, 120))
+    order = np.random.default_rng(0).permutation(len(NAMES))
+    unnamed = dataclasses.replace(
+        true,
+        marker_names=tuple(f"*{k}" for k in range(len(order))),
+        positions=true.positions[:, order],
+    )
+    found = recon.label(unnamed, set="pig").recording
+    right = 0
+    for k, name in enumerate(NAMES):
+        if name in found.marker_names:
+            column = found.marker_names.index(name)
+            same = np.abs(found.positions[:, column] - true.positions[:, k]).max(-1) < 1e-9
+            right += int((same & found.visible[:, column]).sum())
+    assert right >= 0.85 * true.visible.sum()
+    with pytest.raises(recon.ReconError, match="expected one of the marker sets"):
+        recon.label(unnamed, set="vicon")
+
+
+def without_names(x: np.ndarray) -> MarkerRecording:
+    """A recording of unnamed points that are always seen."""
+    names = tuple(f"*{k}" for k in range(x.shape[1]))
+    return MarkerRecording("cloud.trc", names, x, np.ones(x.shape[:2], bool), 30.0, ())
+
+
+@pytest.mark.numerics
+@pytest.mark.parametrize("what", ["millimetres", "upside down", "five markers"])
+def test_points_that_are_no_upright_person_get_no_names(what):
+    x = trial(slice(60, 90)).positions
+    cloud = {
+        "millimetres": 1000 * x,
+        "upside down": x * [1, -1, -1],
+        "five markers": x[:, :5],
+    }[what]
+    with pytest.raises(recon.ReconError, match="nowhere"):
+        recon.label(without_names(cloud), like=trial(slice(0, 60)))
+
+
+@pytest.mark.numerics
+def test_of_two_people_one_is_named_and_the_other_stays_open():
+    x = trial(slice(60, 90)).positions
+    other = x[::-1] + np.array([1.5, 0.4, 0.0])
+    found = recon.label(without_names(np.concatenate((x, other), 1)), like=trial(slice(0, 60)))
+    named = found.recording.select(list(found.confidence))
+    one = [NAMES_IN_ORDER.index(name) for name in named.marker_names]
+    right = [np.abs(named.positions - own[:, one]).max(-1) < 1e-9 for own in (x, other)]
+    assert max(same.sum() for same in right) >= 0.95 * x[..., 0].size
+    assert any("no name" in said for said in found.warnings)
 
 
 def test_trials_without_names_are_refused(tmp_path):
