@@ -12,7 +12,7 @@ from recon.core import rotations as so3
 from recon.core.fingers import SIDES
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
-from recon.export.rig import Posed, Rig
+from recon.export.rig import CharacterRig, Posed
 
 LEG, ARM = ("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")
 _REACH = 0.9995
@@ -85,7 +85,7 @@ class Person:
 class Limb:
     """A leg or an arm of a character."""
 
-    rig: Rig
+    rig: CharacterRig
     chain: tuple[int, ...]
     """Its three nodes."""
     tip: tuple[int, ...]
@@ -94,7 +94,7 @@ class Limb:
     is_arm: bool
 
     @classmethod
-    def of(cls, rig: Rig, side: str, names: tuple[str, ...], person: Person) -> "Limb":
+    def of(cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: Person) -> "Limb":
         """The limb of a side, and the contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)

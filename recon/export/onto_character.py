@@ -16,7 +16,7 @@ from recon.core.motion import Motion
 from recon.core.units import to_z_up
 from recon.export.character import Character
 from recon.export.limbs import ARM, LEG, Limb, Person, envelope
-from recon.export.rig import Carried, Posed, Rig, turns_of
+from recon.export.rig import Carried, CharacterRig, Posed, turns_of
 from recon.export.skeleton import one_clip, quaternions
 
 _UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
@@ -86,7 +86,7 @@ def write_character(
 
 def carry(
     motion: Motion, body: BodyModel, character: Character, ground: float
-) -> tuple[Rig, Carried, float]:
+) -> tuple[CharacterRig, Carried, float]:
     """Move a character as a person moves; also the ratio of its legs to the person's.
 
     Every bone turns as ours does, from a rest pose that is turned to ours. The middle of the hips
@@ -94,7 +94,7 @@ def carry(
     hands that touch the ground keep to it (`Limb.goal`): the hips sink where a leg is too short,
     rise where other parts would be in the ground, and the two bones above follow.
     """
-    rig, person = Rig.of(character, motion, body), Person.of(motion, body, ground)
+    rig, person = CharacterRig.of(character, motion, body), Person.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
     turns = {node: up @ turn for node, turn in turns_of(character, motion, body).items()}
     legs = [Limb.of(rig, side, LEG, person) for side in SIDES]
@@ -130,7 +130,7 @@ def carry(
 
 
 def _reaching(
-    rig: Rig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
+    rig: CharacterRig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
 ) -> Carried:
     """The character with limbs that end where they belong."""
     posed, turns = rig.posed(carried), dict(carried.turns)
@@ -150,7 +150,7 @@ def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
     return [node for node in character.driven if node not in idle]
 
 
-def _above(rig: Rig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
+def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
     """Rotation of a node's parent in every frame; nodes between animated ones are at rest."""
     character = rig.character
     path = character.tree.path(node)[1:]

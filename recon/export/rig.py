@@ -31,7 +31,7 @@ class Carried:
 
 
 @dataclass(frozen=True)
-class Rig:
+class CharacterRig:
     """A character with what is needed to pose it."""
 
     character: Character
@@ -42,7 +42,7 @@ class Rig:
     along that node's axes and in lengths of the scene."""
 
     @classmethod
-    def of(cls, character: Character, motion: Motion, body: BodyModel) -> "Rig":
+    def of(cls, character: Character, motion: Motion, body: BodyModel) -> "CharacterRig":
         """The rig of a character in the rest pose of a body."""
         found = _to_rest_pose(character, motion, body)
         rest = {node: turn @ character.turns[node] for node, turn in found.items()}
