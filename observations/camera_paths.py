@@ -31,7 +31,9 @@ _MIN_EXTENT = 1e-6
 """Extent of a path, in its own unit, below which the camera only turns, and no unit matters."""
 
 
-def with_unit(view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]) -> Keypoints2D:
+def with_path_in_metres(
+    view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]
+) -> Keypoints2D:
     """The view with its path scaled so that feet stand still most of the time.
 
     Its first pose stays.

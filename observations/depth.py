@@ -138,7 +138,7 @@ class PointCloud(Sensor):
 
     @property
     def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Which points exist; the rows of shorter clouds are padded."""
+        """Mask of the points that exist, as the rows of shorter clouds are padded."""
         return self.present
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:

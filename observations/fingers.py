@@ -1,4 +1,4 @@
-"""Points of hands among those of a body: told apart, and checked."""
+"""Splits points of hands from those of a body, and checks them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +11,11 @@ from recon.core.arrays import bool_tensor, float_tensor
 from recon.core.errors import ObservationError
 from recon.core.fingers import FINGER_POINTS, HANDS
 from recon.core.layouts import keypoint_names
+
+_OPENXR = 26
+_FROM_OPENXR = (1, *range(2, 6), *range(7, 11), *range(12, 16), *range(17, 21), *range(22, 26))
+"""Wrist, and four joints of each finger, thumb first, among the joints of a hand of OpenXR, which
+begin with the palm and give every other finger a metacarpal (XrHandJointEXT)."""
 
 
 def body_points_only(names: Sequence[str]) -> bool:
@@ -58,7 +63,9 @@ def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*ba
     """Points of hands with a confidence from 0 on as their last number; zero where it is 0.
 
     Args:
-        fingers: (..., moments, 42, numbers), NaN where not seen.
+        fingers: (..., moments, 42, numbers), NaN where not seen; or 52 points, 26 of each hand in
+            the order of OpenXR (XR_EXT_hand_tracking), the palm and metacarpals of which are
+            left out.
         like: values of the body's points, with the same axes of moments.
         numbers: coordinates and the confidence.
 
@@ -66,10 +73,13 @@ def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*ba
         ObservationError: for other shapes, or infinite numbers where the confidence is above 0.
     """
     found = float_tensor(fingers, "fingers")
+    if found.ndim >= 2 and found.shape[-2] == 2 * _OPENXR:
+        found = found[..., [*_FROM_OPENXR, *(_OPENXR + k for k in _FROM_OPENXR)], :]
     wanted = (*tuple(like.shape[:-2]), len(FINGER_POINTS), numbers)
     if found.shape != wanted:
         raise ObservationError(
-            f"fingers: expected {len(FINGER_POINTS)} points, the left hand's first, as an array "
+            f"fingers: expected {len(FINGER_POINTS)} points (or {2 * _OPENXR} as OpenXR's), the "
+            "left hand's first, as an array "
             f"of shape {wanted}, coordinates and a confidence, got {tuple(found.shape)}"
         )
     found = torch.where(found[..., -1:] > 0, found, 0.0)

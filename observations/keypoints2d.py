@@ -134,7 +134,7 @@ class Keypoints2D(PointsOfBody):
 
     @property
     def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Which keypoints were seen."""
+        """Mask of the keypoints that were seen."""
         return self.confidence > 0
 
     @property

@@ -253,11 +253,11 @@ class MatchedCloud(TensorStruct):
         rows = cached_constant(tuple(k - seen.start for k in self.filled[some]), values.device)
         axis = len(self.present.shape) - 2
 
-        def cut(tensor: Tensor) -> Tensor:
+        def at_covered_moments(tensor: Tensor) -> Tensor:
             return tensor[(slice(None),) * axis + (some,)]
 
         scale, kept = self.scale, self.derived(scale=None)
-        return values[..., rows, :, :], kept.map(cut).derived(
+        return values[..., rows, :, :], kept.map(at_covered_moments).derived(
             scale=scale, filled=self.filled[some]
         )
 
@@ -295,17 +295,17 @@ class MatchedCloud(TensorStruct):
         if scene.ground is not None:
             T = scene.ground.T_world_recording
             along, foot = T[:3, :3] @ along, T[:3, :3] @ foot + T[:3, 3:]
-        turned = _by_rotations(foot, along, discs.weights, orientations, joints)
+        turned = _jacobian_by_rotations(foot, along, discs.weights, orientations, joints)
         rows = torch.cat((along, turned, shaped), -2)
         full = (rows * (2 * weight * slope)[:, None]) @ rows.mT
-        # the steps of the joints but the root are the prior's
+        # joints except the root move by the prior's own steps
         turn, bent = model.turn[frame], slice(6, FRAME)
         full[:, bent] = turn.mT @ full[:, bent]
         full[:, :, bent] = full[:, :, bent] @ turn
         model.part.add_frames(frame, full)
 
 
-def _by_rotations(
+def _jacobian_by_rotations(
     places: Float[Tensor, "moments 3 points"],
     along: Float[Tensor, "moments 3 points"],
     share: Float[Tensor, "moments 22 points"],

@@ -212,7 +212,7 @@ class TrackedPoints(PointsOfBody):
 
     @property
     def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Which points were seen."""
+        """Mask of the points that were seen."""
         return self.visible
 
     @property

@@ -114,7 +114,7 @@ _FORMER = {
 """Names that were here until 0.2.0, with the modules where they are now."""
 
 
-_named, __dir__ = _lazy(__name__, _HOMES)
+_with_known_names, __dir__ = _lazy(__name__, _HOMES)
 
 
 def __getattr__(name: str) -> Any:
@@ -122,4 +122,4 @@ def __getattr__(name: str) -> Any:
         home = _FORMER[name]
         warn(f"recon.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
         return getattr(import_module(home), name)
-    return _named(name)
+    return _with_known_names(name)

@@ -71,7 +71,7 @@ def test_an_installation_asks_for_nothing_that_only_tests_use(sdist):
     assert "Requires-Dist: roma" not in text
     extras = [line for line in text.splitlines() if line.startswith("Provides-Extra")]
     names = sorted(line.split()[-1] for line in extras)
-    assert names == ["film", "open3d", "ray", "report", "rerun", "usd"]
+    assert names == ["film", "live", "open3d", "ray", "report", "rerun", "usd"]
 
 
 def test_the_wheel_holds_the_packages_and_nothing_else(wheel):

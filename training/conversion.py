@@ -195,7 +195,7 @@ def judge(out: Path, body: BodyModel, splits: Path = SPLITS) -> list[ManifestRow
 
 
 def source_of(clip: str, collection: str, person: str, notes: Mapping[str, Any]) -> Source:
-    """What is known of a clip's recording.
+    """A record of a clip's origin: its person, collection, true rate and reliability.
 
     Args:
         clip: its name in the corpus.

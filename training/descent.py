@@ -1,4 +1,4 @@
-"""What trainings share: draws of latent codes, their divergence, and Muon for matrices."""
+"""Shared by trainings: draws of latent codes, their divergence, and Muon for matrices."""
 
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What every second of a converted recording may teach: poses, steps, contacts, shapes.
+"""Which trainings may use every second of a converted recording: poses, steps, contacts, shapes.
 
 A second is judged by what its motion shows: whether the foot that carries stands still, whether a
 joint jumps, whether feet rest on something that is not the ground, whether bodies fall as gravity

@@ -1,4 +1,4 @@
-"""What every second of a corpus may teach, as trainings read it: `manifest.csv` of the corpus.
+"""Reads and writes `manifest.csv` of a corpus: which trainings may use which seconds.
 
 A corpus without a manifest, as `recon convert --all` writes it, teaches everything that it has:
 all poses, steps on flat ground, contacts where its files have them.

@@ -23,7 +23,7 @@ from training.weights import save_checkpoint
 
 @dataclass(frozen=True)
 class PoseTraining(CorpusSettings):
-    """Settings of a run."""
+    """Settings of a run that fits the pose density."""
 
     floor: float = 0.05
     """Standard deviation added to every direction of pose space, radians."""
@@ -92,10 +92,10 @@ def fit_density(
     covariance = covariance + floor**2 * torch.eye(COORDINATES, dtype=covariance.dtype)
     variances, directions = torch.linalg.eigh(covariance)
     basis = directions * variances.sqrt()
-    return PoseDensity(mean, basis, _stiffness(mean, basis, body))
+    return PoseDensity(mean, basis, _stiffness_of_joints(mean, basis, body))
 
 
-def _stiffness(
+def _stiffness_of_joints(
     mean: Float[Tensor, "21 3 3"], basis: Float[Tensor, "63 63"], body: BodyModel
 ) -> Float[Tensor, "66 66"]:
     rest = body.joint_template.to(mean)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from recon.formats.replacing import replacing, write_text
 from training.settings import LOG as LOG
-from training.settings import TrainingSettings, identity, plain, same_run
+from training.settings import TrainingSettings, identity_of_run, plain_settings, refuse_other_run
 
 
 @contextmanager
@@ -106,7 +106,7 @@ class Run(Generic[S, N]):
         """
         torch.set_num_threads(settings.threads)
         torch.manual_seed(settings.seed)
-        self.settings, self.identity = settings, identity(settings)
+        self.settings, self.identity = settings, identity_of_run(settings)
         self.random = torch.Generator().manual_seed(settings.seed)
         """Draws the batches; dropout and blur draw from torch's own generator."""
         self.step = 0
@@ -117,7 +117,7 @@ class Run(Generic[S, N]):
         path = settings.out / CHECKPOINT
         state = read_state(path)
         if state is not None:
-            same_run(path, self.identity, state.get("identity"))
+            refuse_other_run(path, self.identity, state.get("identity"))
         self.networks = self.untrained(state)
         self.averaged = deepcopy(self.networks).requires_grad_(False).eval()
         """The average of the networks' weights over time, which is the result of the run."""
@@ -149,7 +149,7 @@ class Run(Generic[S, N]):
         """Steps and learning rate of every part of the run, one after the other."""
         return ((self.settings.steps, self.settings.rate),)
 
-    def more(self) -> dict[str, Any]:
+    def further_state(self) -> dict[str, Any]:
         """Further content of a run's checkpoint, besides weights and losses."""
         return {}
 
@@ -166,8 +166,8 @@ class Run(Generic[S, N]):
         """Write the checkpoint in one step."""
         self._write(
             CHECKPOINT,
-            settings=plain(self.settings),
-            identity=self.identity,
+            settings=plain_settings(self.settings),
+            identity_of_run=self.identity,
             networks=self.networks.state_dict(),
             optimiser=self.optimiser.state_dict(),
             random=self.random.get_state(),
@@ -177,11 +177,15 @@ class Run(Generic[S, N]):
         )
 
     def _write(self, name: str, **state: Any) -> None:
-        state |= {"averaged": self.averaged.state_dict(), "step": self.step, **self.more()}
+        state |= {
+            "averaged": self.averaged.state_dict(),
+            "step": self.step,
+            **self.further_state(),
+        }
         with replacing(self.settings.out / name) as beside:
             torch.save(state, beside)
 
-    def go(self) -> Path:
+    def train_to_end(self) -> Path:
         """Train to the end; returns the path of the checkpoint."""
         settings, steps = self.settings, sum(length for length, _ in self.parts)
         LOG.info("from step %d of %d", self.step, steps)

@@ -48,7 +48,7 @@ class CorpusSettings:
             if own == part and (self.data == "nc" or splits.is_open(name))
         }
 
-    def taught(
+    def stretches_that_teach(
         self, part: Part, lesson: Lesson, with_contacts: bool = True
     ) -> Iterator[tuple[str, Path, MotionFile]]:
         """Name, file and stretches of the clips of one part that teach something.
@@ -81,7 +81,7 @@ class CorpusSettings:
         """Stretches of one split fit for training, resampled; single frames are dropped."""
         clips: list[CorpusClip] = []
         splits = Splits.load(self.splits)
-        for name, _, file in self.taught(part, lesson, with_contacts=False):
+        for name, _, file in self.stretches_that_teach(part, lesson, with_contacts=False):
             motion = file.motion.resample(fps)
             if motion.frames > 1:
                 clips.append(CorpusClip(name, splits.subject(name), motion))
@@ -116,7 +116,7 @@ FREE = ("out", "threads", "save_every", "device")
 _CONTENTS = "sha256:"
 
 
-def plain(settings: Any) -> dict[str, Any]:
+def plain_settings(settings: Any) -> dict[str, Any]:
     """A dataclass of settings as a checkpoint holds it."""
     found = dataclasses.asdict(settings)
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
@@ -128,7 +128,7 @@ def settings_to_store(settings: Any) -> dict[str, Any]:
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
 
 
-def identity(settings: Any) -> dict[str, Any]:
+def identity_of_run(settings: Any) -> dict[str, Any]:
     """The identity of a run: its settings, and checksums of the files they name.
 
     A folder counts by the motions and notes of its corpus, another file by its bytes, wherever
@@ -138,19 +138,19 @@ def identity(settings: Any) -> dict[str, Any]:
         FileNotFoundError: when a file that is named is not there.
         ValueError: when a folder holds no corpus.
     """
-    found = plain(settings)
+    found = plain_settings(settings)
     for name, value in vars(settings).items():
         if isinstance(value, Path) and name not in FREE:
-            found[name] = _contents(value)
+            found[name] = _checksum_text(value)
     return {name: value for name, value in found.items() if name not in FREE}
 
 
-def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
+def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
     """Refuse to resume from the checkpoint of a run with other settings or data.
 
     Args:
         path: of the checkpoint, for the message.
-        own: `identity` of the run that is asked for.
+        own: `identity_of_run` of the run that is asked for.
         found: the one in the checkpoint; None where an older version wrote none.
 
     Raises:
@@ -161,7 +161,7 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
             f"{path}: an older version wrote this checkpoint without saying what it learned "
             "from, so it cannot be continued; take another folder"
         )
-    names = [name for name in (own | found) if not _same(own.get(name), found.get(name))]
+    names = [name for name in (own | found) if not _same_setting(own.get(name), found.get(name))]
     if len(names) > 0:
         said = [_difference(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
@@ -170,7 +170,7 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
         )
 
 
-def _same(here: Any, there: Any) -> bool:
+def _same_setting(here: Any, there: Any) -> bool:
     """Whether a setting is the same; a zero part counts as a missing one.
 
     Parts that are added to a group of settings, such as a new variation, are zero where nothing
@@ -187,7 +187,7 @@ def _difference(name: str, there: Any, here: Any) -> str:
     return f"{name} ({there} there, {here} here)"
 
 
-def _contents(path: Path) -> str:
+def _checksum_text(path: Path) -> str:
     if not path.is_dir():
         return _CONTENTS + file_checksum(path)
     motions = clip_files(path).values()

@@ -55,11 +55,11 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
         ValueError: when a manifest is damaged.
     """
     folders = sorted(manifest.parent for manifest in (data / MORE).glob("*/manifest.csv"))
-    more = [_listed(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
+    more = [_clips_of_manifest(one) for one in folders if one.name not in (HUMANOID, WINDOWS)]
     return [*clips_by_collection(data / FIRST), *more]
 
 
-def _listed(folder: Path) -> list[SourceClip]:
+def _clips_of_manifest(folder: Path) -> list[SourceClip]:
     """The recordings of a later collection, as its manifest lists them."""
     with (folder / "manifest.csv").open(newline="", encoding="utf-8-sig") as file:
         return [_clip(folder, row) for row in csv.DictReader(file)]
@@ -82,12 +82,12 @@ def marker_clips(data: Path) -> list[SourceClip]:
         for row in table["recording"]
         if "clip" in row
     ]  # fmt: skip
-    return found + _listed(data / "observations" / MARKERS)
+    return found + _clips_of_manifest(data / "observations" / MARKERS)
 
 
 def copied_clips(data: Path, collection: str) -> list[SourceClip]:
     """All motions on a skeleton shared by all people, which needs a special reader."""
-    return _listed(data / MORE / collection)
+    return _clips_of_manifest(data / MORE / collection)
 
 
 def read_markers(clip: SourceClip) -> MarkerRecording:
@@ -168,7 +168,7 @@ def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
             turn = Rotation.align_vectors(np.array([usual]), seen[None])[0]
             if np.degrees(turn.magnitude()) > _STOOPS:
                 for name in own:
-                    found[name] = _turned(found[name], joints, turn.as_matrix())
+                    found[name] = _with_joints_turned(found[name], joints, turn.as_matrix())
     return found
 
 
@@ -183,7 +183,7 @@ def _direction(recording: SkeletonRecording, joints: tuple[str, ...], tip: str) 
     return (np.swapaxes(chest, 1, 2) @ world[..., None])[..., 0]
 
 
-def _turned(
+def _with_joints_turned(
     recording: SkeletonRecording, joints: tuple[str, ...], turn: np.ndarray
 ) -> SkeletonRecording:
     """The recording with joints turned together in the frame of Spine1, about the first of them.
@@ -269,7 +269,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
         frames = np.array(table["Frames"], dtype=float)
         if frames.ndim != 2 or frames.shape[1] != 44 or not np.isfinite(frames).all():
             raise ValueError(f"its frames have the shape {frames.shape}")
-        turns = _turns(frames)
+        turns = _joint_rotations(frames)
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path}: expected frames of 44 numbers (DeepMimic): {error}") from error
     names = tuple(_TREE)
@@ -282,17 +282,17 @@ def read_humanoid(path: Path) -> SkeletonRecording:
         turns[name] = before.T @ turns[name] @ raised
         offsets[joint] = before.T @ offsets[joint]
 
-    def local() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def local_poses() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for name, offset in zip(names, offsets, strict=True):
             yield (frames[:, 1:4] if name == "root" else offset), turns[name]
 
-    positions, orientations = posed_skeleton(parents, local(), len(frames))
+    positions, orientations = posed_skeleton(parents, local_poses(), len(frames))
     raw = SkeletonRecording(path.name, names, parents, offsets, positions, orientations,
                             snapped_rate(1 / float(np.median(frames[:, 0]))), ())  # fmt: skip
     return settle_skeleton(raw, unit="m", up="y")
 
 
-def _turns(frames: np.ndarray) -> dict[str, np.ndarray]:
+def _joint_rotations(frames: np.ndarray) -> dict[str, np.ndarray]:
     """Rotation of every joint from its parent, frames x 3 x 3; joints without numbers stay."""
     still = np.broadcast_to(np.eye(3), (len(frames), 3, 3))
     turns = dict.fromkeys(_TREE, still)

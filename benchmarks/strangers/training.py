@@ -12,7 +12,7 @@ from training.humor.variation import VARIED
 from training.pose import PoseTraining
 from training.pose import export_weights as export_poses
 from training.run import CHECKPOINT, read_state, trained_state
-from training.settings import identity, same_run
+from training.settings import identity_of_run, refuse_other_run
 
 SAVED_EVERY = 60.0
 """Seconds."""
@@ -86,7 +86,7 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
     poses = own / "pose.safetensors"
     export_poses(PoseTraining(corpus, out=poses, splits=settings.splits), poses)
-    checked = any(True for _ in settings.taught("validation", "steps"))
+    checked = any(True for _ in settings.stretches_that_teach("validation", "steps"))
     state = trained_state(settings.out / CHECKPOINT)
     return FoldPriors(
         humor=Humor.load(weights),
@@ -105,5 +105,5 @@ def finished(settings: HumorTraining) -> bool:
     state = read_state(settings.out / CHECKPOINT)
     if state is None:
         return False
-    same_run(settings.out / CHECKPOINT, identity(settings), state.get("identity"))
+    refuse_other_run(settings.out / CHECKPOINT, identity_of_run(settings), state.get("identity"))
     return state["step"] >= settings.steps

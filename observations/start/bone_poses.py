@@ -91,7 +91,7 @@ class BoneTargets(TensorStruct):
     place: Float[Tensor, "rows points 3"]
     """Vector from the joint of the bone, in the bone's frame, metres."""
 
-    def away(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
+    def residuals(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
         """Predicted minus seen places, metres."""
         pick = self.bone[..., None, None].expand(*self.bone.shape, 3, 4)
         placed = state.bones.gather(1, pick)
@@ -227,7 +227,7 @@ class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
     def model(self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"]) -> Quadratic:
         """Reweighted least squares linearised at the poses; one matrix holds all rows (frames)."""
         state, sigma, targets = x[0], self.sigmas[x[1]], self.targets(x[0])
-        away = targets.away(state)
+        away = targets.residuals(state)
         share = sigma**2 / (sigma**2 + away.square().sum(-1))
         force, stiffness = _moments_of_bones(targets, away, targets.weight * share.square())
         gradient, own = _by_coordinates(state, force, stiffness, self.solver.density)

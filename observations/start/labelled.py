@@ -235,7 +235,7 @@ class _Tracker:
             moments.present.repeat(readings, 1), eye,
         )  # fmt: skip
         labels = concatenate([found] * readings)
-        away = labels.away(posed).square().sum(-1)
+        away = labels.residuals(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
         cost = misfit + _AGAINST * contradicted + _LABELS * share

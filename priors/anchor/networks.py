@@ -70,7 +70,7 @@ class AnchorNetworks(nn.Module):
         return self.basis.denormalised(self.normalised(latent, shape))
 
 
-class _Block(nn.Module):
+class _ResidualBlock(nn.Module):
     """x + B silu(A norm(x))."""
 
     def __init__(self, width: int) -> None:
@@ -90,7 +90,7 @@ def _residual_layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
     nn.init.zeros_(last.bias)
     if width == 0:
         return nn.Sequential(last)
-    blocks = [_Block(width), _Block(width)]
+    blocks = [_ResidualBlock(width), _ResidualBlock(width)]
     return nn.Sequential(nn.Linear(inputs, width), *blocks, last)
 
 

@@ -111,7 +111,7 @@ class FrozenDecoder:
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
-    def by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
+    def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
         """Layer by layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
@@ -196,7 +196,7 @@ def _unrolled(
     turn = HeadingTurn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
-    for each in zip(*(part.unbind(0) for part in decoder.by_layer(added)), strict=True):
+    for each in zip(*(part.unbind(0) for part in decoder.split_by_layer(added)), strict=True):
         *units, raw = decoder(x, each)
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
@@ -258,8 +258,7 @@ class _Unroll(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # Gradients of the start of a step, of its raw output and of its rotations, to which
-        # the gradient of the following step is added.
+        # gradients by a step's start, raw output and rotations; the next step's is added to them
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

@@ -84,7 +84,7 @@ class Humor(Prior[HumorVariables]):
         """
         body = BodyModel.load() if body is None else body.to(device="cpu")
         if path in (None, "open") and mixture is None:
-            found = _bundled()
+            found = _bundled_prior()
             return found if body is found.body else replace(found, body=body)
         weights = read_weights("open" if path is None else path)
         networks = networks_from(weights)
@@ -98,9 +98,9 @@ class Humor(Prior[HumorVariables]):
         whitening = whitening_from(weights)
         return cls(
             networks.requires_grad_(False),
-            _bundled().initial if initial is None else initial,
+            _bundled_prior().initial if initial is None else initial,
             body,
-            _bundled().error_whitening if whitening is None else whitening,
+            _bundled_prior().error_whitening if whitening is None else whitening,
         )
 
     def stages(
@@ -183,7 +183,7 @@ def _cast(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
 
 
 @lru_cache(maxsize=1)
-def _bundled() -> Humor:
+def _bundled_prior() -> Humor:
     """The prior with the weights in the package and the bundled body, read once."""
     with torch.inference_mode(False):  # tensors of that mode could not be used outside of it
         weights = read_weights("open")

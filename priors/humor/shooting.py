@@ -112,7 +112,7 @@ _AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 @dataclass(frozen=True, eq=False)
 class Shooting(Prior[HumorVariables]):
-    """The motion is decoded from a first state and latents, which are optimised.
+    """HuMoR by single shooting: the first state and the latents are optimised.
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
     the mixture for an energy and the latents the conditional prior. The usual start is the motion
@@ -168,7 +168,7 @@ class Shooting(Prior[HumorVariables]):
         """
         del noise, body, method  # the weights were given to the constructor
         if self.data_weights is not None:
-            data = tuple(_weighted(term, self.data_weights) for term in data)
+            data = tuple(_with_sensor_weight(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
@@ -218,7 +218,7 @@ def _first_frames(variables: HumorVariables) -> HumorVariables:
     return variables.first(FIRST_FRAMES)
 
 
-def _weighted(term: Term, weights: Mapping[str, float]) -> Term:
+def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
     """The term with the weight of its sensor's unit; terms of no sensor are unchanged."""
     unit: str = getattr(term.energy, "unit", "")
     return term if unit not in weights else replace(term, weight=weights[unit])

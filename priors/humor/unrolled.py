@@ -28,7 +28,7 @@ _LOG_TWO_PI = math.log(2 * math.pi)
 
 @dataclass(frozen=True)
 class HumorVariables(TensorStruct):
-    """A first state, as steps of its rotations away from a base, and what follows; at 30 Hz."""
+    """Variables of a roll-out at 30 Hz: steps of the first state's rotations, and latents."""
 
     translation: Float[Tensor, "clips 3"]
     """SMPL translation of the first frame, metres."""

@@ -86,7 +86,7 @@ class _Transformer(nn.Module):
         super().__init__()
         self.first = nn.Linear(inputs, width)
         self.body = nn.Linear(shape, width)
-        self.layers = nn.ModuleList(_Layer(width, dropout) for _ in range(layers))
+        self.layers = nn.ModuleList(_AttentionLayer(width, dropout) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
         self.last = nn.Linear(width, outputs)
         nn.init.zeros_(self.last.weight)
@@ -104,7 +104,7 @@ class _Transformer(nn.Module):
         return self.last(self.norm(y))
 
 
-class _Layer(nn.Module):
+class _AttentionLayer(nn.Module):
     """x + attention(norm(x)), then x + B gelu(A norm(x))."""
 
     def __init__(self, width: int, dropout: float) -> None:

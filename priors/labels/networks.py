@@ -294,7 +294,7 @@ class LabelNetwork(nn.Module):
         neighbours: Int[Tensor, "moments steps"],
         known: Bool[Tensor, "moments steps"],
     ) -> RawLabels:
-        """Labels of all points.
+        """Raw labels (region, place, noise, on the body) of all points.
 
         Args:
             clouds: of all moments.

@@ -1,1 +1,1 @@
-"""A network that looks at the points seen of a clip and proposes whole motions."""
+"""A network that proposes whole motions from the points of a clip that were seen."""

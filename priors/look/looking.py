@@ -57,7 +57,7 @@ def load_network(weights: str | Path = "open", device: torch.device | str = "cpu
 
 @dataclass(frozen=True)
 class UnseenLimbs(TensorStruct):
-    """When no sensor tells the rotation of a joint, in the frames of the first sensor."""
+    """Masks of the frames in which no sensor determines the rotation of a joint."""
 
     rotations: Bool[Tensor, "clips frames 22"]
     """No sensor saw a point at the joint's child or further down the tree for `_GAP_S` or longer;
@@ -70,7 +70,7 @@ class UnseenLimbs(TensorStruct):
 
     @classmethod
     def of(cls, data: Sequence[Term], body: BodyModel) -> "UnseenLimbs | None":
-        """The limbs that no sensor of the data sees, and when.
+        """Masks of the limbs that no sensor of the data sees.
 
         None where every limb is seen, or where a sensor does not know which joints it locates. A
         joint at the end of a limb, whose rotation moves no other joint, counts as its parent
@@ -89,7 +89,7 @@ class UnseenLimbs(TensorStruct):
         never = _rotations_below(share_of_frames(seen) < _SELDOM)
         never &= never[:, list(_BENDING)].any(-1, keepdim=True)
         frames = max(1, min(round(_GAP_S * first.fps) + 1, first.moments))
-        rotations = _lasting(_rotations_below(~seen) & first_to_last(seen)[..., None], frames)
+        rotations = _long_runs(_rotations_below(~seen) & first_to_last(seen)[..., None], frames)
         rotations &= rotations[..., list(_BENDING)].any(-1, keepdim=True)
         rotations |= never[:, None]
         return cls(rotations, never, first.fps, first.start_time) if rotations.any() else None
@@ -110,7 +110,7 @@ def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape
     return found
 
 
-def _lasting(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor, "clips time 22"]:
+def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor, "clips time 22"]:
     """The runs of a mask that last so many frames or longer."""
     whole = mask.unfold(1, frames, 1).all(-1)
     around = torch.nn.functional.pad(whole, (0, 0, frames - 1, frames - 1))
@@ -150,7 +150,7 @@ class LookedLimbs:
         first = int(found.log_weight[0].argmax())
         away = found.joints(body.to(dtype=torch.float32))[:, first] - joints.float()
         std = (found.log_std[:, first].exp().square() + _STD_M**2).sqrt()
-        if surprise(away, std, seen & motion.valid[..., None]) > FAMILIAR:
+        if mean_squared_deviation(away, std, seen & motion.valid[..., None]) > FAMILIAR:
             return None, (
                 "what was seen is far from what the network knows that proposes motions of limbs "
                 "that were not: they began from smooth motions, and may be wrong"
@@ -169,7 +169,7 @@ class LookedLimbs:
         )
 
 
-def surprise(
+def mean_squared_deviation(
     away: Float[Tensor, "*batch 3"], std: Float[Tensor, "*batch"], counted: Bool[Tensor, "*batch"]
 ) -> float:
     """Mean square of vectors in standard deviations of their coordinates; 1 is expected."""

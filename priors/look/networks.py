@@ -1,4 +1,4 @@
-"""The network that looks first: from points seen of a clip to several whole motions with weights.
+"""The network that proposes several whole motions, with weights, from seen points of a clip.
 
 Each frame becomes one vector: the sum over visible points of features of their place on the body
 times their position, so any set of points is an input. Transformer layers with short convolutions
@@ -62,7 +62,7 @@ class Proposed(TensorStruct):
 
 
 class LookNetwork(nn.Module):
-    """From seen points to `Proposed` motions."""
+    """A network from the seen points of clips to several `Proposed` motions with weights."""
 
     def __init__(
         self, shape: int, width: int = 224, common: int = 4, own: int = 2, hypotheses: int = 4
@@ -83,9 +83,9 @@ class LookNetwork(nn.Module):
         self.first = nn.Sequential(
             nn.Linear(4 * _FEATURES + 7, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
         )
-        self.common = nn.ModuleList(_Layer(width) for _ in range(common))
+        self.common = nn.ModuleList(_ConvolutionAndAttention(width) for _ in range(common))
         self.codes = nn.Parameter(0.5 * torch.randn(hypotheses, width))
-        self.own = nn.ModuleList(_Layer(width) for _ in range(own))
+        self.own = nn.ModuleList(_ConvolutionAndAttention(width) for _ in range(own))
         self.norm = nn.LayerNorm(width)
         self.last = nn.Linear(width, _OUTPUTS)
         self.whole = nn.Linear(width, shape)
@@ -134,7 +134,7 @@ class LookNetwork(nn.Module):
         """One vector for every frame: sums over points, their number, noise, and frames' steps."""
         bone = functional.one_hot(seen.bone, len(JOINTS)).to(seen.offset)
         place = self.place(torch.cat((bone, seen.offset / REACH_M), -1))
-        inside = frames.inside(seen.positions)
+        inside = frames.in_walking_frames(seen.positions)
         inside = inside - inside.new_tensor([0.0, 0.0, _PELVIS_M])
         shown = seen.visible[..., None].to(inside)
         numbers = torch.cat((inside.where(seen.visible[..., None], 0.0), shown), -1)
@@ -146,7 +146,7 @@ class LookNetwork(nn.Module):
         return torch.cat((sums, count, std, seldom, steps), -1)
 
 
-class _Layer(nn.Module):
+class _ConvolutionAndAttention(nn.Module):
     """x + convolution, x + attention, x + two linear layers, each of the normalised x."""
 
     def __init__(self, width: int) -> None:

@@ -85,8 +85,8 @@ class WalkingFrames(TensorStruct):
         origin = near @ (total * middle) / share.clamp(min=1e-6)[..., None]
         return cls(turn, torch.nn.functional.pad(origin, (0, 1)))
 
-    def inside(self, points: Float[Tensor, "clips time points 3"]) -> Tensor:
-        """Points of the world in the frames of their moments."""
+    def in_walking_frames(self, points: Float[Tensor, "clips time points 3"]) -> Tensor:
+        """World points, expressed in the walking frame of their moment."""
         return (points - self.origin[:, :, None]) @ self.turn
 
     def steps(self, exists: Bool[Tensor, "clips time"]) -> Float[Tensor, "clips time 4"]:

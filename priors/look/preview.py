@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from priors.look.looking import FAMILIAR, between_seen, load_network, surprise
+from priors.look.looking import FAMILIAR, between_seen, load_network, mean_squared_deviation
 from priors.look.networks import LookNetwork
 from priors.look.points import SeenPoints
 from recon.body.model import BodyModel, forward_kinematics
@@ -70,10 +70,14 @@ class LookAtPoints:
         """
         body = body.to(dtype=torch.float32)
         seen, start_time, fps = seen_points(observations, body)
-        rotations, pelvis, shape, std, log_weight = self._over_windows(seen, body)
-        rotations, pelvis, std = _over_gaps(rotations, pelvis, std, seen.visible[0].any(-1))
+        rotations, pelvis, shape, std, log_weight = self._blended_over_windows(seen, body)
+        rotations, pelvis, std = _interpolated_over_gaps(
+            rotations, pelvis, std, seen.visible[0].any(-1)
+        )
         placement, first = _Placement(seen, body), int(log_weight.argmax())
-        own = placement.carried(rotations[first], pelvis[first], body.rest_joints(shape)[None])[0]
+        own = placement.points_on_bodies(
+            rotations[first], pelvis[first], body.rest_joints(shape)[None]
+        )[0]
         shape = placement.shape(rotations[first], pelvis[first], shape)
         every = zip(rotations, pelvis, strict=True)
         moved = torch.stack([placement.pelvis(*one, shape) for one in every])
@@ -81,11 +85,13 @@ class LookAtPoints:
         shapes = shape.expand(len(moved), -1)
         motions = Motion.create(translation, rotations, shapes, fps, start_time)
         spread = (std[first][:, seen.bone[0]].square() + seen.std.square()).sqrt()
-        far = surprise(seen.positions[0] - own, spread, seen.visible[0])
-        return ProposedMotions(motions, log_weight, std, _doubt(far) if far > FAMILIAR else None)
+        far = mean_squared_deviation(seen.positions[0] - own, spread, seen.visible[0])
+        return ProposedMotions(
+            motions, log_weight, std, _misfit_in_words(far) if far > FAMILIAR else None
+        )
 
-    def _over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:
-        """What is proposed by overlapping windows, blended: each fades in and out.
+    def _blended_over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:
+        """Proposals of overlapping windows, blended where they overlap in time.
 
         Rotations and positions of the pelvis of every hypothesis, one shape, standard deviations
         and logarithms of the weights.
@@ -114,7 +120,7 @@ class LookAtPoints:
         return rotations, pelvis, shape / len(firsts), log_std.exp(), weight.log_softmax(-1)
 
 
-def _doubt(far: float) -> str:
+def _misfit_in_words(far: float) -> str:
     return (
         f"on average the points are {far**0.5:.1f} standard deviations away from what the network "
         "proposes, so they are far from what it knows; fit them, and check their unit and names"
@@ -179,7 +185,7 @@ def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
-    """Some windows of the only clip, as clips."""
+    """Windows of the single clip, as a batch of clips."""
     count = len(cuts)
     return SeenPoints(
         torch.cat([seen.positions[:, cut] for cut in cuts]),
@@ -189,7 +195,7 @@ def _windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
     )  # fmt: skip
 
 
-def _over_gaps(
+def _interpolated_over_gaps(
     rotations: Float[Tensor, "hypotheses time 22 3 3"],
     pelvis: Float[Tensor, "hypotheses time 3"],
     std: Float[Tensor, "hypotheses time 22"],
@@ -211,12 +217,12 @@ def _over_gaps(
 
 @dataclass(frozen=True, eq=False)
 class _Placement:
-    """Where points are seen, and where a body of proposed rotations carries them."""
+    """Seen points, and where proposed rotations and places of the pelvis carry them."""
 
     seen: SeenPoints
     body: BodyModel
 
-    def carried(
+    def points_on_bodies(
         self,
         rotations: Float[Tensor, "time 22 3 3"],
         pelvis: Float[Tensor, "time 3"],
@@ -235,7 +241,7 @@ class _Placement:
         pelvis: Float[Tensor, "time 3"],
         shape: Float[Tensor, " shape"],
     ) -> Float[Tensor, " shape"]:
-        """The shape with which proposed rotations agree best with the points.
+        """The shape coefficients with which proposed rotations fit the seen points best.
 
         Joints are linear in the shape, so that it solves a small linear system: ridge regression
         towards the average person, each frame about the mean of its points.
@@ -244,9 +250,9 @@ class _Placement:
         rows = frames[torch.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).long()]
         one = torch.eye(len(shape))
         rest = self.body.rest_joints(torch.cat((shape[None], shape + one)))
-        found = self.carried(rotations[rows], pelvis[rows], rest)
+        found = self.points_on_bodies(rotations[rows], pelvis[rows], rest)
         away, slope = self.seen.positions[0, rows] - found[0], found[1:] - found[0]
-        weight = _trust(away, self.seen.visible[0, rows])
+        weight = _robust_weights(away, self.seen.visible[0, rows])
         share = weight / weight.sum(1, keepdim=True).clamp(min=1e-6)
         away = away - (share * away).sum(1, keepdim=True)
         slope = slope - (share * slope).sum(2, keepdim=True)
@@ -260,10 +266,10 @@ class _Placement:
         pelvis: Float[Tensor, "time 3"],
         shape: Float[Tensor, " shape"],
     ) -> Float[Tensor, "time 3"]:
-        """The pelvis, moved by what the points near in time are away on average."""
-        found = self.carried(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
+        """The path of the pelvis, shifted by the mean distance of points near in time."""
+        found = self.points_on_bodies(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
         away = self.seen.positions[0] - found
-        weight = _trust(away, self.seen.visible[0])
+        weight = _robust_weights(away, self.seen.visible[0])
         pull = torch.cat(((weight * away).sum(1), weight.sum(1)), -1)
         reach = torch.arange(-30.0, 31.0)
         near = (1 + (reach / _NEAR).square()) ** -2
@@ -271,7 +277,7 @@ class _Placement:
         return pelvis + sums[:, :3] / sums[:, 3:].clamp(min=1e-6)
 
 
-def _trust(away: Tensor, visible: Tensor) -> Tensor:
-    """Weights (frames, points, 1) of points so far from where they are expected."""
+def _robust_weights(away: Tensor, visible: Tensor) -> Tensor:
+    """Weights (frames, points, 1) of points, which fall with the distance from prediction."""
     near = (1 + (away.norm(dim=-1, keepdim=True) / _ASTRAY_M).square()) ** -2
     return near * visible[..., None]

@@ -66,7 +66,7 @@ class PoseDensity(TensorStruct):
         steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
         return self.mean @ so3.exp(steps)
 
-    def by_rotations(
+    def jacobian_by_rotations(
         self, rotations: Float[Tensor, "*shape 21 3 3"]
     ) -> Float[Tensor, "*shape 63 63"]:
         """Derivatives of the coordinates by steps R_j Exp(w_j) of the joints, per radian."""
@@ -218,7 +218,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         def by_rotations(motion: Motion) -> Float[Tensor, "*batch time 63 63"]:
             like = motion.translation
             density = self.density.to(dtype=like.dtype, device=like.device)
-            return density.by_rotations(motion.rotations[..., 1:, :, :]) * scale
+            return density.jacobian_by_rotations(motion.rotations[..., 1:, :, :]) * scale
 
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision)
 

@@ -26,7 +26,7 @@ from recon.formats.writing import writing_file
 from recon.method.sensor import Sensor
 from recon.reading.clip import format_errors
 from recon.reading.images import keypoints_of, undistorted
-from recon.reading.places import expand
+from recon.reading.places import files_of_views
 from recon.reading.rig import FilmedPerson, Rig, rig_of_person
 from recon.reading.stated import level_turn
 from recon.reading.views import Views, read_views
@@ -144,7 +144,7 @@ def calibrate(
         raise ObservationError(
             f"height: expected {_HEIGHTS[0]} to {_HEIGHTS[1]} metres, got {height:g}"
         )
-    paths, _ = expand(paths_given(observations))
+    paths, _ = files_of_views(paths_given(observations))
     if board is not None or square is not None:
         return _calibrated_by_board(paths, board or "", square)
     if len(paths) < 2:
@@ -160,7 +160,7 @@ def calibrate(
     with format_errors():
         views = [read_views([path], how).person(person) for path in paths]
     files = _on_one_clock(views)
-    people = [_filmed(name, one) for name, one in files.items()]
+    people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
     poses, tall = _on_ground(rig, files, people, BodyModel.load())
     scale = 1.0 if height is None else height / tall
@@ -195,7 +195,7 @@ def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) 
 
 
 def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
-    """What each camera saw, by its name, over the frames of all; unseen where a film has none.
+    """Every camera's keypoints by its name, over the frames of all; unseen where a film has none.
 
     Raises:
         ObservationError: when names, layouts or frame rates are not what they should be.
@@ -226,7 +226,7 @@ def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
     return found
 
 
-def _filmed(name: str, file: KeypointsFile) -> FilmedPerson:
+def _filmed_person(name: str, file: KeypointsFile) -> FilmedPerson:
     matrix, path = file.camera.camera_matrix, file.camera.path
     up = None if path is None or not path.level else path.T_world_camera[0, 2, :3]
     return FilmedPerson(
@@ -286,7 +286,9 @@ def _on_ground(
         shifted = replace(file, camera=camera, start_time=-late / first.fps)
         seen.append(keypoints_of(shifted, body).derived(ground_known=False, level=level))
         poses[name] = pose
-    found = fit(seen, "pose", body=body, ground="unknown", between=_densest(files, first.fps))
+    found = fit(
+        seen, "pose", body=body, ground="unknown", between=_fullest_seconds(files, first.fps)
+    )
     assert found.T_world_camera is not None
     moved = found.T_world_camera.double().numpy() @ next(iter(poses.values()))
     lifted = {name: pose @ np.linalg.inv(moved) for name, pose in poses.items()}
@@ -294,14 +296,14 @@ def _on_ground(
 
 
 def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
-    """The camera with another focal length, pixels, and nothing else known of it than its lens."""
+    """A camera with the same size and distortion, another focal length (pixels) and no pose."""
     matrix = camera.camera_matrix.copy()
     matrix[[0, 1], [0, 1]] = focal
     return CameraArrays(matrix, camera.image_size, camera.distortion)
 
 
-def _densest(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
-    """Seconds in which all cameras together saw most; None for the whole of a short film."""
+def _fullest_seconds(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
+    """Start and stop of the seconds in which all cameras see most; None for a short film."""
     seen = np.stack([one.confidence.mean(-1) for one in files.values()]).min(0)
     length = round(_LONGEST_FIT * fps)
     if len(seen) <= length:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from recon.api.results import Tables, closing_fields, in_ten_lines
 from recon.detections.records import Detections
@@ -27,7 +28,7 @@ class DetectedPeople:
 
     @property
     def tables(self) -> Tables:
-        """Where and how surely everybody was seen."""
+        """Frames, share of keypoints seen and mean confidence of every person."""
         rows = {
             f"person {one.number}": {
                 "frames": len(one.frame),
@@ -95,7 +96,7 @@ def detect(
     detector: str | None = None,
     detections: str | None = None,
 ) -> DetectedPeople:
-    """Detect people in a film: 33 keypoints of everybody in every frame, for a look or a swap.
+    """Detect people in a film: 33 keypoints of everybody in every frame, to look at before a fit.
 
     `recon fit` takes films as well as the file that this writes. People are followed past each
     other; what lies beyond the border or behind others has no or little confidence.
@@ -131,7 +132,15 @@ def _numbered(found: Detections, tracks: tuple[Track, ...]) -> Detections:
         frame=frame[order],
         pixels=np.concatenate([one.pixels for one in tracks])[order],
         confidence=np.concatenate([one.confidence for one in tracks])[order],
+        hands=_hands_of(tracks, order),
         identity=np.repeat([one.number for one in tracks], [len(one.frame) for one in tracks])[
             order
         ],
     )
+
+
+def _hands_of(
+    tracks: tuple[Track, ...], order: Int[np.ndarray, " rows"]
+) -> Float[np.ndarray, "rows 42 3"] | None:
+    hands = [one.hands for one in tracks if one.hands is not None]
+    return np.concatenate(hands)[order] if hands else None

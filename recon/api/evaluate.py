@@ -135,7 +135,7 @@ def evaluate(
     model = body_given(body).to(dtype=torch.float64)
     ours = _in_double(motion_given(estimate, model, "estimate").file)
     frames = ours.motion.frames
-    own = ours.contacts if contacts is None else _labels(contacts, "contacts", frames)
+    own = ours.contacts if contacts is None else _labels_as_tensor(contacts, "contacts", frames)
     visible = _visible_given(truth_visible, frames)
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
@@ -144,10 +144,10 @@ def evaluate(
     labels = (
         _labels_of_file(theirs, "contacts", ours.motion)
         if truth_contacts is None
-        else _labels(truth_contacts, "truth_contacts", frames)
+        else _labels_as_tensor(truth_contacts, "truth_contacts", frames)
     )
     if visible is None:
-        visible = _visible(seen, theirs, ours.motion)
+        visible = _visible_joints(seen, theirs, ours.motion)
     metrics = evaluation.evaluate(
         ours.motion,
         theirs.motion,
@@ -155,7 +155,9 @@ def evaluate(
         contacts=own,
         truth_contacts=labels,
         truth_visible=visible,
-        observed=_observed(ours, theirs, seen, path, model) if observed is None else observed,
+        observed=_observed_points(ours, theirs, seen, path, model)
+        if observed is None
+        else observed,
     )
     metrics |= {"ground_normal": None, "ground_height": None}
     if (poses := _camera_poses(ours, seen)) is not None:
@@ -197,7 +199,7 @@ def _joint_errors(
     }
 
 
-def _labels(given: Numbers, name: str, frames: int) -> Tensor:
+def _labels_as_tensor(given: Numbers, name: str, frames: int) -> Tensor:
     labels = given if isinstance(given, Tensor) else float_tensor(given, name)
     require_shape(labels, name, (frames, 22))
     return labels.cpu()
@@ -246,7 +248,9 @@ def _camera_poses(
     return ours.T_world_camera[0].to(true), true
 
 
-def _visible(seen: ObservationFile | None, truth: MotionFile, motion: Motion) -> Tensor | None:
+def _visible_joints(
+    seen: ObservationFile | None, truth: MotionFile, motion: Motion
+) -> Tensor | None:
     """Joints the sensor could see, from the simulated observation or the truth file."""
     if seen is not None and seen.truth_visible is not None:
         labels = torch.from_numpy(seen.truth_visible)
@@ -255,7 +259,7 @@ def _visible(seen: ObservationFile | None, truth: MotionFile, motion: Motion) ->
     return _labels_of_file(truth, "truth_visible", motion)
 
 
-def _observed(
+def _observed_points(
     ours: MotionFile,
     theirs: MotionFile,
     file: ObservationFile | None,

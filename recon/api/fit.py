@@ -130,7 +130,7 @@ def fit(
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if paths and _is_estimate(paths):
-        from recon import refine  # which calls `fit` in turn
+        from recon import refine  # imported here: it imports this module
 
         _refuse_others(paths[0], how_read, start)
         return refine(
@@ -153,7 +153,7 @@ def fit(
         prior=prior_of(prior, weights, method),
         weights=weights,
         method=method,
-        noise=_noises(noise, clip),
+        noise=_noise_of_each(noise, clip),
         physics=finite_number(physics, "physics"),
         ground_given=clip.ground_given,
         grounded=ground is not None,
@@ -171,15 +171,16 @@ def fit(
         limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
     examined = fitted(
-        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
-        checks,
+        clip.observations, clip.names, options, model, stopper,
+        _start_in_fit_frame(start, sighting, model), checks,
     )  # fmt: skip
     arguments = _options_as_values(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
         "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
-    result = result_of(examined, clip, model, fps, options.completes, arguments, _stopped(stopper))
+    stop = _stop_finding(stopper)
+    result = result_of(examined, clip, model, fps, options.completes, arguments, stop)
     for finding in (*result.repairs, *result.warnings):
         _LOG.info("%s", finding.message)
     return result
@@ -239,7 +240,7 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
         )
 
 
-def _noises(
+def _noise_of_each(
     given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
 ) -> tuple[float | None, ...]:
     """A standard deviation for every observation; empty where all are estimated."""
@@ -264,7 +265,7 @@ def _noises(
     return tuple(None if one is None else positive_number(one, "noise") for one in given)
 
 
-def _start(
+def _start_in_fit_frame(
     given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
@@ -283,7 +284,7 @@ def _start(
     return motion.carried(torch.from_numpy(np.asarray(T)).to(like), pelvis)
 
 
-def _stopped(stopper: Stopper | None) -> Finding | None:
+def _stop_finding(stopper: Stopper | None) -> Finding | None:
     if stopper is None or stopper.reason is None:
         return None
     return Finding(

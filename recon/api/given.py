@@ -86,7 +86,7 @@ def motion_given(
 
     remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
-        from recon.formats.motions import load_motion  # arrays of joints are fitted without it
+        from recon.formats.motions import load_motion  # imported here: only for files
 
         path = Path(given)
         file = load_motion(path, body.template.dtype)

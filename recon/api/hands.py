@@ -1,9 +1,10 @@
 """The step of a fit after the body: fingers from the points of hands that observations have."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -34,8 +35,8 @@ _KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What one sensor saw of both hands, in the frames of the motion."""
+class _SeenHands:
+    """The points of both hands that one sensor saw, in the frames of the motion."""
 
     values: Float[Tensor, "time 42 dims"]
     confidence: Float[Tensor, "time 42"]
@@ -73,7 +74,9 @@ def with_fingers(
     posed = body.pose(motion)
     places = posed.joints[:, list(WRISTS)].double()
     turns = posed.orientations[:, list(WRISTS)].double()
+    seen, repairs = _exchanged_in_images(seen, places)
     chosen, found = _hands_of_wrists(seen, places)
+    found = Findings(repairs, ()) + found
     model = HandModel.of(body, motion.shape)
     rotations = torch.eye(3).repeat(motion.frames, len(HAND_JOINTS), 1, 1).to(motion.rotations)
     lengths = torch.zeros(len(HAND_JOINTS) + 10).to(motion.rotations)
@@ -83,7 +86,7 @@ def with_fingers(
         views = [] if hand is None else [one.view(hand) for one in seen]
         views = [one for one in views if bool((one.weights > 0).any())]
         if not views:
-            views = [_nothing(motion.frames)]
+            views = [_empty_view(motion.frames)]
         fit = fit_hand(views, model, side, turns[:, side], places[:, side], motion.fps)
         joints = ROWS[side].unflatten(0, (5, 4))[:, :3].flatten()
         rotations[:, joints] = fit.local.to(rotations)
@@ -92,7 +95,7 @@ def with_fingers(
             wrist = WRISTS[side]
             elbow = posed.orientations[:, wrist - 2].double()
             local[:, wrist] = (elbow.mT @ fit.wrist).to(local)
-            unsure += _unsure(fit, views, SIDES[side])
+            unsure += _uncertainty_findings(fit, views, SIDES[side])
     if chosen == [None, None]:
         return motion, found
     return (
@@ -103,7 +106,7 @@ def with_fingers(
 
 def _in_frames_of(
     motion: Motion, body: BodyModel, one: Any, fitted: Any, T: Float[Tensor, "4 4"]
-) -> _Seen:
+) -> _SeenHands:
     """The points of one sensor at the nearest moments to the frames of the motion.
 
     Points that are relative to the body are moved to where the body is.
@@ -127,11 +130,11 @@ def _in_frames_of(
         camera = fitted.camera.moved(T.numpy()).map(lambda x: x[0].double().cpu())
         if camera.T_camera_world.shape[0] > 1:
             camera = camera.at(numbers)
-    return _Seen(values * (confidence > 0)[..., None], confidence, camera, noise)
+    return _SeenHands(values * (confidence > 0)[..., None], confidence, camera, noise)
 
 
 def _noise(points: Float[Tensor, "moments 42 numbers"], known: tuple[float, ...]) -> float:
-    """Standard deviation of a coordinate; the usual one where too few frames tell it."""
+    """Standard deviation of a coordinate; a usual value where there are too few frames."""
     least, most, usual = known
     if len(points) < _FRAMES:
         return usual
@@ -139,7 +142,7 @@ def _noise(points: Float[Tensor, "moments 42 numbers"], known: tuple[float, ...]
 
 
 def _hands_of_wrists(
-    seen: Sequence[_Seen], places: Float[Tensor, "time 2 3"]
+    seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
 ) -> tuple[list[int | None], Findings]:
     """Which hand of the data is at the left and the right wrist; None where none can be.
 
@@ -151,7 +154,7 @@ def _hands_of_wrists(
 
     def leave_out(hand: int, why: str) -> None:
         chosen[hand] = None
-        warnings.append(_said(hand, f"{why}; its fingers are left at rest"))
+        warnings.append(_hand_finding(hand, f"{why}; its fingers are left at rest"))
 
     for hand in (0, 1):
         counts = torch.cat([(one.view(hand).weights > 0).sum(-1) for one in seen])
@@ -162,8 +165,10 @@ def _hands_of_wrists(
             few = f"fewer than {_FEWEST} of its {_POINTS} points are seen in most frames"
             leave_out(hand, few)
     spatial = [one for one in seen if one.camera is None]
-    away = [[_distance(spatial, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
-    sides = [_bent_as(spatial, hand) for hand in (0, 1)]
+    views = [one for one in seen if one.camera is not None]
+    spatial += [_triangulated(views)] if len(views) > 1 else []
+    away = [[_wrist_distance(seen, hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)]
+    sides = [_side_by_bending(spatial, hand) for hand in (0, 1)]
     there = [hand for hand in (0, 1) if chosen[hand] is not None]
     other = {hand: away[hand][1 - hand] < away[hand][hand] - _NEARER for hand in there}
     if there and all(
@@ -184,12 +189,61 @@ def _hands_of_wrists(
     return chosen, Findings((), tuple(warnings))
 
 
-def _said(hand: int, what: str) -> Finding:
+def _exchanged_in_images(
+    seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
+) -> tuple[list[_SeenHands], tuple[Finding, ...]]:
+    """Views in which each hand lies at the other wrist, with the hands exchanged back."""
+    out, numbers = list(seen), []
+    for k, one in enumerate(seen):
+        away = [
+            [_wrist_distance([one], hand, places[:, side]) for side in (0, 1)] for hand in (0, 1)
+        ]
+        there = [bool((one.view(hand).weights > 0).any()) for hand in (0, 1)]
+        if one.camera is None or not all(there):
+            continue
+        if all(
+            away[hand][1 - hand] < min(away[hand][hand] - _NEARER, _ELSEWHERE) for hand in (0, 1)
+        ):
+            both = [*range(_POINTS, 2 * _POINTS), *range(_POINTS)]
+            values, confidence = one.values[:, both], one.confidence[:, both]
+            out[k] = replace(one, values=values, confidence=confidence)
+            numbers.append(str(k))
+    if not numbers:
+        return out, ()
+    said = (
+        f"the points of the left and the right hand are exchanged in view {', '.join(numbers)}: "
+        "each lies at the other wrist; they were exchanged back"
+    )
+    return out, (Finding("sides exchanged", said),)
+
+
+def _triangulated(views: Sequence[_SeenHands]) -> _SeenHands:
+    """The points of hands that two or more views see, where their rays meet; world, metres."""
+    from recon.reading.tracks import nearest_to_rays
+
+    rays, poses = [], []
+    for one in views:
+        matrix, pose = one.camera.camera_matrix, one.camera.T_camera_world
+        local = torch.nn.functional.pad(one.values, (0, 1), value=1.0) @ matrix.inverse().mT
+        rays.append(local[..., :2].numpy())
+        poses.append(pose[:, None, :3].expand(len(one.values), 1, 3, 4).numpy())
+    seen = torch.stack([one.confidence > 0 for one in views])
+    points = torch.from_numpy(nearest_to_rays(np.stack(rays), np.stack(poses), seen.numpy()))
+    met = (seen.sum(0) > 1).double()
+    return _SeenHands(points * met[..., None], met, None, _NOISE_M[2])
+
+
+def _hand_finding(hand: int, what: str) -> Finding:
     return Finding("hand", f"{SIDES[hand]} hand: {what}", (f"{SIDES[hand]}_wrist",))
 
 
-def _distance(seen: Sequence[_Seen], hand: int, place: Float[Tensor, "time 3"]) -> float:
-    """Median distance of a hand's wrist, or of what is seen of it, from a wrist; metres."""
+def _wrist_distance(
+    seen: Sequence[_SeenHands], hand: int, place: Float[Tensor, "time 3"]
+) -> float:
+    """Median distance of a hand from a wrist of the body, metres: of its wrist, if seen.
+
+    In an image it is that across the line of sight, at the depth of the wrist.
+    """
     found = []
     for one in seen:
         view = one.view(hand)
@@ -197,13 +251,20 @@ def _distance(seen: Sequence[_Seen], hand: int, place: Float[Tensor, "time 3"]) 
         wrist = shown[:, :1].bool()
         shown = torch.where(wrist, torch.nn.functional.pad(shown[:, :1], (0, 20)), shown)
         middle = (shown[..., None] * view.values).sum(1) / shown.sum(1, keepdim=True).clamp(min=1)
-        found.append((middle - place).norm(dim=-1)[shown.any(1)])
+        if one.camera is None:
+            away = (middle - place).norm(dim=-1)
+        else:
+            seen_at = one.camera.project(place[:, None])
+            focal = one.camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
+            pixels = (middle - seen_at.pixels[:, 0]).norm(dim=-1)
+            away = pixels * seen_at.depth[:, 0].abs() / focal
+        found.append(away[shown.any(1)])
     every = torch.cat(found) if found else torch.zeros(0)
     return float(every.median()) if len(every) > 0 else 0.0
 
 
-def _bent_as(seen: Sequence[_Seen], hand: int) -> int | None:
-    """The side, 0 left or 1 right, as whose palm fingers bend; None where they are straight."""
+def _side_by_bending(seen: Sequence[_SeenHands], hand: int) -> int | None:
+    """The side whose palm the fingers bend towards, 0 left or 1 right; None if straight."""
     found = []
     for one in seen:
         view = one.view(hand)
@@ -220,8 +281,8 @@ def _bent_as(seen: Sequence[_Seen], hand: int) -> int | None:
     return 0 if float(every.mean()) < 0 else 1
 
 
-def _unsure(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Finding]:
-    """A finding where fingertips are not told well, as their depth is not by a single view."""
+def _uncertainty_findings(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Finding]:
+    """A finding where the depth of fingertips is uncertain, as from a single view."""
     std = float(fit.tip_std.median())
     alone = len(views) == 1 and views[0].camera is not None
     if not alone and std < _SURE:
@@ -233,8 +294,8 @@ def _unsure(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Findi
     return [Finding("hand", f"{side} hand: {said}", (f"{side}_wrist",), value=std)]
 
 
-def _nothing(frames: int) -> HandView:
-    """A view that saw nothing, of which a hand at rest follows."""
+def _empty_view(frames: int) -> HandView:
+    """A view without points; a fit of it alone gives a hand in the rest pose."""
     return HandView(
         torch.zeros(frames, _POINTS, 3).double(), torch.zeros(frames, _POINTS).double()
     )

@@ -30,7 +30,7 @@ _MANY_OPEN = 0.1
 
 @dataclass(frozen=True, repr=False)
 class LabelledMarkers:
-    """A recording whose markers have names, and those that stayed open."""
+    """A recording whose markers have names, and the tracks that could not be named."""
 
     recording: MarkerRecording
     """Named markers, then points without a name (*1, *2, ...); metres, z up."""
@@ -102,10 +102,10 @@ def label(
             "expected a trial of the same person whose markers have names; give it with --like"
         )
     body = BodyModel.load()
-    trial = _markers(read_recording(like, unit=unit, up=up))
+    trial = _checked_markers(read_recording(like, unit=unit, up=up))
     if isinstance(recording, str | Path):
         recording = read_recording(recording, unit=unit, up=up)
-    seen = _markers(recording)
+    seen = _checked_markers(recording)
     named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
     if len(named) < _FEWEST_NAMES:
         raise ReconError(
@@ -113,7 +113,7 @@ def label(
             f"others by, got {len(named)}: give one whose markers have names with --like"
         )
     with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing are NaN, as meant
+        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of no values is NaN, as wanted
         model = distances_in_trial(trial.select(named), body)
         track = tracks_of(seen.positions, seen.visible, seen.fps)
         naming = Naming(track, seen.positions, seen.fps, model)
@@ -126,14 +126,14 @@ def label(
     return _labelled(seen, naming, trial.name)
 
 
-def _markers(recording: SkeletonRecording | MarkerRecording) -> MarkerRecording:
+def _checked_markers(recording: SkeletonRecording | MarkerRecording) -> MarkerRecording:
     if isinstance(recording, SkeletonRecording):
         raise ReconError(f"{recording.name}: expected markers, got the joints of a skeleton")
     return recording
 
 
 def _labelled(seen: MarkerRecording, naming: Naming, like: str) -> LabelledMarkers:
-    """The recording in columns of names, then of tracks that stayed open."""
+    """The recording with a column for every named marker, then for every track without a name."""
     names, track = naming.model.names, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()

@@ -121,9 +121,11 @@ def fitted(
         found = clip.start if start is None else None
         start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import in_room  # imported here: treadmills are rare
+            from recon.diagnosis.movement import (
+                motion_in_room,
+            )  # imported here: treadmills are rare
 
-            start = in_room(start, -clip.belt)
+            start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)

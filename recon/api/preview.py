@@ -37,7 +37,7 @@ _ROOT = 3.7
 def preview(
     clip: CheckedClip, start: Motion | None, checks: Sequence[Check] | None
 ) -> ExaminedClip:
-    """The likeliest motion that a network proposes for one clip, with what is known of it.
+    """The likeliest motion that a network proposes for one clip, as an examined clip.
 
     Args:
         clip: whose options name the network as their method.
@@ -64,7 +64,7 @@ def preview(
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
         spread = torch.ones_like(fit.result.motion.shape[0])
-        known = 0.0 if options.shape is not None else 1.0  # people differ by one
+        known = 0.0 if options.shape is not None else 1.0  # the variation among people
         own = Deviations(std, _ROOT * std.mean(-1), known * spread)
         examined = replace(examined, deviations=own)
     said = (

@@ -1,4 +1,4 @@
-"""`recon.refine`: what a network told from video becomes a motion."""
+"""`recon.refine`: a motion that a network estimated from video, fitted anew under a prior."""
 
 from dataclasses import replace
 from pathlib import Path

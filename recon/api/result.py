@@ -236,7 +236,7 @@ class Result(MotionResult):
     def report(
         self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What is written beside the motion: stages, noise, residuals, findings.
+        """The report saved beside the motion: stages, noise, residuals, findings.
 
         Args:
             inputs: as of `MotionResult.report`.
@@ -332,10 +332,10 @@ def result_of(
 
         cameras = filming_cameras(examined, clip, T, motion)
     if examined.belt is not None:
-        from recon.diagnosis.movement import in_room, path_of_belt  # rarely needed
+        from recon.diagnosis.movement import motion_in_room, path_of_belt  # rarely needed
 
         belt = path_of_belt(motion, examined.belt)
-        motion = in_room(motion, examined.belt)
+        motion = motion_in_room(motion, examined.belt)
     if any(getattr(one, "fingers", None) is not None for one in clip.observations):
         from recon.api.hands import with_fingers  # few observations show hands
 
@@ -379,10 +379,10 @@ class Stopper:
     def __call__(self, stage: str, progress: Progress) -> bool:
         """Whether to stop; once true, the callback is not called again."""
         if self.reason is None:
-            self.reason = self._why(stage, progress)
+            self.reason = self._reason_to_stop(stage, progress)
         return self.reason is not None
 
-    def _why(self, stage: str, progress: Progress) -> str | None:
+    def _reason_to_stop(self, stage: str, progress: Progress) -> str | None:
         """Why the fit should stop now; None where it should go on."""
         if self._callback is not None and self._callback(stage, progress) is True:
             return "the callback"

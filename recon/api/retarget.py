@@ -53,7 +53,7 @@ def retarget(
     fps: float | None = None,
     ground: float | None = None,
 ) -> MadeMotion:
-    """Transfer a motion to another body.
+    """Transfer a motion to a body of another shape.
 
     By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
     and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to

@@ -25,7 +25,7 @@ Shape = tuple[float, ...]
 
 @dataclass(frozen=True)
 class FitJob:
-    """What a process needs to fit one clip."""
+    """The arguments with which a process fits one clip."""
 
     clip: BatchClip
     target: Path

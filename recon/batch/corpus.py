@@ -142,7 +142,9 @@ class _Corpus:
             if clip.id in surveyed and clip.id not in self.ended:
                 groups.setdefault(surveyed[clip.id][1], []).append(clip)
         checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
-        waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
+        waiting = [
+            job for group in groups.values() for job in self._group_if_waiting(group, checksums)
+        ]
         # in small groups, so that a killed run loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
             self._calibrate_and_convert(
@@ -204,7 +206,7 @@ class _Corpus:
                 result = found
         return result
 
-    def _waiting(
+    def _group_if_waiting(
         self, group: Sequence[SourceClip], checksums: Mapping[str, str]
     ) -> Iterator["_WaitingClips"]:
         """Yield the group of a skeleton's clips if some of them must be converted."""

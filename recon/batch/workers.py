@@ -31,7 +31,7 @@ _PATIENCE = 5.0
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a job gave no result."""
+    """The reason why a job gave no result."""
 
     kind: Kind
     reason: str

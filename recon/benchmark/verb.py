@@ -1,4 +1,4 @@
-"""`recon bench`: evaluates methods on the same windows as everybody else's."""
+"""`recon bench`: evaluates methods on published windows with the same noise."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,7 +22,7 @@ def bench(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Evaluate methods on the same windows and noise as everybody else's.
+    """Evaluate methods on published windows with the same noise.
 
     The windows are those of the free CMU recordings that the package lists, 2 s each. Without
     --corpus they are two of the bundled walk, which shows that a method runs, not how good it is.

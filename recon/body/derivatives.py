@@ -84,7 +84,7 @@ class CarriedPoints:
         """The points on bones in these poses, metres."""
         return _offsets_in_world(self.place, orientations).sum(-2) + self.share @ joints
 
-    def by_rotations(
+    def jacobian_by_rotations(
         self, orientations: Float[Tensor, "time 22 3 3"], joints: Float[Tensor, "time 22 3"]
     ) -> Float[Tensor, "time points 3 66"]:
         """Derivatives by steps d_a of all joints' rotations R_a Exp(d_a), metres per radian.
@@ -100,16 +100,16 @@ class CarriedPoints:
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
         return turned.flatten(2, 3).mT
 
-    def by_shape(
+    def jacobian_by_shape(
         self,
         orientations: Float[Tensor, "time 22 3 3"],
         body: BodyModel,
     ) -> Float[Tensor, "time points 3 shape"]:
         """Derivatives by the coefficients of the shape, metres."""
         count = len(self.place_by_shape)
-        return self.by_shape_of(orientations, joints_by_shape(orientations, body, count))
+        return self.jacobian_by_shape_of(orientations, joints_by_shape(orientations, body, count))
 
-    def by_shape_of(
+    def jacobian_by_shape_of(
         self,
         orientations: Float[Tensor, "time 22 3 3"],
         joints: Float[Tensor, "time 22 3 shape"],

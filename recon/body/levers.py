@@ -187,7 +187,7 @@ class ShapeLevers(TensorStruct):
         columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # zeros for positions
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
-    def by_shape(
+    def jacobian_by_shape(
         self, pose: Float[Tensor, "frames 3 88"]
     ) -> Float[Tensor, "frames points 3 shape"]:
         """Derivatives of the points by shape coefficients, metres."""

@@ -24,7 +24,7 @@ class Openings:
 
     @classmethod
     def of(cls, parts: Parts) -> "Openings":
-        """The openings of the parts of a closed surface."""
+        """The openings between the parts of a closed surface."""
         of_face, count = parts.of_vertex[parts.faces].mode(-1).values, len(parts.of_vertex)
         edges, owner = _open_edges(parts.faces, of_face, count)
         return cls(of_face, edges, *_loops_of_edges(edges, owner, count))

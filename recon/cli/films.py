@@ -1,4 +1,4 @@
-"""What verbs do with films: they detect people before they read, and draw a sheet afterwards."""
+"""Films as inputs of verbs: detects people before the verb reads, draws a sheet after it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

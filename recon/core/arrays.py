@@ -54,7 +54,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
         values = np.ma.filled(values.astype(float), np.nan)
     array = _as_array(values, name)
     if array.dtype.kind not in "fiub":
-        raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
+        raise ReconError(f"{name}: expected an array of numbers, got {_type_text(values, array)}")
     with np.errstate(over="ignore"):  # too large for float32: infinite, refused later
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
@@ -89,7 +89,7 @@ def bool_tensor(values: Any, name: str) -> Tensor:
     if not isinstance(values, Tensor):
         array = _as_array(values, name)
         if array.dtype.kind not in "fiub":
-            raise ReconError(f"{name}: expected true and false, got {_described(values, array)}")
+            raise ReconError(f"{name}: expected true and false, got {_type_text(values, array)}")
         values = torch.from_numpy(np.array(array, order="C"))
     if not bool(((values == 0) | (values == 1)).all()):
         raise ReconError(
@@ -110,7 +110,7 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
     )
     if array.ndim != 1 or (array.size > 0 and (array.dtype.kind not in "iu" or array.min() < 0)):
         raise ReconError(
-            f"{name}: expected a row of whole numbers from 0 on, got {_described(values, array)}"
+            f"{name}: expected a row of whole numbers from 0 on, got {_type_text(values, array)}"
         )
     return tuple(int(number) for number in array)
 
@@ -203,5 +203,5 @@ def _as_array(values: Any, name: str) -> np.ndarray:
         raise ReconError(f"{name}: expected an array, got rows of different lengths") from None
 
 
-def _described(values: Any, array: np.ndarray) -> str:
+def _type_text(values: Any, array: np.ndarray) -> str:
     return f"{type(values).__name__} of shape {array.shape} and type {array.dtype}"

@@ -357,7 +357,7 @@ def _height_range(
     return float(np.subtract(*np.quantile(heights, (0.95, 0.05))))
 
 
-def surely_up(
+def corrected_up(
     declared: Axis,
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],

@@ -12,7 +12,7 @@ def left_right_pairs(*names: str) -> tuple[str, ...]:
     return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
 
 
-def _side(side: str, *names: str) -> tuple[str, ...]:
+def _on_side(side: str, *names: str) -> tuple[str, ...]:
     return tuple(f"{side}_{name}" for name in names)
 
 
@@ -26,11 +26,11 @@ JOINT = "_joint"
 
 def _arm_names(side: str) -> tuple[str, ...]:
     names = ("clavicle", "shoulder", "elbow", "wrist", "hand", "fingertip", "thumb")
-    return _side(side, *names)
+    return _on_side(side, *names)
 
 
 def _leg_names(side: str) -> tuple[str, ...]:
-    return _side(side, "hip", "knee", "ankle", f"foot{JOINT}")
+    return _on_side(side, "hip", "knee", "ankle", f"foot{JOINT}")
 
 
 _AZURE = (
@@ -41,38 +41,39 @@ _AZURE = (
 LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "openpose25": (
-            "nose", "neck", *_side("right", "shoulder", "elbow", "wrist"),
-            *_side("left", "shoulder", "elbow", "wrist"), "mid_hip",
-            *_side("right", "hip", "knee", "ankle"), *_side("left", "hip", "knee", "ankle"),
+            "nose", "neck", *_on_side("right", "shoulder", "elbow", "wrist"),
+            *_on_side("left", "shoulder", "elbow", "wrist"), "mid_hip",
+            *_on_side("right", "hip", "knee", "ankle"), *_on_side("left", "hip", "knee", "ankle"),
             "right_eye", "left_eye", "right_ear", "left_ear",
-            *_side("left", *_FOOT), *_side("right", *_FOOT),
+            *_on_side("left", *_FOOT), *_on_side("right", *_FOOT),
         ),
         "openpose25b": (
-            *_COCO, "upper_neck", "head_top", *_side("left", *_FOOT), *_side("right", *_FOOT),
+            *_COCO, "upper_neck", "head_top",
+            *_on_side("left", *_FOOT), *_on_side("right", *_FOOT),
         ),
         "coco17": _COCO,
-        "coco133": (*_COCO, *_side("left", *_FOOT), *_side("right", *_FOOT)),
+        "coco133": (*_COCO, *_on_side("left", *_FOOT), *_on_side("right", *_FOOT)),
         "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *left_right_pairs(*_FOOT)),
         "mediapipe33": (
-            "nose", *_side("left", "eye_inner", "eye", "eye_outer"),
-            *_side("right", "eye_inner", "eye", "eye_outer"), *left_right_pairs("ear", "mouth"),
+            "nose", *_on_side("left", "eye_inner", "eye", "eye_outer"),
+            *_on_side("right", "eye_inner", "eye", "eye_outer"), *left_right_pairs("ear", "mouth"),
             *left_right_pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
             *left_right_pairs("hip", "knee", "ankle", "heel", "big_toe"),
         ),
         "h36m17": (
-            "mid_hip", *_side("right", "hip", "knee", "ankle"),
-            *_side("left", "hip", "knee", "ankle"), "spine", "thorax", "nose",
-            "head_top", *_side("left", "shoulder", "elbow", "wrist"),
-            *_side("right", "shoulder", "elbow", "wrist"),
+            "mid_hip", *_on_side("right", "hip", "knee", "ankle"),
+            *_on_side("left", "hip", "knee", "ankle"), "spine", "thorax", "nose",
+            "head_top", *_on_side("left", "shoulder", "elbow", "wrist"),
+            *_on_side("right", "shoulder", "elbow", "wrist"),
         ),
         "azure32": _AZURE,
         "zed34": (*_AZURE, *left_right_pairs("heel")),
         "kinect25": (
             f"pelvis{JOINT}", f"spine2{JOINT}", f"neck{JOINT}", "head_centre",
-            *_side("left", "shoulder", "elbow", "wrist", "hand"),
-            *_side("right", "shoulder", "elbow", "wrist", "hand"),
+            *_on_side("left", "shoulder", "elbow", "wrist", "hand"),
+            *_on_side("right", "shoulder", "elbow", "wrist", "hand"),
             *_leg_names("left"), *_leg_names("right"), "thorax",
-            *_side("left", "fingertip", "thumb"), *_side("right", "fingertip", "thumb"),
+            *_on_side("left", "fingertip", "thumb"), *_on_side("right", "fingertip", "thumb"),
         ),
         "smpl22": JOINTS,
     }

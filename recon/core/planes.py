@@ -66,7 +66,7 @@ def find_ground(
     if not all(np.isfinite(cloud).all() for cloud in clouds):
         raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
     generator = np.random.default_rng(0)
-    sample, rejected = _Sample.of(clouds, generator), "no plane"
+    sample, rejected = _SampledPoints.of(clouds, generator), "no plane"
     for normal, offset, rows in _planes_by_size(sample.points, generator):
         if normal @ up < 0:
             normal, offset = -normal, -offset
@@ -101,7 +101,7 @@ def find_walls(
         eye: where the sensor is, metres.
     """
     generator = np.random.default_rng(0)
-    sample = _Sample.of(clouds, generator)
+    sample = _SampledPoints.of(clouds, generator)
     walls: list[tuple[np.ndarray, float]] = []
     for normal, offset, rows in _planes_by_size(sample.points, generator):
         if abs(normal[2]) >= _STEEP:
@@ -121,7 +121,7 @@ def find_walls(
 
 
 @dataclass(frozen=True)
-class _Sample:
+class _SampledPoints:
     """Points sampled from evenly spread frames of a clip, about equally many per frame."""
 
     points: Float[np.ndarray, "points 3"]
@@ -132,7 +132,7 @@ class _Sample:
     @classmethod
     def of(
         cls, clouds: Sequence[Float[np.ndarray, "_ 3"]], generator: np.random.Generator
-    ) -> "_Sample":
+    ) -> "_SampledPoints":
         shown = [cloud for cloud in clouds if len(cloud) > 0]
         chosen = np.unique(np.linspace(0, len(shown) - 1, _FRAMES).round().astype(int))
         shown = [shown[k] for k in chosen] if shown else [np.zeros((0, 3))]

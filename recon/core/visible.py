@@ -1,4 +1,4 @@
-"""Makes texts from files safe to print."""
+"""Escapes control characters in texts from files, so that they are safe to print."""
 
 
 def visible(text: object) -> str:

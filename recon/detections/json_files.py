@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import FormatError
+from recon.core.fingers import SIDES
 from recon.detections.records import Detections, Row, detections_of_rows
 from recon.formats.json_files import (
     Frames,
@@ -33,7 +34,9 @@ _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""
 _SCORES = ("keypoint_scores", "scores")
 _LANDMARK_KEYS = ("pose_landmarks", "landmarks", "poseLandmarks")
+_HAND_KEYS = tuple((f"{side}_hand_landmarks", f"{side}HandLandmarks") for side in SIDES)
 LANDMARKS = 33
+POINTS_OF_HAND = 21
 _FRACTION = 2.0
 """Landmarks outside the image are guessed too, but seldom farther out than another image."""
 People = list[tuple[Float[np.ndarray, "keypoints 3"], int]]
@@ -126,7 +129,31 @@ def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None)
 
 
 def _people_of_openpose(entry: Any, place: str) -> People | None:
-    return _listed_people(entry, place, "people", "pose_keypoints_2d", ("person_id",))
+    people = _listed_people(entry, place, "people", "pose_keypoints_2d", ("person_id",))
+    return people and [
+        (_with_hands(points, [one.get(f"hand_{side}_keypoints_2d") for side in SIDES], place), who)
+        for (points, who), one in zip(people, entry["people"], strict=True)
+    ]
+
+
+def _with_hands(
+    body: Float[np.ndarray, "keypoints 3"], hands: list[Any], place: str
+) -> Float[np.ndarray, "more 3"]:
+    """Keypoints of a body, with 21 of each hand after them if there is any.
+
+    Raises:
+        ValueError: when a hand has another number.
+    """
+    found = [flat_points(one or [], place) for one in hands]
+    if len(body) == 0 or not any(map(len, found)):
+        return body
+    if any(len(one) not in (0, POINTS_OF_HAND) for one in found):
+        raise FormatError(
+            f"{place}: expected {POINTS_OF_HAND} keypoints of a hand, got "
+            f"{' and '.join(str(len(one)) for one in found)}"
+        )
+    nothing = np.zeros((POINTS_OF_HAND, 3))
+    return np.concatenate((body, *(one if len(one) else nothing for one in found)))
 
 
 def _people_of_easymocap(entry: Any, place: str) -> People | None:
@@ -186,7 +213,19 @@ def _people_of_mediapipe(entry: Any, place: str) -> People | None:
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None
-    return [(landmarks(person, "xy", place), -1) for person in people]
+    found = [landmarks(person, "xy", place) for person in people]
+    hands = [people_of_landmarks(entry, keys) for keys in _HAND_KEYS if isinstance(entry, dict)]
+    if len(found) == 1 and any(hands):
+        rows = [_flat_hand(one[0], place) if one else [] for one in hands]
+        found = [_with_hands(found[0], rows, place)]
+    return [(points, -1) for points in found]
+
+
+def _flat_hand(hand: list[Any], place: str) -> list[Any]:
+    """x, y and a confidence of one of all points of a hand, whose records know no visibility."""
+    if not _has_axes(hand, "xy"):
+        raise FormatError(f"{place}: expected landmarks of a hand with x and y")
+    return [number for one in hand for number in (one["x"], one["y"], 1.0)]
 
 
 def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
@@ -221,7 +260,7 @@ def _has_axes(person: list[Any], axes: str) -> bool:
 
 def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -> list[Row]:
     """Landmarks in pixels, from pixels or from fractions of the image (all in [0, 1])."""
-    places = np.abs([points[:, :2] for _, points, _ in rows])
+    places = [np.abs(points[:LANDMARKS, :2]) for _, points, _ in rows]
     if not rows or np.median(np.nan_to_num(places)) > _FRACTION:
         return rows
     if image_size is None:

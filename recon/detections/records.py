@@ -19,6 +19,11 @@ _BY_COUNT = {
 _BODY_PART = {("coco133", 133): 23, ("halpe26", 136): 26}
 """Keypoints at the head of a longer layout."""
 
+_HANDS_AT = {60: 18, 67: 25, 75: 33, 133: 91, 136: 94}
+"""First of the 42 points of hands by the number of keypoints: after OpenPose's and MediaPipe's
+bodies, and after body, feet and face of COCO-WholeBody and HALPE."""
+_HANDS = 42
+
 _COCO18 = (*range(8), *range(9, 19))
 """Indices of the keypoints of OpenPose's COCO model in BODY_25, which adds hips and feet."""
 
@@ -145,6 +150,8 @@ class Detections:
     """Confidence from 0 (missing) to 1."""
     identity: Int[np.ndarray, " rows"]
     """The number the producer gave to a person, -1 for none."""
+    hands: Float[np.ndarray, "rows 42 3"] | None = None
+    """Pixels and confidence of `recon.core.fingers.FINGER_POINTS`; zero where not seen."""
     decisions: tuple[str, ...] = ()
     """What was decided about the file and why."""
     frame_rate: float | None = None
@@ -186,7 +193,9 @@ def detections_of_rows(
             "confidences, or leave this view out"
         )
     lengths = sorted({len(row[1]) for row in rows})
-    if len(lengths) > 1:
+    if len(lengths) == 2 and _HANDS_AT.get(lengths[1]) == lengths[0]:
+        rows = [(frame, _as_long(points, lengths[1]), who) for frame, points, who in rows]
+    elif len(lengths) > 1:
         raise FormatError(
             f"{name}: expected one number of keypoints for all people, got "
             f"{' and '.join(map(str, lengths))}"
@@ -196,7 +205,14 @@ def detections_of_rows(
     SCORE.check(points[..., 2], name, "[person, keypoint]", seen=np.isfinite(points[..., 2]))
     points = with_clipped_confidences(points)
     PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
+    hands, count = None, points.shape[1]
+    if (first := _HANDS_AT.get(count)) is not None:
+        hands = points[:, first : first + _HANDS]
+        hands = hands if (hands[..., 2] > 0).any() else None
+        points = points if count in _BY_COUNT else points[:, :first]
     chosen, points, decision = settle_layout(points, layout, name)
+    if hands is not None:
+        decisions += (f"{_HANDS} points of hands, which fingers are fitted to",)
     return Detections(
         name=name,
         layout=chosen,
@@ -205,8 +221,13 @@ def detections_of_rows(
         pixels=points[..., :2],
         confidence=points[..., 2],
         identity=np.array([row[2] for row in rows], dtype=np.int64),
+        hands=hands,
         decisions=(*decisions, decision),
     )
+
+
+def _as_long(points: np.ndarray, length: int) -> np.ndarray:
+    return np.pad(points, ((0, length - len(points)), (0, 0)))
 
 
 def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:

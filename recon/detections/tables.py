@@ -5,12 +5,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, PIXEL, SAMPLES
-from recon.detections.records import Background, Detections, Row, detections_of_rows
+from recon.detections.records import (
+    Background,
+    Detections,
+    Row,
+    detections_of_rows,
+    with_clipped_confidences,
+)
 from recon.formats.opening import load_arrays
 from recon.formats.text_tables import (
     first_rows,
@@ -187,11 +193,10 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     FRAMES.check(len(values), path.name)
     PEOPLE.check(values.shape[1], path.name, "people")
     numbers, identity = _numbers_of_rows(arrays, values.shape[:2], path)
+    there = np.asarray(np.isfinite(values).all(-1).any(-1) & (values[..., 2] > 0).any(-1))
     rows: list[Row] = [
         (int(numbers[frame]), values[frame, person], int(identity[frame, person]))
-        for frame, person in np.ndindex(values.shape[:2])
-        if np.isfinite(values[frame, person]).all(-1).any()
-        and (values[frame, person, :, 2] > 0).any()
+        for frame, person in np.argwhere(there)
     ]
     if layout is None and "layout" in arrays and str(arrays["layout"]) in LAYOUTS:
         layout = str(arrays["layout"])
@@ -206,9 +211,30 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
         frame_rate=float(rate[0]) if told else None,
         image_size=(int(size[0]), int(size[1])) if sized else None,
         shots=tuple(shots.tolist()) if cut else (),
+        hands=found.hands if "hands" not in arrays else _hands(arrays, there, path),
         **_straight_lines(arrays, path),
         background=_background(arrays, path),
     )
+
+
+def _hands(
+    arrays: dict[str, Shaped[np.ndarray, "..."]],
+    kept: Bool[np.ndarray, "frames people"],
+    path: Path,
+) -> Float[np.ndarray, "rows 42 3"]:
+    """Points of hands of the people that are kept.
+
+    Raises:
+        ValueError: when they are not numbers of the right shape.
+    """
+    hands, wanted = np.asarray(arrays["hands"]), (*kept.shape, 42, 3)
+    if hands.shape != wanted or hands.dtype.kind != "f":
+        raise FormatError(
+            f"{path}: expected hands {wanted} of decimal numbers, got {hands.dtype} {hands.shape}"
+        )
+    hands = with_clipped_confidences(hands[kept].astype(np.float64))
+    PIXEL.check(hands[..., :2], path.name, "hands")
+    return hands
 
 
 def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Background | None:
@@ -256,7 +282,7 @@ def _straight_lines(
 def _numbers_of_rows(
     arrays: dict[str, Shaped[np.ndarray, "..."]], shape: tuple[int, int], path: Path
 ) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, "frames people"]]:
-    """Frame numbers and the number of everybody in them, from 0 on and -1 where none is given.
+    """Frame numbers, and person numbers per frame; -1 where a person has no number.
 
     Raises:
         ValueError: when there is not one for each, or frame numbers do not rise.
@@ -275,7 +301,7 @@ def _numbers_of_rows(
 
 
 def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
-    """What `read_detection_arrays` reads: a column for every person, by their numbers.
+    """Arrays that `read_detection_arrays` reads: a column for every person, by their numbers.
 
     People without a number stand in the order of their frame.
     """
@@ -297,6 +323,9 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
     out["keypoints"][frames, column] = found.pixels
     out["scores"][frames, column] = found.confidence
     out["identity"][frames, column] = found.identity
+    if found.hands is not None:
+        out["hands"] = np.zeros((*shape[:2], *found.hands.shape[1:]))
+        out["hands"][frames, column] = found.hands
     for key, value in (
         ("frame_rate", found.frame_rate), ("image_size", found.image_size),
         ("shots", found.shots or None), ("lines", found.lines), ("lines_frame", found.lines_frame),

@@ -88,7 +88,7 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # labels are computed here unless the first guess needed them
+    cloud = cloud.labelled()  # computes labels that the first guess has not computed
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = 1.0

@@ -1,4 +1,4 @@
-"""What a fitted person reveals about cameras: distance, focal length, scale and movement.
+"""Checks of cameras by the fitted person: distance, focal length, scale and movement.
 
 Whoever stands, walks or dances has some part of a foot at rest on the ground most of the time. In
 the image of a fixed camera its keypoints then stay where they are. In that of a phone in the hand,
@@ -162,7 +162,7 @@ _FAST = 0.3
 
 
 @dataclass(frozen=True)
-class FootRest:
+class SlowestFootSpeeds:
     """How fast the slowest part of the feet moves in the image."""
 
     speed: float
@@ -187,12 +187,12 @@ class FootRest:
         return self.speed > _HINT
 
 
-def foot_rest(images: Images) -> FootRest | None:
+def slowest_foot_speeds(images: Images) -> SlowestFootSpeeds | None:
     """The slowest speeds of the feet in a single view; None where feet are hardly seen."""
     usual, brief = _speed_of_resting_foot(images, _LAG), _speed_of_resting_foot(images, _BRIEF)
     if usual is None or brief is None:
         return None
-    return FootRest(
+    return SlowestFootSpeeds(
         speed=_speed_quantile(*usual, _MIN_RESTING_SHARE),
         noise=usual[1],
         flying=float(np.quantile(usual[0], 1 - _SELDOM)),
@@ -237,7 +237,7 @@ def _speed_of_resting_foot(
     return slowest[known], float(noise)
 
 
-def moving_finding(name: str, images: Images, rest: FootRest) -> Finding:
+def moving_finding(name: str, images: Images, rest: SlowestFootSpeeds) -> Finding:
     """A finding if the only camera of a clip moves although it is declared fixed.
 
     Args:

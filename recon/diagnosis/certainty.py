@@ -77,7 +77,7 @@ def certainty(found: ClipFit) -> Deviations | None:
             known = deviations(
                 estimate, seen, noises, density, _ground_uncertainty(found), angle_slopes(body)
             )
-        except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
+        except (ArithmeticError, RuntimeError):  # the Hessian is singular
             return None
     if not views_of(found.observations):
         return known

@@ -102,12 +102,12 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         return clip, NOTHING
     if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
-    from recon.diagnosis.cameras import foot_rest, moving_finding
+    from recon.diagnosis.cameras import moving_finding, slowest_foot_speeds
     from recon.diagnosis.carried import carried_finding
     from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.body)
-    rest = foot_rest(seen)
+    rest = slowest_foot_speeds(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _rate_is_untestable(clip):

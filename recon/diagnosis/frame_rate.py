@@ -61,7 +61,10 @@ def rates_by_falls(movement: Movement) -> Bounds:
     for _ in range(max(1, math.ceil(movement.frames / movement.fps / _FALL_EVERY)) - 1):
         worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
-    fall, flight = float(falls.max()), float(np.median(_flights(movement) or _FREE_FALL))
+    fall, flight = (
+        float(falls.max()),
+        float(np.median(_accelerations_in_flight(movement) or _FREE_FALL)),
+    )
     low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
     return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
 
@@ -77,7 +80,7 @@ def _accelerations_of_parabolas(
     return np.where(deviation < _PARABOLA, -2 * solution[:, 2] / GRAVITY, 0.0)
 
 
-def _flights(movement: Movement) -> list[float]:
+def _accelerations_in_flight(movement: Movement) -> list[float]:
     """Accelerations, times g, of the centre of mass of an upright body in the air.
 
     The lower foot rises with the centre of mass, and both are highest between the ends.
@@ -270,7 +273,7 @@ def rate_range(
     low = max((bound[0] for bound in limits.values()), default=math.inf)
     high = min((bound[1] for bound in limits.values()), default=0.0)
     if low > high:
-        # no test applies, or the tests contradict each other: the rate is not the only fault
+        # no test applies, or tests contradict each other, so that something else is wrong
         return None
     against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
     return RateRange(low, high, against or tuple(limits))

@@ -213,29 +213,42 @@ def confirmed_sides(
 ) -> Bool[np.ndarray, " moments"]:
     """Those stretches of one view with left and right exchanged that fits of the body confirm.
 
-    A quick fit of the second around each change must become better when the names do not change.
     A stretch from the first or to the last moment has one change only, and either side of it may
     be the wrong one: then the body must face the same side of the image throughout, too.
     """
-    moments, changes = len(flags), np.flatnonzero(np.diff(flags)) + 1
+    changes = np.flatnonzero(np.diff(flags)) + 1
+    after = images.exchanged(flags[None])
+    won = dict(zip(changes.tolist(), better_changes(images, after, changes), strict=True))
+    sure = np.zeros_like(flags)
+    for a, b in stretches(flags):
+        ends = [won[t] for t in (a, b + 1) if t in won]
+        sure[a : b + 1] = all(ends) and (len(ends) == 2 or keeps_facing(after))
+    return sure
+
+
+def better_changes(
+    images: Images, after: Images, changes: Int[np.ndarray, " changes"]
+) -> Bool[np.ndarray, " changes"]:
+    """Whether a quick fit of the second around a change of names in one view is better without it.
+
+    Args:
+        images: with the changes.
+        after: the same without them.
+        changes: frames from which on names are others.
+    """
+    moments = images.confidence.shape[1]
     half = min(round(_AROUND_CHANGE_S * images.fps), moments // 2)
     first = np.clip(changes - half, 0, moments - 2 * half).tolist()
-    after = images.exchanged(flags[None])
     versions = [
         view.derived(**view.some_frames(range(a, a + 2 * half)))
         for view in (*images.sensors, *after.sensors)
         for a in first
     ]
     given, new = _costs_of_views(versions, images.body).reshape(2, -1)
-    won = dict(zip(changes.tolist(), new < _FALL * given, strict=True))
-    sure = np.zeros_like(flags)
-    for a, b in stretches(flags):
-        ends = [won[t] for t in (a, b + 1) if t in won]
-        sure[a : b + 1] = all(ends) and (len(ends) == 2 or _keeps_facing(after))
-    return sure
+    return new < _FALL * given
 
 
-def _keeps_facing(images: Images) -> bool:
+def keeps_facing(images: Images) -> bool:
     """Whether the right hip and shoulder are on the same side of the image in all frames."""
     seen = images.seen[0] & images.seen[0][:, images.counterparts]
     names = ("shoulder", "hip")

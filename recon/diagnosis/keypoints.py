@@ -15,6 +15,7 @@ from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_median
 from recon.diagnosis.exact import unchanged
+from recon.diagnosis.exchanged_pairs import repaired_pairs
 from recon.diagnosis.findings import (
     NOTHING,
     Finding,
@@ -27,12 +28,16 @@ from recon.diagnosis.findings import (
 )
 from recon.diagnosis.images import Images
 from recon.diagnosis.named_points import NamedPoints
-from recon.diagnosis.odds import all_mirrored, checked_together, single_view_explained
+from recon.diagnosis.odds import (
+    checked_against_each_other,
+    mirroring_repaired,
+    single_view_explained,
+)
 from recon.diagnosis.points import exchanged_back, exchanged_names
 from recon.diagnosis.quick_fit import plausible
 from recon.diagnosis.rays import Rays, scale_findings
 from recon.diagnosis.rigs import median_miss
-from recon.diagnosis.sides import repaired_by_rays, repaired_pairs, repaired_sides
+from recon.diagnosis.sides import repaired_by_rays, repaired_sides
 from recon.diagnosis.tracks import velocity_changes
 
 _MIN_HELD_MOMENTS = 4
@@ -355,11 +360,11 @@ def screened(images: Images) -> tuple[Images, Findings]:
         images, more = repaired_outliers(images)
         found += more
     names = (
-        all_mirrored, single_view_explained, repaired_by_rays, repaired_names, repaired_sides,
-        repaired_pairs,
+        mirroring_repaired, single_view_explained, repaired_by_rays, repaired_names,
+        repaired_sides, repaired_pairs,
     )  # fmt: skip
     images, more = run_checks(images, names)
-    images, grouped_views = checked_together(images)
+    images, grouped_views = checked_against_each_other(images)
     found += more + grouped_views
     if grouped_views.repairs:  # exchanged names are found only with right camera poses
         images, more = repaired_sides(images)

@@ -90,17 +90,19 @@ def crossed_limbs(points: NamedPoints) -> list[tuple[tuple[int, int], ...]]:
     edges += [(a, min(b, other[b])) for a, b in pairs]
     parent = {max(edge, key=rank.__getitem__): min(edge, key=rank.__getitem__) for edge in edges}
 
-    def above(k: int) -> set[int]:
-        return {k} | (above(parent[k]) if k in parent else set())
+    def pairs_from_root(k: int) -> set[int]:
+        return {k} | (pairs_from_root(parent[k]) if k in parent else set())
 
-    limbs = {k: [{j for j in one_side if k in above(j)}] for k in one_side if k not in parent}
+    limbs = {
+        k: [{j for j in one_side if k in pairs_from_root(j)}] for k in one_side if k not in parent
+    }
     crossed = set[int]()
     for a, b in combinations(limbs, 2):
         cosine = _cosine_across(points, a, b)
         crossed |= {a, b} if cosine < _OPPOSED else set()
     for a, b in pairs:
-        (root,) = above(a) & limbs.keys()
-        limbs[root].append({j for j in one_side if min(b, other[b]) in above(j)})
+        (root,) = pairs_from_root(a) & limbs.keys()
+        limbs[root].append({j for j in one_side if min(b, other[b]) in pairs_from_root(j)})
         length = ratio * rest_length(points, a, b)
         own, new = (
             [np.abs(distances(points, *ends) - length) for ends in two]
@@ -310,8 +312,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
-    # the quick fit may lag behind a fast limb, which then leaves the body smoothly, whereas
-    # outliers jump away from the path and back
+    # outliers jump away and back, whereas a fast limb leaves the lagging quick fit smoothly
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
     if len(x) > 2:
         bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)

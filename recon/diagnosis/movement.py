@@ -295,7 +295,7 @@ def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
 
-def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+def motion_in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
     """A motion from the frame of a treadmill's belt in the room's; the inverse with -belt."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
 

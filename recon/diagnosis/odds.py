@@ -57,20 +57,20 @@ def noise_of_views(images: Images) -> float:
     return float(np.median(own)) if own.size and np.isfinite(own).all() else 0.0
 
 
-def checked_together(images: Images) -> tuple[Images, Findings]:
+def checked_against_each_other(images: Images) -> tuple[Images, Findings]:
     """Find views that contradict the others, are shifted in time, or are mirrored."""
     if len(images.names) < 2:
         return images, NOTHING
     noise = noise_of_views(images)
     if len(images.names) == 2:
-        return _compared_pair(images, noise)
-    explained = partial(_one_explained, noise=noise, causes=tuple(_CAUSES))
+        return _corrected_pair(images, noise)
+    explained = partial(_one_view_corrected, noise=noise, causes=tuple(_CAUSES))
     return run_checks(
         images, (corrected_rig, explained, partial(_without_contradicting_view, noise=noise))
     )
 
 
-def all_mirrored(images: Images) -> tuple[Images, Findings]:
+def mirroring_repaired(images: Images) -> tuple[Images, Findings]:
     """Mirror images that agree only when mirrored, as front cameras of phones write them."""
     turned, said, sure = mirrored_together(images)
     if said is None:
@@ -112,10 +112,10 @@ def single_view_explained(images: Images) -> tuple[Images, Findings]:
     """
     if len(images.names) < 3:
         return images, NOTHING
-    return _one_explained(images, noise_of_views(images), ("mirrored", "sized"))
+    return _one_view_corrected(images, noise_of_views(images), ("mirrored", "sized"))
 
 
-def _one_explained(
+def _one_view_corrected(
     images: Images, noise: float, causes: tuple[Cause, ...]
 ) -> tuple[Images, Findings]:
     """Correct the one view after whose correction all views agree within the noise."""
@@ -219,7 +219,7 @@ def _without_contradicting_view(images: Images, noise: float) -> tuple[Images, F
     return images, Findings(warnings=(found,))
 
 
-def _compared_pair(images: Images, noise: float) -> tuple[Images, Findings]:
+def _corrected_pair(images: Images, noise: float) -> tuple[Images, Findings]:
     """Two views that contradict each other: clocks can be corrected, poses only reported."""
     given, floor = median_miss(images), _PAIR_FLOOR * noise
     if given <= max(_WORSE * floor, 0.002):

@@ -137,7 +137,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
 def _sides_repaired(
     steady: NamedPoints, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
 ) -> tuple[NamedPoints, QuickFit, Findings]:
-    """Which of the sides that jump are right, in points that no longer jump, by fits of the clip.
+    """Find by fits which naming of left and right is true, in points that no longer jump.
 
     Args:
         steady: with left and right exchanged at the moments `exchanged`.

@@ -181,30 +181,30 @@ class ViewAlignment(Problem[_View]):
 
     @property
     def seen(self) -> Bool[np.ndarray, "moments points"]:
-        """Keypoints of the view whose points the others see."""
+        """Mask of this view's keypoints whose points the other views triangulate."""
         return self.images.seen[0, self.rows] & self.paths.exists[self.rows]
 
     @property
-    def trusted(self) -> bool:
+    def is_determined(self) -> bool:
         """Whether the other views agree with each other and enough keypoints are seen."""
         return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
     @property
-    def doubted(self) -> bool:
+    def may_improve(self) -> bool:
         """Whether the given pose of a view might be improved: a cheap test without a search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if (
             given.there.sum() < _MIN_KEYPOINTS
             or cauchy_mean(given.squared[given.there]) > _CLEAN_COST
         ):
-            return self.trusted
+            return self.is_determined
         normal, slope, _ = given.equations()
         gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
-        return self.trusted and gain > _CLEAN
+        return self.is_determined and gain > _CLEAN
 
     def solved(self) -> ViewCorrection | None:
         """The correction with the smallest residuals; None where the data do not determine it."""
-        if not self.trusted:
+        if not self.is_determined:
             return None
         start = self.images.pose[0, 0]
         (late, pose), _ = minimise(self, self._best_offset(start), _OPTIONS)
@@ -218,7 +218,7 @@ class ViewAlignment(Problem[_View]):
         )
         covariance[unknown] = np.linalg.inv(normal[unknown])
         turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
-        values = np.concatenate(([late], turn, self._shift(pose)))
+        values = np.concatenate(([late], turn, self._displacement(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
         if not both.any():
@@ -236,7 +236,7 @@ class ViewAlignment(Problem[_View]):
     def _unknown_indices(self) -> list[int]:
         return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
 
-    def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    def _displacement(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """How far the camera's centre is from the given one, along its axes, metres."""
         return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
 
@@ -246,7 +246,7 @@ class ViewAlignment(Problem[_View]):
         """Hessian, descent direction and excess variance, with the prior on a shifted camera."""
         normal, slope, inflation = found.equations()
         normal[4:, 4:] += np.eye(3) / SHIFT**2
-        slope[4:] -= self._shift(x[1]) / SHIFT**2
+        slope[4:] -= self._displacement(x[1]) / SHIFT**2
         return normal, slope, inflation
 
     def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:

@@ -178,7 +178,7 @@ _SMALLEST_SHIFT = 0.01
 
 @dataclass(frozen=True)
 class CorrectedRig:
-    """The views after all certain corrections, and a doubtful one where there is any."""
+    """The views after all certain corrections, and the uncertain correction, if any."""
 
     images: Images
     """All views after the corrections."""
@@ -236,7 +236,7 @@ def candidates(images: Images) -> list[ViewCorrection]:
         if np.isfinite(noise).all()
         else []
     )
-    if not any(one.doubted for one in given):
+    if not any(one.may_improve for one in given):
         return []
     every = [_simplest_correction(images, one) for one in given]
     return sorted((one for one in every if one is not None), key=lambda one: one.cost)

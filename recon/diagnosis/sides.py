@@ -1,23 +1,28 @@
-"""Repairs exchanged names of keypoints: left and right, or two neighbours along a limb.
+"""Repairs exchanged names of keypoints of left and right, or of pairs in one of several views.
 
 Left and right follow from two facts. A point does not leave its path and go on along its
 counterpart's within a frame; and where several cameras see a body, rays through one point meet,
 and noses, knees and toes point to where right is on the right. All views and moments are decided
-together (Viterbi's algorithm). Two single keypoints jump onto each other's path where a stretch
-with exchanged names begins or ends; the bones of the limb show which part is wrong: exchanged ends
-make one of them longer than it is.
+together (Viterbi's algorithm).
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
 from recon.core.hands import facing_agreement
-from recon.diagnosis.findings import Finding, Findings, listed, spans, stretches
-from recon.diagnosis.images import Images, length_saved, neighbours_on_limbs
+from recon.diagnosis.exchanged_pairs import (
+    ExchangedPair,
+    exchanged_back,
+    extrapolated,
+    repaired_by,
+    without_excursions,
+)
+from recon.diagnosis.findings import Finding, Findings, spans, stretches
+from recon.diagnosis.images import Images, confirmed_sides, neighbours_on_limbs
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
 
@@ -52,12 +57,9 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
     Where one view is all there is, only continuity tells; then a fit must confirm every stretch,
     and what it does not confirm is a warning.
     """
-    flags = exchanged_sides(images)
+    flags = exchanged_sides(without_excursions(images))
     doubted = np.zeros_like(flags)
     if len(flags) == 1 and flags.any():
-        # imported here, since it loads the code of fits
-        from recon.diagnosis.images import confirmed_sides
-
         sure = confirmed_sides(images, flags[0])[None]
         flags, doubted = sure, flags & ~sure
     found = list(zip(images.names, flags, strict=True))
@@ -121,7 +123,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
         np.isin(np.arange(views), [v for k, v in enumerate(free) if number >> k & 1])
         for number in range(2 ** len(free))
     ])  # fmt: skip
-    met = [_met_under(images, state, images.counterparts) for state in states]
+    met = [_triangulated_under(images, state, images.counterparts) for state in states]
     here = _costs_of_moments(met, states, images.sided[None])
     if views > 1:
         facing = [facing_agreement(images.points, points, exists) for points, exists, _ in met]
@@ -130,7 +132,7 @@ def _cheapest_exchanges(images: Images, free: list[int]) -> Bool[np.ndarray, "vi
     return states[_cheapest_paths(here, between)[0]].T
 
 
-def _met_under(
+def _triangulated_under(
     images: Images, exchanged: Bool[np.ndarray, " views"], order: Int[np.ndarray, " points"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points where rays meet when some views have names in another order, and a mask of them.
@@ -191,7 +193,7 @@ def _costs_of_steps(
 
     Both (views, moments, points); the first moment has no cost. Points go on as they went before.
     """
-    before, known = _extrapolated(images)
+    before, known = extrapolated(images)
     away = np.linalg.norm(images.pixels - before, axis=-1) / images.scale[..., None]
     typical = np.array([
         np.clip(np.median(way[some]) / _RAYLEIGH_MEDIAN if some.any() else 0.0, *_PATH_STEP_M)
@@ -208,92 +210,9 @@ def _costs_of_steps(
     return cost(before, known), cost(before[:, :, order], known[:, :, order])
 
 
-def _extrapolated(
-    images: Images,
-) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
-    """Positions that earlier frames predict for the keypoints, and where there are any.
-
-    Where a keypoint was not seen two moments before, it would stay.
-    """
-    seen, place = images.seen, images.pixels
-    before, known = np.zeros_like(place), np.zeros_like(seen)
-    before[:, 1:], known[:, 1:] = place[:, :-1], seen[:, :-1]
-    moving = (seen[:, 1:-1] & seen[:, :-2])[..., None]
-    before[:, 2:] += np.where(moving, place[:, 1:-1] - place[:, :-2], 0.0)
-    return before, known
-
-
-_OFF = 0.08
-"""Metres by which both keypoints leave their own paths when their names are exchanged."""
-_ON = 0.5
-"""Share of that by which they may then miss the other's path."""
-_USUAL = 5.0
-"""Multiple of the usual distance from their paths by which both keypoints must leave them."""
-_FEW = 0.35
-"""Share of the keypoints that may leave their paths at that moment; more is the whole body."""
-_STRETCHED = 0.03
-"""Metres by which bones of a limb are on average too long when two of its ends are exchanged
-throughout; in good windows of validation people exchanging never saves that."""
-
-
-@dataclass(frozen=True)
-class ExchangedPair:
-    """Two keypoints of a view that have each other's name in a range of frames."""
-
-    view: int
-    points: tuple[int, int]
-    first: int
-    last: int
-    distance: float
-    """Metres by which both jumped, bones were too long or rays missed each other."""
-
-
 def repaired_by_rays(images: Images) -> tuple[Images, Findings]:
     """The images with names of pairs exchanged back in views, and the findings."""
-    return _repaired(images, {"rays of the views meet only then": exchanged_between_views})
-
-
-def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """The images with names of pairs exchanged back that single views tell, and the findings."""
-    jumps, bones = "they jump onto each other's path", "they stretch the limb"
-    return _repaired(images, {jumps: exchanged_for_a_while, bones: exchanged_throughout})
-
-
-def _repaired(
-    images: Images, checks: Mapping[str, Callable[[Images], list[ExchangedPair]]]
-) -> tuple[Images, Findings]:
-    said: dict[tuple[str, int, int, int], list[ExchangedPair]] = {}
-    for why, find in checks.items():
-        found = find(images)
-        images = _exchanged_back(images, found)
-        for one in found:
-            said.setdefault((why, one.view, one.first, one.last), []).append(one)
-    return images, Findings(tuple(_pair_finding(images, *key, own) for key, own in said.items()))
-
-
-def _exchanged_back(images: Images, found: Sequence[ExchangedPair]) -> Images:
-    pixels, confidence = images.pixels.copy(), images.confidence.copy()
-    for one in found:
-        when, both = slice(one.first, one.last + 1), [*one.points]
-        for values in (pixels, confidence):
-            values[one.view, when, both] = values[one.view, when, both[::-1]]
-    return replace(images, pixels=pixels, confidence=confidence)
-
-
-def _pair_finding(
-    images: Images, why: str, view: int, first: int, last: int, pairs: list[ExchangedPair]
-) -> Finding:
-    names = tuple(images.points[k] for one in pairs for k in one.points)
-    throughout = first == 0 and last == images.pixels.shape[1] - 1
-    frames = () if throughout else ((first, last),)
-    when = "throughout" if throughout else f"in {spans(frames)}"
-    return Finding(
-        "points exchanged",
-        f"{listed(names)} have each other's name {when}, as {why}; names were exchanged back",
-        names,
-        frames,
-        max(one.distance for one in pairs),
-    ).of(images.names[view])
+    return repaired_by(images, exchanged_between_views(images), "rays of the views meet only then")
 
 
 def exchanged_between_views(images: Images) -> list[ExchangedPair]:
@@ -314,7 +233,7 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         turned, own = order.copy(), np.array(pairs)
         turned[own], groups = own[:, ::-1], np.isin(order, own) & (order == own[:, :1])
         groups[np.arange(len(own)), own[:, 1]] = True
-        met = [_met_under(images, state, turned) for state in states]
+        met = [_triangulated_under(images, state, turned) for state in states]
         here = _costs_of_moments(met, states, groups)
         paths = _cheapest_paths(here, _costs_of_changes(images, states, turned, groups))
         for pair, path, cost in zip(pairs, paths, here, strict=True):
@@ -331,70 +250,8 @@ def exchanged_between_views(images: Images) -> list[ExchangedPair]:
         other = [replace(one, view=1 - one.view) if one in always else one for one in found]
 
         def facing(some: list[ExchangedPair]) -> float:
-            met = Rays.of(_exchanged_back(images, some)).triangulated()
+            met = Rays.of(exchanged_back(images, some)).triangulated()
             return float(facing_agreement(images.points, *met).mean())
 
         found = max(found, other, key=facing)
-    return found
-
-
-def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
-    """The stretches in which two keypoints of one view exchange their names.
-
-    A jump of both along each other's path begins a stretch, the next one ends it. The moments
-    that stretch bones are the wrong ones, else the fewer.
-    """
-    found: list[ExchangedPair] = []
-    for v in range(len(images.names)):
-        for pair, jumps in _jumps_onto_each_other(images, v).items():
-            exchanged = np.zeros(images.pixels.shape[1], dtype=bool)
-            for t in jumps:
-                exchanged[t:] ^= True
-            saved = np.nan_to_num(length_saved(images, v, pair))
-            inside, outside = saved[exchanged].sum(), saved[~exchanged].sum()
-            if outside > inside or (outside == inside and exchanged.mean() > 0.5):
-                exchanged = ~exchanged
-            away = min(jumps.values())
-            found += [ExchangedPair(v, pair, a, b, away) for a, b in stretches(exchanged)]
-    return found
-
-
-def exchanged_throughout(images: Images) -> list[ExchangedPair]:
-    """Neighbours along a limb that, exchanged in all frames, make bones plausibly short."""
-    last = images.pixels.shape[1] - 1
-    found: list[ExchangedPair] = []
-    for v in range(len(images.names)):
-        for pair in neighbours_on_limbs(images):
-            saved = length_saved(images, v, pair)
-            known = saved[np.isfinite(saved)]
-            if known.size and (mean := float(known.mean())) > _STRETCHED:
-                found.append(ExchangedPair(v, pair, 0, last, mean))
-    return found
-
-
-def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], dict[int, float]]:
-    """Frames at which pairs of keypoints jump onto each other's path, and how far in metres.
-
-    Outliers, which do not stay where they jump to, are left out.
-    """
-    before, known = (values[0] for values in _extrapolated(images.view([view])))
-    now, scale = images.pixels[view], images.scale[view, :, None]
-    known &= images.seen[view]
-    own = np.where(known, np.linalg.norm(now - before, axis=-1) / scale, 0.0)
-    usual = float(np.median(own[known])) if known.any() else 0.0
-    off = known & (own > max(_OFF, _USUAL * usual))
-    few = off.sum(-1) <= np.maximum(2, _FEW * known.sum(-1))
-    found: dict[tuple[int, int], dict[int, float]] = {}
-    for t in np.flatnonzero((off.sum(-1) >= 2) & few).tolist():
-        rows = np.flatnonzero(off[t])
-        ways = np.linalg.norm(now[t, rows][:, None] - before[t, rows], axis=-1)
-        ratio = ways / scale[t] / own[t, rows][:, None]
-        for pair in np.argwhere(np.triu(np.maximum(ratio, ratio.T) < _ON, 1)):
-            both = rows[pair]
-            away = float(own[t, both].min())
-            if t + 1 < len(now):
-                leave = np.linalg.norm(now[t + 1, both] - now[t, both], axis=-1) / scale[t]
-                if (images.seen[view, t + 1, both] & (leave > _ON * away)).any():
-                    continue
-            found.setdefault((int(both[0]), int(both[1])), {})[t] = away
     return found

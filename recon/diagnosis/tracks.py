@@ -96,7 +96,7 @@ def velocity_changes(
 
 def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     """A warning when frames are out of order: positions jump but bone lengths are constant."""
-    if found := _jumps_repeatedly(points):
+    if found := _repeated_jumps_warning(points):
         return found
     along, near = bone_noise(points), _distance_moved(points, 1)
     far = np.array([_distance_moved(points, lag) for lag in _LAGS])
@@ -116,7 +116,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     )
 
 
-def _jumps_repeatedly(points: NamedPoints) -> tuple[Finding, ...]:
+def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
     """A warning if the whole body jumps to another place repeatedly.
 
     That is so between blocks of frames which were put together in a wrong order. Changes of

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from recon.body.model import BodyModel
+from recon.core.bone_names import BoneNames, renamed
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
-from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import rest_offsets
 from recon.formats.replacing import write_text
 from recon.mocap.recording import SkeletonRecording

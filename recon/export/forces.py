@@ -44,15 +44,15 @@ class Loads:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What may be wrong with either."""
+        """Warnings about the estimated and the measured forces."""
         return (*self.estimated.warnings, *(self.measured.warnings if self.measured else ()))
 
     def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """How far both are apart, by foot; empty without plates."""
+        """Differences of estimated from measured forces, by foot; empty without plates."""
         return {"beside plates": self.measured.compared(self.estimated)} if self.measured else {}
 
     def report(self) -> dict[str, Any]:
-        """What a file's report says."""
+        """The report of a written file of forces, in plain values."""
         decisions = (*self.estimated.notes, *self.decisions)
         return {"decisions": decisions, "warnings": self.warnings, **self.tables()}
 

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.bone_names import BoneNames, renamed
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.units import to_z_up
-from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 
@@ -92,7 +92,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
 
 
 def _humanoid(bones: Sequence[str]) -> dict[str, Any]:
-    """The extensions by which VRM 1.0 finds bones, which have its names, and the animation."""
+    """Extensions of VRM 1.0 (glTF), which name the bones and the animation of a person."""
     humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
     told = {"specVersion": "1.0", "humanoid": humanoid}
     licence = "https://vrm.dev/licenses/1.0/"

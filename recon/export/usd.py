@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
+from recon.core.bone_names import BoneNames, renamed
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.naming import BoneNames, renamed
 from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
 from recon.formats.replacing import replacing
 

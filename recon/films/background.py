@@ -1,4 +1,4 @@
-"""Follows points of the background through a film, and tells whether its camera moves.
+"""Follows points of the background through a film, and detects a moving camera.
 
 Corners (Harris and Stephens 1988), not edges, along which a point may slide, are followed by
 pyramidal Lucas-Kanade flow in small grey images, and back again: a point that does not return to
@@ -131,7 +131,7 @@ def moving_background(seen: Background, people: Detections) -> tuple[Background 
 
 
 def _without_people(seen: Background, people: Detections) -> Background:
-    """The points outside everybody's box; one that was inside is another one afterwards."""
+    """Points outside everybody's box; a point that a person covered gets a new number after it."""
     order = np.lexsort((seen.frame, seen.point))
     frame, point, pixels = seen.frame[order], seen.point[order], seen.pixels[order]
     covered = np.zeros(len(frame), bool)

@@ -55,7 +55,7 @@ class Region:
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], rim: Float[np.ndarray, "2"]) -> "Region":
-        """The region of somebody whose hips are the centre of a circle through `rim`, above."""
+        """The square about a person, from the mid hips and a point of the circle around them."""
         way = rim - hips
         angle = float(np.arctan2(way[0], -way[1]))
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(way)), angle)
@@ -76,7 +76,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Pose:
-    """What the second network says of a region."""
+    """Landmarks that the second network finds in a region, and their scores."""
 
     pixels: Float[np.ndarray, "33 2"]
     """In the image, guessed also for what it does not show."""
@@ -98,7 +98,7 @@ class BlazePose:
     """Both networks, run by LiteRT."""
 
     def __init__(self, landmarks: Path | None = None) -> None:
-        """Load them.
+        """Load both networks.
 
         Args:
             landmarks: model file (.tflite) of the second network; None is the bundled `full`.
@@ -137,7 +137,7 @@ class BlazePose:
         return found
 
     def poses(self, image: Image, region: Region) -> tuple[Pose, Pose]:
-        """The landmarks of the person in a region, and those told by its mirror image.
+        """Landmarks of the person in a region, found in the image and in its mirror image.
 
         A mirror image gives the same person: places are mirrored back, left and right named anew.
         """
@@ -215,7 +215,7 @@ class _Network:
 
 @contextmanager
 def _without_stderr() -> Iterator[None]:
-    """Context in which libraries write nothing to stderr: LiteRT tells of every network."""
+    """Context in which libraries write nothing to stderr, as LiteRT does for every network."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)

@@ -94,7 +94,7 @@ class Board:
 
 @dataclass(frozen=True)
 class _Lens:
-    """What one camera saw of the board, and its lens."""
+    """One camera: its lens, and the corners of the board that it saw at each moment."""
 
     seen: Mapping[int, Corners]
     """By moment."""
@@ -168,7 +168,7 @@ def _lens(film: Film, board: Board) -> _Lens:
         )
     moved = list[int]()
     for moment, corners in seen.items():
-        # a board that lies still would count for many
+        # images of a board at rest are alike: keep one
         if not moved or np.abs(corners - seen[moved[-1]]).max() > _MOVED:
             moved.append(moment)
     chosen = moved[:: -(-len(moved) // _MOST)]

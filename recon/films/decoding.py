@@ -92,7 +92,7 @@ class Film:
         return pixels * self.shrunk + (self.shrunk - 1) / 2
 
     def __iter__(self) -> Iterator[FilmFrame]:
-        """Decode the film; damaged pictures are left out, and said in `notes`."""
+        """Decode the film; damaged pictures are left out and noted in `notes`."""
         losses: list[str] = []
         last, starts = -1, dict[int, int]()
         for (image, time), shot in with_shots(self._pictures(losses)):
@@ -106,7 +106,7 @@ class Film:
         self.notes += [note for note in losses if note not in self.notes]
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
-        """Upright images and times as they are decoded; what is damaged goes into `losses`."""
+        """Upright images and times as they are decoded; what was damaged is noted in `losses`."""
         last, repeated = None, 0
         with _opened(self.path) as container:
             stream = _video_stream(container, self.path)
@@ -188,7 +188,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
 
 
 def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
-    """A film with what its first picture tells."""
+    """A film whose size and rotation are read from its first picture."""
     with _opened(path) as container:
         stream = _video_stream(container, path)
         found = next(_decoded(container, stream, []), None)

@@ -114,7 +114,7 @@ def read_film(
 
 @dataclass
 class _Watched:
-    """The frames of a film, which tells of the progress and notes their times."""
+    """Iterates over the frames of a film, reports progress and records their times."""
 
     film: Film
     watch: Watch | None

@@ -84,7 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """The hypothesis of every frame with which the landmarks move least."""
-    # two votes against an exchange where image and mirror image agree, else one for each side
+    # cost of exchanged sides: two if image and mirror image agree on the sides, else one each
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
@@ -95,7 +95,7 @@ def _likeliest_hypotheses(
     usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
     spread = np.clip(usual, *_SPREADS) * np.diff(frames)
     far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
-    # from a hypothesis to one of the next frame
+    # cost of the movement from a hypothesis to one of the next frame
     change = (_INDEPENDENT * np.square(far).sum(-1) / 2).swapaxes(-1, -2)
     path = cheapest_path(torch.from_numpy(votes)[None], torch.from_numpy(change)[None])
     return path[0].numpy()
@@ -104,7 +104,7 @@ def _likeliest_hypotheses(
 def _median_in_time(
     pixels: Float[np.ndarray, "frames 33 2"],
 ) -> Float[np.ndarray, "frames 33 2"]:
-    """The median of every coordinate over five frames: what passes within two is no movement."""
+    """The median of every coordinate over five frames, which removes jumps of two frames."""
     padded = np.pad(pixels, ((2, 2), (0, 0), (0, 0)), mode="edge")
     return np.median(np.stack([padded[k : k + len(pixels)] for k in range(5)]), axis=0)
 

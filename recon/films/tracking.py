@@ -39,7 +39,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class TrackerState:
-    """Where a tracker stands after a frame."""
+    """The state of a tracker after a frame, from which another one can continue."""
 
     frame: int
     shot: int
@@ -86,7 +86,7 @@ def _share(cutoff: float | np.ndarray, rate: float) -> float | np.ndarray:
 
 
 class Tracker:
-    """Everybody who is followed."""
+    """Follows everybody in a film from frame to frame."""
 
     def __init__(self, networks: BlazePose, rate: float) -> None:
         self._networks = networks
@@ -98,7 +98,7 @@ class Tracker:
         self._frame = -1
 
     def state(self) -> TrackerState:
-        """Where it stands, to go on from there."""
+        """The state from which a later tracker can continue."""
         rows = [
             (
                 one.number, *one.region.centre, one.region.side, one.region.angle,
@@ -112,7 +112,7 @@ class Tracker:
         )
 
     def go_on(self, state: TrackerState) -> None:
-        """Stand where another tracker of the same film stood."""
+        """Restore the state of an earlier tracker of the same film."""
         self._frame, self._shot, self._fresh = state.frame, state.shot, state.fresh
         self._next_search = state.next_search
         self._tracks = [
@@ -151,7 +151,7 @@ class Tracker:
                 self._fresh += 1
 
     def _looked(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
-        """Everybody who is still in their region.
+        """Tracks whose person is still in the region, each with the new detection.
 
         Where the image and its mirror image show different bodies, of two people who overlap, the
         one counts that moved less since the last frame.
@@ -166,7 +166,7 @@ class Tracker:
             yield one, Sight(frame, one.number, pose, mirrored)
 
     def _distinct(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
-        """Of tracks that are on one body the one that moved least to get there, if it is old."""
+        """Tracks without duplicates: of several on one body, the one that moved least."""
         seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
         kept: list[tuple[_Track, Sight]] = []
         for track, sight in seen:

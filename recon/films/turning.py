@@ -86,7 +86,7 @@ def find_turning(
         return _chained(point, pixels / (focal * factor), starts)
 
     def disagreement(factor: float) -> float:
-        # in pixels, or a long focal length would seem to be better
+        # compare pixels, since the same error is a smaller angle at a longer focal length
         return float(np.log1p((turned(factor)[1] * factor / _NOISE) ** 2).mean())
 
     factor, told = 1.0, False

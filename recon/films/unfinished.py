@@ -1,4 +1,4 @@
-"""Keeps what was seen in a film until an interruption."""
+"""Stores detections of a film while it is read, so that an interrupted run can go on."""
 
 import shutil
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ and angle of the region, and points of the next one."""
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A folder with sights of people in parts, and where the tracker stood after each."""
+    """A folder with partial results of a film: detections, and the state of the tracker."""
 
     folder: Path
     key: str
@@ -48,7 +48,7 @@ class Unfinished:
         )
 
     def load(self) -> tuple[list[Sight], TrackerState | None]:
-        """What all parts have; nothing where there is none, or one is of another film."""
+        """Detections and tracker state of all parts; none where a part is of another film."""
         sights, state = list[Sight](), None
         for path in sorted(self.folder.glob("*.npz")):
             arrays = load_arrays(path)

@@ -47,7 +47,7 @@ _EVERY_IMAGE = 0.6
 
 @dataclass(frozen=True)
 class Vertical:
-    """Where up is for a camera, and what else its lines tell."""
+    """The up direction in a camera's frame, and the focal length that lines imply."""
 
     up: Float[np.ndarray, "3"]
     """Unit vector in the camera's frame: x right, y down, z forward."""
@@ -62,7 +62,7 @@ def find_vertical(
     *,
     known: bool,
 ) -> Vertical | None:
-    """The vertical in images of one still camera; None where lines do not tell it.
+    """The vertical in images of one still camera; None where lines do not determine it.
 
     They do not where there are few, where they explain little more than lines turned at random,
     and where images disagree because the camera turns.
@@ -133,7 +133,7 @@ def _share_by_chance(
     lengths: Float[np.ndarray, " focals"],
     chance: np.random.Generator,
 ) -> float:
-    """The largest share that is explained of segments turned at random, some times over."""
+    """The largest share explained among several copies of the segments, turned at random."""
     turned = [_turned_at_random(segments, chance) for _ in range(_RANDOM_TURNS)]
     return max(_best_vertical(one, focal, chance)[1] for one in turned for focal in lengths)
 
@@ -159,7 +159,7 @@ def _best_vertical(
 
 
 def _plausible(ups: Float[np.ndarray, "ups 3"]) -> np.ndarray:
-    """Which verticals are those of a camera as people hold it."""
+    """Mask of up directions of cameras as people hold them: hardly tilted or rolled."""
     rolled = np.abs(np.arctan2(ups[:, 0], -ups[:, 1]))
     tilted = -ups[:, 1] > np.cos(_MOST_TILTED)
     return tilted & (rolled < _MOST_ROLLED) & (ups[:, 2] < np.sin(_MOST_RAISED))

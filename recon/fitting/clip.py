@@ -90,7 +90,7 @@ def posed(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> "ClipProblem":
-    """The problem to minimise: observations with noise, and the first motion."""
+    """The problem to minimise: observations weighted by their noise, and the first motion."""
     noises = tuple(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
@@ -128,25 +128,25 @@ class ClipProblem:
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
         if not self.options.grounded:
-            return self.with_camera_scale()._in_recording(ground_known=False)
+            return self.with_camera_scale()._solved_in_recording(ground_known=False)
         if all(one.ground_known for one in self.observations):
-            return self._in_recording(ground_known=True)
+            return self._solved_in_recording(ground_known=True)
         job = self.with_camera_scale()
         result = job.with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
-        return job._fitted(result, T, ground_known=False)
+        return job._clip_fit(result, T, ground_known=False)
 
-    def _in_recording(self, *, ground_known: bool) -> ClipFit:
+    def _solved_in_recording(self, *, ground_known: bool) -> ClipFit:
         """The motion in the frame of the recording, which is the world or has no ground."""
         start = self.guess.motion
         if ground_known and not self.guess.distance_known:
             start = self.on_known_ground()
         result = self.fit(self.options, self.scene(start), start, self.moved)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
-        return self._fitted(result, T, ground_known=ground_known)
+        return self._clip_fit(result, T, ground_known=ground_known)
 
-    def _fitted(
+    def _clip_fit(
         self, result: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
     ) -> ClipFit:
         grounded = self.options.grounded
@@ -306,10 +306,10 @@ class ClipProblem:
         if there.shape[-3] < view.moments:
             return self
         # imported here: only moving cameras need it
-        from observations.camera_paths import with_unit
+        from observations.camera_paths import with_path_in_metres
 
         seen = view.camera.to_camera(there).detach().double().numpy()
-        found = with_unit(view, seen)
+        found = with_path_in_metres(view, seen)
         moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
         if motion.frames == view.moments:
             motion = motion.replace(translation=motion.translation + moved)
@@ -335,7 +335,7 @@ class ClipProblem:
         return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
 
     def first_seconds(self) -> "ClipProblem":
-        """The clip cut off after a window's length."""
+        """The first seconds of the clip, as long as a window of a long recording."""
         from recon.fitting.long import WINDOW  # imported here: only long recordings need it
 
         begin = self.guess.motion.start_time

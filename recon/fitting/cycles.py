@@ -87,13 +87,13 @@ class CycleClock:
 
     @classmethod
     def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
-        """A clock at the first observation's rate, a multiple or a divisor of it, over all data.
+        """A clock over all data, at the first observation's rate, a multiple or a divisor of it.
 
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.
         """
         fps, start = completion_rate(observations[0].fps), min(o.start_time for o in observations)
-        ends = [seen_from_to(o) for o in observations]
+        ends = [first_and_last_times(o) for o in observations]
         first, last = (torch.stack(one) for one in zip(*ends, strict=True))
         if not bool((last.amax(0) > first.amin(0)).all()):
             raise ObservationError(
@@ -111,7 +111,9 @@ class CycleClock:
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
 
 
-def seen_from_to(sensor: Sensor) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+def first_and_last_times(
+    sensor: Sensor,
+) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
     """Times of the first and last moment of each clip that show anything; infinite where none."""
     there = sensor.shown.any(-1)
     times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
@@ -345,7 +347,7 @@ def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
     """
     count = sensor.shown.sum(-1)
     typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
-    first, last = seen_from_to(sensor)
+    first, last = first_and_last_times(sensor)
     rate = ((count > 0).sum(-1) - 1) / (last - first)
     seen = rate.isfinite() & (rate > 0)
     often = float(rate[seen].median()) if bool(seen.any()) else sensor.fps

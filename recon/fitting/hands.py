@@ -214,7 +214,7 @@ class _Fingers(Problem[Tensor]):
             counts = (_ROBUST**2 / (_ROBUST**2 + size)).square()[..., None]
             curvature += torch.einsum("tpdi,tpd,tpdj->tij", bent, counts.expand_as(away), bent)
             slope += torch.einsum("tpdi,tpd->ti", bent, counts * away)
-        about, diagonal = self._expected(frames)
+        about, diagonal = self._prior_derivatives(frames)
         curvature[:, :_SIZE, :_SIZE] += diagonal
         slope[:, :_SIZE] += about
         hessian = Banded.zero(len(frames), 2, _SIZE, _BONES, frames)
@@ -227,7 +227,7 @@ class _Fingers(Problem[Tensor]):
         precision = _length_precision()
         hessian.corner.add_(precision)
         bend = frames.diff(n=2, dim=0) * stiff
-        slope[:, :_SIZE] += _adjoint(bend, len(frames))
+        slope[:, :_SIZE] += _transposed_differences(bend, len(frames))
         gradient = torch.cat(
             (slope[:, :_SIZE].flatten(), slope[:, _SIZE:].sum(0) + precision @ lengths)
         )
@@ -259,7 +259,7 @@ class _Fingers(Problem[Tensor]):
         for view in self.views:
             size = _residuals(view, points, None)[0].square().sum(-1)
             data = data + 0.5 * (_ROBUST**2 * size / (_ROBUST**2 + size)).sum()
-        off, beyond = frames[:, _BENDS] - RELAXED, _beyond(frames[:, _BENDS])
+        off, beyond = frames[:, _BENDS] - RELAXED, _excess_over_limits(frames[:, _BENDS])
         bend = frames.diff(n=2, dim=0)
         usual = 0.5 * (off * (off @ self.bends)).sum()
         wrist = (frames[:, _TURN] / self.turn_std).square().sum()
@@ -269,10 +269,10 @@ class _Fingers(Problem[Tensor]):
         sizes = 0.5 * lengths @ _length_precision() @ lengths
         return torch.stack((data, usual + limits, 0.5 * wrist, smooth, sizes))
 
-    def _expected(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient and Hessian of what is expected of a frame without data."""
+    def _prior_derivatives(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient and Hessian of the prior energy of every frame's variables."""
         gradient, hessian = torch.zeros_like(frames), frames.new_zeros(len(frames), _SIZE, _SIZE)
-        bends, beyond = frames[:, _BENDS], _beyond(frames[:, _BENDS])
+        bends, beyond = frames[:, _BENDS], _excess_over_limits(frames[:, _BENDS])
         gradient[:, _BENDS] = (bends - RELAXED) @ self.bends + beyond / _LIMIT_STD**2
         hessian[:, _BENDS, _BENDS] = self.bends
         hessian[:, _BENDS, _BENDS] += torch.diag_embed((beyond != 0) / _LIMIT_STD**2)
@@ -312,7 +312,7 @@ def _residuals(
     return weights * (pixels - view.values.to(points)), bent
 
 
-def _beyond(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
+def _excess_over_limits(bends: Float[Tensor, "time 22"]) -> Float[Tensor, "time 22"]:
     """Radians beyond the limits; negative below the smallest angle."""
     return bends - bends.clamp(LIMITS[:, 0], LIMITS[:, 1])
 
@@ -322,7 +322,9 @@ def _length_precision() -> Float[Tensor, "20 20"]:
     return torch.linalg.inv(own + _SCALE_STD**2)
 
 
-def _adjoint(bend: Float[Tensor, "steps n"], frames: int) -> Float[Tensor, "time n"]:
+def _transposed_differences(
+    bend: Float[Tensor, "steps n"], frames: int
+) -> Float[Tensor, "time n"]:
     """The transpose of taking second differences."""
     out = bend.new_zeros(frames, bend.shape[-1])
     for k, share in enumerate((1.0, -2.0, 1.0)):
@@ -330,8 +332,8 @@ def _adjoint(bend: Float[Tensor, "steps n"], frames: int) -> Float[Tensor, "time
     return out
 
 
-def _behind() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
-    """Which points each angle moves, and behind which bones each point is."""
+def _dependence_masks() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
+    """Masks: the points that each angle moves, and the bones that each point lies behind."""
     point = torch.arange(_BONES)
     finger, place = point // 4, point % 4
     joint = torch.tensor(JOINT_OF_ANGLE)
@@ -339,4 +341,4 @@ def _behind() -> tuple[Bool[Tensor, "20 22"], Bool[Tensor, "20 20"]]:
     return moves, (finger[:, None] == finger) & (place[:, None] >= place)
 
 
-_MOVES, _BEHIND = _behind()
+_MOVES, _BEHIND = _dependence_masks()

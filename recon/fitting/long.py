@@ -93,7 +93,7 @@ def fit_long(
 
     stages = stages_of(prior)
 
-    def tied(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages_with_ties(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         ties = [recording.tie(row, apart.neighbours(row), apart.fps, body) for row in rows]
         return shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
 
@@ -102,7 +102,7 @@ def fit_long(
     )
     shape = shapes.shape()
     apart = job.fit("apart", every[::2], shape, lambda _, data: shape_held(stages(data)))
-    between = job.fit("tied", every[1::2], shape, tied)
+    between = job.fit("tied", every[1::2], shape, stages_with_ties)
     motions, rate = apart.motions | between.motions, min(apart.fps, between.fps)
     joined = joined_windows([motions[row].resample(rate) for row in every])
     whole = joined.map(lambda tensor: tensor[None])
@@ -116,7 +116,7 @@ def fit_long(
 
 @dataclass(frozen=True)
 class _WindowFits:
-    """Motions of the windows of one round of fits."""
+    """Motions of the windows that were fitted in one round."""
 
     motions: dict[int, Motion]
     failed: tuple[int, ...]

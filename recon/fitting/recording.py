@@ -208,7 +208,7 @@ def _stretches(
     """Partition of the recording into stretches of gait and the rest."""
     times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
 
-    def moments(start: float, stop: float) -> int:
+    def count_between(start: float, stop: float) -> int:
         return int(((times >= start - 1e-6) & (times <= stop + 1e-6)).sum())
 
     told: list[Stretch] = []
@@ -216,14 +216,14 @@ def _stretches(
     for cycles in gait:
         start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
         if start - at > _LEAST:
-            told.append(Stretch(at, start, prior.steps, moments(at, start)))
+            told.append(Stretch(at, start, prior.steps, count_between(at, start)))
         joined = sum(one.explains for one in cycles)
         told.append(
             Stretch(
                 start,
                 stop,
                 f"{prior.steps} and {prior.cycles}" if joined else prior.steps,
-                moments(start, stop),
+                count_between(start, stop),
                 len(cycles),
                 joined,
                 sum(one.energy for one in cycles),
@@ -233,5 +233,5 @@ def _stretches(
         at = stop
     end = float(motion.times[-1])
     if end - at > _LEAST or not told:
-        told.append(Stretch(at, end, prior.steps, moments(at, end)))
+        told.append(Stretch(at, end, prior.steps, count_between(at, end)))
     return tuple(told)

@@ -1,4 +1,4 @@
-"""What goes into the fit of one clip, `Clip`, and what comes out of it, `ClipFit`."""
+"""Records of the fit of one clip: its input `Clip`, its result `ClipFit`."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,7 +32,7 @@ class Clip:
 
 
 def clip_between(clip: Clip, start: float, stop: float) -> Clip:
-    """What was seen from one time to another, both included, seconds of the recording's clock.
+    """The clip's data from one time to another, both included, seconds of the recording's clock.
 
     Before the first and after the last moment of all observations there is nothing to fit.
 
@@ -56,7 +56,7 @@ def clip_between(clip: Clip, start: float, stop: float) -> Clip:
 
 
 def start_times(clip: Clip) -> tuple[float, ...]:
-    """Times of the first frames of whole observations, seconds."""
+    """Start times of the observations before any cut, seconds."""
     return clip.starts or tuple(one.start_time for one in clip.observations)
 
 

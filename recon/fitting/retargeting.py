@@ -56,7 +56,11 @@ def settled_on_ground(
         name="physics",
         prior=prior,
         terms=(
-            Term("near", NearTo(*(body.pose(m).joints for m in (motion, accelerations_of))), 1.0),
+            Term(
+                "near",
+                JointTargetEnergy(*(body.pose(m).joints for m in (motion, accelerations_of))),
+                1.0,
+            ),
             Term("penetration", penetration, PENETRATION),
             Term("floating", FloatingUnlessFlying(flying), FLOATING),
             Term("slide", slide, SLIDE),
@@ -76,7 +80,7 @@ def flying_frames(motion: Motion, body: BodyModel) -> Bool[Tensor, "*batch time"
 
 
 @dataclass(frozen=True)
-class NearTo(TensorStruct):
+class JointTargetEnergy(TensorStruct):
     """Energy of the distance of joints from given positions and accelerations."""
 
     places: Float[Tensor, "*batch time 22 3"]
@@ -160,8 +164,7 @@ def _network_proposal(
         shift = found.shift * found.shift.new_tensor([1.0, 1.0, 0.0])
         other = found.replace(shape=shape[None], base=base, shift=shift)
         made = prior.decode(other).motion[0]
-    # corrections in every frame of a fast recording would cause jitter: they are found at 20 Hz,
-    # and the frames between follow the scaled copy
+    # corrected at 20 Hz, since separate corrections of all frames would cause jitter
     scaled = with_shape(window, prior.body, shape)
     away = at_rate(made).translation - at_rate(scaled).translation
     height = scaled.translation + _spline_matrix(made) @ away

@@ -91,7 +91,7 @@ def checked_camera(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
             f"an array of shape {matrix.shape}"
         )
-    size = _size(fields.size, image_size, where)
+    size = _image_size(fields.size, image_size, where)
     distortion = _distortion(fields.distortion, where)
     check_camera(matrix, size, distortion, where)
     return CameraArrays(
@@ -113,7 +113,7 @@ def _numbers(value: Any, what: str, where: str) -> np.ndarray:
     return numbers
 
 
-def _size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
+def _image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
     if stated is None and given is None:
         raise FormatError(
             f"{where}: the calibration does not state the image size; give it with --image-size "

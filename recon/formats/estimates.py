@@ -79,7 +79,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         FormatError: when it is damaged, holds nothing of this kind or not so many people.
     """
     tree = _read_tree(path)
-    people = list(_people(tree, ()))
+    people = list(_bodies_in(tree, ()))
     in_world = [
         one for one in people if not any(word in str(key) for key in one[0] for word in _IN_CAMERA)
     ]
@@ -173,7 +173,7 @@ def _by_person(tree: Tree) -> Tree:
     }
 
 
-def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
+def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
     """Every nested dictionary with one body per frame, and its path of keys."""
     names = {key for key in tree if isinstance(key, str)}
     turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
@@ -181,7 +181,7 @@ def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...
         yield from ((where, one) for one in _people_of_arrays(tree))
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            yield from _people(value, (*where, key))
+            yield from _bodies_in(value, (*where, key))
 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:

@@ -164,7 +164,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     Raises:
         ValueError: when it has a batch axis, no frames, or NaN or infinity in it.
     """
-    from recon.formats.replacing import save_arrays  # not needed by fits
+    from recon.formats.replacing import save_arrays  # imported here: only needed for writing
 
     path = Path(path)
     file = MotionFile(file) if isinstance(file, Motion) else file

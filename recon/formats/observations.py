@@ -79,6 +79,8 @@ class KeypointsFile(_File):
     fps: float
     camera: CameraArrays
     start_time: float = 0.0
+    fingers: Float[np.ndarray, "time 42 3"] | None = None
+    """Pixels, as detected, and confidence of the points of hands; zero where not seen."""
 
 
 @dataclass(frozen=True)
@@ -198,11 +200,17 @@ def _keypoints_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> Keypoin
     pixels = arrays.checked("pixels", (*confidence.shape, 2))
     limits.PIXEL.check(pixels, arrays.path, "pixels", seen=confidence > 0)
     limits.JOINTS.check(confidence.shape[1], arrays.path, "confidence")
+    fingers = arrays.optional("fingers", (len(confidence), 42, 3))
+    if fingers is not None:
+        seen = fingers[..., 2] > 0
+        limits.PIXEL.check(fingers[..., :2], arrays.path, "fingers", seen=seen)
+        fingers = np.where(seen[..., None], fingers, 0.0)
     return KeypointsFile(
         pixels=np.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
         layout=arrays.text("layout"),
         camera=_camera(arrays, len(confidence)),
+        fingers=fingers,
         **common_fields,
     )
 

@@ -43,7 +43,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
     """
     if path.name.lower() == "extri.yml" and path.with_name("intri.yml").is_file():
         path = path.with_name("intri.yml")
-    values = _read(path)
+    values = _read_values(path)
     names = values.get("names")
     if not isinstance(names, list):
         matrices = [key for key in values if key.startswith("K_")]
@@ -51,7 +51,9 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
     if len(names) == 0:
         return {path.stem: _single_camera(path, values)}
     beside = path.with_name("extri.yml")
-    poses = _read(beside) if path.name.lower() == "intri.yml" and beside.is_file() else values
+    poses = (
+        _read_values(beside) if path.name.lower() == "intri.yml" and beside.is_file() else values
+    )
     if len(set(names)) < len(names):
         raise FormatError(f"{path}: expected every camera's name once, got {', '.join(names)}")
     if without := [name for name in names if f"K_{name}" not in values]:
@@ -62,7 +64,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
             matrix=values[f"K_{name}"],
             size=_size_in_pixels(values.get(f"W_{name}"), values.get(f"H_{name}")),
             distortion=values.get(f"dist_{name}", values.get(f"D_{name}")),
-            rotation=_first(poses, (f"Rot_{name}", f"R_{name}")),
+            rotation=_first_present(poses, (f"Rot_{name}", f"R_{name}")),
             translation=poses.get(f"T_{name}"),
         )
         for name in names
@@ -70,7 +72,7 @@ def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
 
 
 def _single_camera(path: Path, values: dict[str, Any]) -> CameraFields:
-    matrix = _first(values, _MATRIX)
+    matrix = _first_present(values, _MATRIX)
     if matrix is None:
         raise FormatError(
             f"{path}: expected camera_matrix, or names and K_<name> as in EasyMocap's intri.yml; "
@@ -80,13 +82,13 @@ def _single_camera(path: Path, values: dict[str, Any]) -> CameraFields:
         raise FormatError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
     return CameraFields(
         name=path.stem, matrix=matrix,
-        size=_size_in_pixels(_first(values, _WIDTH), _first(values, _HEIGHT)),
-        distortion=_first(values, _DISTORTION), rotation=_first(values, _ROTATION),
-        translation=_first(values, _TRANSLATION),
+        size=_size_in_pixels(_first_present(values, _WIDTH), _first_present(values, _HEIGHT)),
+        distortion=_first_present(values, _DISTORTION), rotation=_first_present(values, _ROTATION),
+        translation=_first_present(values, _TRANSLATION),
     )  # fmt: skip
 
 
-def _first(values: dict[str, Any], keys: tuple[str, ...]) -> Any:
+def _first_present(values: dict[str, Any], keys: tuple[str, ...]) -> Any:
     return next((values[key] for key in keys if key in values), None)
 
 
@@ -96,7 +98,7 @@ def _size_in_pixels(width: Any, height: Any) -> tuple[float, float] | None:
     return (width, height) if min(width, height) > 0 else None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read_values(path: Path) -> dict[str, Any]:
     """Read all top-level values of a file: matrices, numbers, texts and lists of texts.
 
     OpenCV's own reader is not used: damaged files make it end the whole process.

@@ -75,7 +75,7 @@ def _pose2sim_project(folder: Path) -> Project | None:
     levels = [folder, *folder.resolve().parents][:_LEVELS]
     configs = [level / _CONFIG for level in levels if (level / _CONFIG).is_file()]
     # without a configuration file, folders above do not belong to the project
-    calibration = _calibration(levels if configs else levels[:1])
+    calibration = _calibration_file(levels if configs else levels[:1])
     detections = next((folder / name for name in _POSES if (folder / name).is_dir()), None)
     points = _triangulated_points_file(folder)
     if not configs and calibration is None and points is None:
@@ -103,7 +103,7 @@ def _project_table(config: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _calibration(levels: list[Path]) -> Path | None:
+def _calibration_file(levels: list[Path]) -> Path | None:
     """The calibration file in the nearest folder, going outwards, that has one.
 
     Raises:

@@ -168,7 +168,7 @@ def _nearest_steps_differ(times: Float[np.ndarray, " files"], count: int) -> boo
 
 
 def _largest_deviation(times: Float[np.ndarray, " files"], count: int) -> float:
-    """The largest distance of a time from its nearest equal step, in steps."""
+    """The largest distance of a time from the nearest of `count` even steps, in steps."""
     place = (times - times[0]) / (times[-1] - times[0]) * count
     return float(np.abs(place - place.round()).max())
 

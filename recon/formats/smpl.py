@@ -102,10 +102,10 @@ def load_smpl(path: str | Path) -> SmplArrays:
             fields = {name: array_in(tree[name], name, path) for name in _USED if name in tree}
         case other:
             raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {other!r}")
-    return _checked(fields, path)
+    return _checked_arrays(fields, path)
 
 
-def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
+def _checked_arrays(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     """The arrays in double precision, after their shapes have been compared."""
     if missing := [name for name in _NEEDED if name not in fields]:
         raise FormatError(
@@ -137,7 +137,7 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     return SmplArrays(
         template=template,
         shape_directions=_without_expressions(numbers["shapedirs"], joints),
-        pose_directions=_correctives(fields, vertices, joints, path),
+        pose_directions=_pose_correctives(fields, vertices, joints, path),
         joint_regressor=numbers["J_regressor"],
         weights=weights,
         parents=_parents(numbers["kintree_table"], path),
@@ -178,7 +178,7 @@ def _without_expressions(directions: np.ndarray, joints: int) -> np.ndarray:
     return np.ascontiguousarray(directions[:, :, :count])
 
 
-def _correctives(
+def _pose_correctives(
     fields: Mapping[str, np.ndarray], vertices: int, joints: int, path: Path
 ) -> np.ndarray | None:
     if "posedirs" not in fields:

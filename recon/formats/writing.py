@@ -163,10 +163,13 @@ def uninterrupted() -> Iterator[None]:
         return
     received: list[int] = []
 
-    def later(number: int, _: FrameType | None) -> None:
+    def remember_signal(number: int, _: FrameType | None) -> None:
         received.append(number)
 
-    before = {number: signal.signal(number, later) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, remember_signal)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:

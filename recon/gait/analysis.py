@@ -90,7 +90,9 @@ def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCyc
             if one.strike is None or one.off is None or after.strike is None:
                 continue
             if one.off < after.strike <= one.strike + MAX_STRIDE_S * feet.fps:
-                found.append(_cycle(feet, side, one.strike, one.off, after.strike, other))
+                found.append(
+                    _cycle_of_strikes(feet, side, one.strike, one.off, after.strike, other)
+                )
     return tuple(sorted(found, key=lambda cycle: cycle.strike))
 
 
@@ -102,7 +104,7 @@ def over_cycle(
     return np.interp(moments, times, values)
 
 
-def _cycle(
+def _cycle_of_strikes(
     feet: Feet,
     side: int,
     strike: int,

@@ -154,11 +154,11 @@ def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
     count = len(feet.times)
     found = [stance for side in range(2) for stance in _stances_of_foot(feet, side)]
 
-    def moment(stance: GaitStance) -> tuple[int, Side]:
+    def first_frame_and_side(stance: GaitStance) -> tuple[int, Side]:
         frames = stance.frames(count)
         return frames.start + frames.stop, stance.side
 
-    return tuple(sorted(found, key=moment))
+    return tuple(sorted(found, key=first_frame_and_side))
 
 
 def _stances_of_foot(feet: Feet, side: int) -> list[GaitStance]:

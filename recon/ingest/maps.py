@@ -38,12 +38,12 @@ class SkeletonMap:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Our joints whose positions the recording has."""
+        """Numbers of our joints whose positions the recording has."""
         return tuple(joint for joint, _ in self.positions)
 
     @property
     def bones(self) -> tuple[int, ...]:
-        """Our joints whose bones' orientations the recording has."""
+        """Numbers of our joints whose bones have recorded orientations."""
         return tuple(joint for joint, _ in self.orientations)
 
     @property

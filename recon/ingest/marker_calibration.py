@@ -103,7 +103,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
-        grown = energies.markers.by_shape(poses, self.body)
+        grown = energies.markers.jacobian_by_shape(poses, self.body)
         weighted = (grown * weight[..., None, None]).flatten(1, 2)
         border = jacobian.flatten(1, 2).mT @ weighted
         frames = len(value)
@@ -113,7 +113,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * x.shape
         if energies.soles is not None:
             depth, pressed = energies.depths(poses)
-            lift = energies.soles.by_shape(poses, self.body)[..., 2, :]
+            lift = energies.soles.jacobian_by_shape(poses, self.body)[..., 2, :]
             rising = energies.soles.levers.jacobian(poses.bones)[..., 2, :]
             weighted = lift * pressed[..., None]
             border = border + rising.mT @ weighted

@@ -195,13 +195,13 @@ def _with_better_labels(
         (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
         (with_exchanged(recording, sides), _sides_finding()) if sides else None,
     ]
-    sample = recording.evenly(_TRIAL_FRAMES)
+    sample = recording.evenly_spread(_TRIAL_FRAMES)
     limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)
     best = None
     for choice in choices:
         if choice is None:
             continue
-        some = choice[0].evenly(_TRIAL_FRAMES)
+        some = choice[0].evenly_spread(_TRIAL_FRAMES)
         left = mean_residual(fit_markers(some, markers, body), some)
         if left < limit:
             best, limit = choice, left

@@ -1,4 +1,4 @@
-"""How the markers of a set lie to each other, and who is who among points by that.
+"""Distances and relative positions of the markers of a set, and naming of points by them.
 
 Distances between markers on one segment hardly change; others say less. Mirror images have the
 same distances: places seen from three other markers tell them apart.
@@ -26,7 +26,7 @@ _WIDTH = 0.05
 
 @dataclass(frozen=True)
 class MarkerDistances:
-    """Distances between the markers of a set, and their places seen from triads of them."""
+    """Distances between the markers of a set, and their positions in frames of marker triads."""
 
     names: tuple[str, ...]
     means: Float[np.ndarray, "2 markers markers"]
@@ -74,7 +74,7 @@ class MarkerDistances:
     def log_odds(
         self, mean: np.ndarray, variance: np.ndarray | float, i: np.ndarray, j: np.ndarray
     ) -> np.ndarray:
-        """Logarithm of how much likelier a distance is between markers i and j than anywhere.
+        """Log-likelihood ratio of a distance: between markers i and j, against any two points.
 
         Args:
             mean: of the distance over frames, metres.
@@ -104,7 +104,7 @@ class MarkerDistances:
         own: Int[np.ndarray, " points"],
         hand: float = 1.0,
     ) -> Float[np.ndarray, "points markers"]:
-        """Logarithm of how much likelier points are where markers should be than anywhere.
+        """Log-likelihood ratios: points where a marker is expected, against points anywhere.
 
         Args:
             named: markers that are known, metres; NaN where not.
@@ -139,7 +139,7 @@ def _axes(
 def _seen_from_triads(
     x: Float[np.ndarray, "time markers 3"], noise: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Triads, those that tell most about each marker, its places there and their scatter."""
+    """The triads that locate each marker best, its position in their frames, and the scatter."""
     count = x.shape[1]
     triads = np.random.default_rng(0).integers(count, size=(_TRIADS, 3))
     triads = triads[[len(set(row)) == 3 for row in triads.tolist()]]

@@ -69,11 +69,11 @@ def marker_findings(
             Finding(
                 "outliers",
                 f"{listed(flagged(wild))} are more than {100 * FAR:.0f} cm from their place "
-                f"it in up to {100 * _most_far(far, seen, wild):.0f} % of their frames: look "
-                "for exchanged labels, ghosts and loose markers",
+                f"in up to {100 * _largest_share_far(far, seen, wild):.0f} % of their frames: "
+                "look for exchanged labels, ghosts and loose markers",
                 flagged(wild),
                 stretches(np.any(far[:, wild], axis=1)),
-                _most_far(far, seen, wild),
+                _largest_share_far(far, seen, wild),
             )
         )
     elsewhere = (offset > limit) & ~wild & ~constant & seen.any(0)
@@ -101,7 +101,7 @@ def marker_findings(
     return found
 
 
-def _most_far(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
+def _largest_share_far(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
     return float((far[:, chosen].sum(0) / seen[:, chosen].sum(0).clip(min=1)).max())
 
 

@@ -133,7 +133,7 @@ def _with_frames_solved(
     start: Motion,
     settings: LevenbergMarquardt,
 ) -> Motion:
-    """A motion with some frames solved anew, held by the neighbouring frames."""
+    """A motion with some frames solved again, tied to the neighbouring frames."""
     around = torch.unique(torch.cat((frames - 1, frames, frames + 1)))
     around = around[(around >= 0) & (around < start.frames)]
     inside = torch.searchsorted(around, frames)

@@ -20,7 +20,7 @@ _ROUNDS = 3
 
 
 class Naming:
-    """The markers that the tracks of a recording are, as far as found."""
+    """Assigns the markers of a set to the tracks of a recording, as far as they can be found."""
 
     def __init__(
         self,

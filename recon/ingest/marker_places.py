@@ -1,4 +1,4 @@
-"""What is known of a set of markers from a trial in which they have names."""
+"""Distances between the markers of a set, from a trial in which they have names."""
 
 import numpy as np
 import torch
@@ -29,13 +29,13 @@ def distances_in_trial(trial: MarkerRecording, body: BodyModel) -> MarkerDistanc
     poses = np.full((1, count, 3), np.nan)
     try:
         known = full_body_markers(trial, body)
-        fit = fit_markers(trial.select(known.labels).evenly(_FITTED), known, body)
+        fit = fit_markers(trial.select(known.labels).evenly_spread(_FITTED), known, body)
         places = posed_markers(body, known.vertices, fit.offsets, fit.motion.shape)
         poses = np.full((len(places), count, 3), np.nan)
         poses[:, [trial.marker_names.index(label) for label in known.labels]] = places
-    except ReconError:  # labels of nobody's table: their distances in the trial must do
+    except ReconError:  # labels unknown to recon: distances in the trial alone must suffice
         pass
-    some = trial.evenly(_FRAMES)
+    some = trial.evenly_spread(_FRAMES)
     seen = np.where(some.visible[..., None], some.positions, np.nan)
     return MarkerDistances.of(trial.marker_names, seen, poses, _NOISE)
 

@@ -135,9 +135,11 @@ class SkinPoints(TensorStruct):
         pull = self.levers.gradient_of(poses.bones, forces)
         return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
 
-    def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:
+    def jacobian_by_shape(
+        self, poses: Poses, body: BodyModel
+    ) -> Float[Tensor, "frames points 3 shape"]:
         """Derivatives of the points by the shape coefficients, metres."""
-        return ShapeLevers.of(self.carried, body).by_shape(poses.bones)
+        return ShapeLevers.of(self.carried, body).jacobian_by_shape(poses.bones)
 
 
 @cache
@@ -266,7 +268,9 @@ class PoseEnergies(TiedFrames[Poses]):
         """Mask of the pairs of frames in which the same markers are visible."""
         return (self.visible[some] == self.visible[others]).all(-1)
 
-    def tied(self, state: Poses) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
+    def tie_energies(
+        self, state: Poses
+    ) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
         """Energies of the rotations from frame to frame, and their gradients."""
         rotations = state.rotations
         gradient = rotations.new_zeros(len(rotations), COORDINATES)

@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion, padded_batch
 from recon.core.scene import Scene
 from recon.core.skeleton import PARENTS
-from recon.ingest.subject import BoneOrientations, Frames, SubjectModel, joint_terms
+from recon.ingest.subject import BoneOrientations, MappedFrames, SubjectModel, joint_terms
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.running import run_stages
@@ -46,7 +46,7 @@ def solve(
     Every frame begins with the recorded orientations, aligned to our bones, and is moved until
     joints meet theirs: no term couples frames, so nothing is smoothed or delayed.
     """
-    frames = [Frames.of(r, subject.skeleton) for r in recordings]
+    frames = [MappedFrames.of(r, subject.skeleton) for r in recordings]
     motion = padded_batch(
         [_first_guess(f, subject, body, r.fps) for f, r in zip(frames, recordings, strict=True)]
     )
@@ -86,7 +86,9 @@ def solve(
     ]
 
 
-def _first_guess(frames: Frames, subject: SubjectModel, body: BodyModel, fps: float) -> Motion:
+def _first_guess(
+    frames: MappedFrames, subject: SubjectModel, body: BodyModel, fps: float
+) -> Motion:
     """First guess: recorded orientations; bones without one keep their rest rotation."""
     targets = frames.orientations @ subject.alignments
     recorded = {bone: targets[:, row] for row, bone in enumerate(subject.skeleton.bones)}

@@ -116,7 +116,7 @@ class SubjectModel(TensorStruct):
 
 
 @dataclass(frozen=True)
-class Frames(TensorStruct):
+class MappedFrames(TensorStruct):
     """Positions and orientations of the mapped joints of recordings, in our order."""
 
     positions: Float[Tensor, "time points 3"]
@@ -124,7 +124,7 @@ class Frames(TensorStruct):
     standing: Bool[Tensor, "time 2"]
 
     @classmethod
-    def of(cls, recording: SkeletonRecording, skeleton: SkeletonMap) -> "Frames":
+    def of(cls, recording: SkeletonRecording, skeleton: SkeletonMap) -> "MappedFrames":
         """All frames of a recording."""
         points = [recording.joint(name) for _, name in skeleton.positions]
         bones = [recording.joint(name) for _, name in skeleton.orientations]
@@ -224,7 +224,7 @@ def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
 
 
 def _orientation_terms(
-    frames: Frames, alignments: Tensor, skeleton: SkeletonMap, weight: float
+    frames: MappedFrames, alignments: Tensor, skeleton: SkeletonMap, weight: float
 ) -> tuple[Term, ...]:
     """Terms that hold bones at recorded orientations, and other bones weakly at rest."""
     targets = (frames.orientations @ alignments)[None]
@@ -235,18 +235,20 @@ def _orientation_terms(
 
 
 def _mean_alignments(
-    frames: Frames, ours: Float[Tensor, "time 22 3 3"], skeleton: SkeletonMap
+    frames: MappedFrames, ours: Float[Tensor, "time 22 3 3"], skeleton: SkeletonMap
 ) -> Float[Tensor, "bones 3 3"]:
     """Chordal mean over frames of the rotations from recorded bones to ours."""
     between = frames.orientations.transpose(-1, -2) @ ours[:, list(skeleton.bones)]
     return so3.nearest(between.double().mean(0)).to(ours)
 
 
-def _diverse_frames(recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap) -> Frames:
+def _diverse_frames(
+    recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap
+) -> MappedFrames:
     """Frames whose poses differ most (farthest point sampling), each moved over the origin."""
     total = sum(r.frames for r in recordings)
     step = max(1, total // _CANDIDATES)
-    parts = [Frames.of(r, skeleton).map(lambda t: t[::step]) for r in recordings]
+    parts = [MappedFrames.of(r, skeleton).map(lambda t: t[::step]) for r in recordings]
     positions = torch.cat([p.positions for p in parts])
     root = torch.cat(
         [torch.from_numpy(r.orientations[::step, r.body_root]).float() for r in recordings]
@@ -261,7 +263,7 @@ def _diverse_frames(recordings: Sequence[SkeletonRecording], skeleton: SkeletonM
         distance = distance.minimum((places - places[chosen[-1]]).norm(dim=-1))
     index = torch.from_numpy(np.sort(np.array(chosen)))
     flat = torch.tensor([1.0, 1.0, 0.0])
-    return Frames(
+    return MappedFrames(
         positions=(positions - centre * flat)[index],
         orientations=torch.cat([p.orientations for p in parts])[index],
         standing=torch.cat([p.standing for p in parts])[index],

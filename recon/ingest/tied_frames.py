@@ -60,7 +60,9 @@ class TiedFrames(ABC, Generic[S]):
         """Mask of pairs of frames with the same kind of data, which can share a Hessian."""
 
     @abstractmethod
-    def tied(self, state: S) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
+    def tie_energies(
+        self, state: S
+    ) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
         """Energies of the ties between neighbouring frames, and their gradients."""
 
     @abstractmethod
@@ -127,7 +129,7 @@ def minimise_frames(
     every = torch.arange(count)
     rows = every if rows is None else rows
     value, gradient = energies.energies_and_gradients(state, every)
-    between, pull = energies.tied(state)
+    between, pull = energies.tie_energies(state)
     curvatures = _Curvatures.none(gradient)
     damping = torch.full_like(value, settings.damping)
     promised = torch.full_like(value, torch.inf)
@@ -152,9 +154,8 @@ def minimise_frames(
         scale = (value[rows] + _half_of_adjacent_ties(between)[rows]).clamp(min=settings.floor)
         tried = energies.moved(state, rows, steps)
         values, slopes = energies.energies_and_gradients(tried, rows)
-        ends, pulls = energies.tied(tried)
-        # predicted change of the ties, so that a frame's step is judged by its
-        # own effect and not by the effect of its neighbours' steps
+        ends, pulls = energies.tie_energies(tried)
+        # a frame's step is judged without the effect that its neighbours' steps have on ties
         times_vector = pull[rows] + energies.stiffness * steps - 0.5 * ties.times_vector(steps)
         change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
@@ -164,7 +165,7 @@ def minimise_frames(
         if not bool(good.all()):
             # rejected frames stay where they are, which changes the ties of their neighbours
             tried = energies.moved(state, rows[good], steps[good])
-            ends, pulls = energies.tied(tried)
+            ends, pulls = energies.tie_energies(tried)
             rise = (values - value[rows])[good].sum() + (ends - between).sum()
             if not float(rise) <= rounding * float(scale.sum()):
                 good = torch.zeros_like(good)
@@ -205,7 +206,7 @@ class _Curvatures:
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
     def of(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """The Cholesky factors of some frames."""
+        """Cholesky factors of the damped Hessians of some frames."""
         return self.factors[self.owner[rows]]
 
     def size(

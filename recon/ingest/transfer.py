@@ -121,7 +121,7 @@ class _Surface:
     ) -> _Pairs:
         """Pair vertices of either surface with the nearest points of the other one."""
         own = vertex_normals(here, faces)
-        some, ours = _every_few(len(here)), _every_few(len(self.vertices))
+        some, ours = _sparse_indices(len(here)), _sparse_indices(len(self.vertices))
         near = closest_points(here[some], self.vertices, self.faces)
         facing = np.einsum("pc,pcd->pd", near.shares, self.normals[near.triangles])
         facing /= np.linalg.norm(facing, axis=-1, keepdims=True).clip(min=1e-9)
@@ -136,7 +136,7 @@ class _Surface:
         return _Pairs(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
 
-def _every_few(count: int) -> Int[np.ndarray, " some"]:
+def _sparse_indices(count: int) -> Int[np.ndarray, " some"]:
     return np.arange(0, count, max(1, count // _POINTS))
 
 

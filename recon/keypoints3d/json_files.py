@@ -57,7 +57,9 @@ def _reader_of(value: Any) -> Callable[[Any, str, int | None], Points3D] | None:
         return None
     if any(isinstance(one.get("bodies"), list) for one in records):
         return _read_azure_kinect
-    return _read_named if _names(value) and entries and isinstance(entries[0], list) else None
+    return (
+        _read_named if _listed_names(value) and entries and isinstance(entries[0], list) else None
+    )
 
 
 def _entries(value: Any) -> list[Any]:
@@ -66,7 +68,7 @@ def _entries(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _names(value: dict[str, Any]) -> tuple[str, ...]:
+def _listed_names(value: dict[str, Any]) -> tuple[str, ...]:
     lists = [value[key] for key in _NAMES if isinstance(value.get(key), list) and value[key]]
     return next((tuple(one) for one in lists if all(isinstance(n, str) for n in one)), ())
 
@@ -80,7 +82,7 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     image = [_people(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
-        known = [  # hip-relative landmarks are followed by where they are in the image
+        known = [  # people are followed in the image: world landmarks have the hips at the origin
             [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
             for a, b in zip(found, image, strict=True)
         ]
@@ -105,7 +107,7 @@ def _people(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
 def _read_azure_kinect(value: Any, name: str, person: int | None) -> Points3D:
     """Read Azure Kinect's joints: millimetres in the depth camera's frame, y down, z forward."""
     frames = [one for one in _entries(value) if isinstance(one, dict)]
-    names = _names(value)
+    names = _listed_names(value)
     people = [
         (k, [(as_identity(one.get("body_id", 0), name), _joints_of_body(one, f"{name}, frame {k}"))
              for one in frame.get("bodies") or [] if isinstance(one, dict)])
@@ -134,7 +136,7 @@ def _joints_of_body(body: dict[str, Any], place: str) -> Person:
 def _read_named(value: Any, name: str, person: int | None) -> Points3D:
     """Read a list of names with x, y, z (and a confidence) of every point in every frame."""
     del person
-    names, numbers = _names(value), as_floats(_entries(value), name)
+    names, numbers = _listed_names(value), as_floats(_entries(value), name)
     if numbers.ndim != 3 or numbers.shape[1] != len(names) or numbers.shape[2] not in (3, 4):
         raise FormatError(
             f"{name}: expected x, y, z of {len(names)} points in every frame, got numbers of "

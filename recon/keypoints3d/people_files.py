@@ -127,26 +127,26 @@ def _seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
 
 def _people_of_zed(entry: Any, place: str) -> People | None:
     """Read `{"timestamp": ..., "body_list": [{"id": ..., "keypoint": [[x, y, z], ...]}]}`."""
-    return _records(entry, "body_list", "keypoint", place)
+    return _people_under_keys(entry, "body_list", "keypoint", place)
 
 
 def _people_of_openpose(entry: Any, place: str) -> People | None:
     """Read `{"people": [{"person_id": [-1], "pose_keypoints_3d": [x, y, z, c, ...]}]}`."""
-    return _records(entry, "people", "pose_keypoints_3d", place)
+    return _people_under_keys(entry, "people", "pose_keypoints_3d", place)
 
 
 def _people_of_easymocap(entry: Any, place: str) -> People | None:
     """Read `[{"id": ..., "keypoints3d": [[x, y, z, c], ...]}]`."""
-    return _records({"": entry}, "", "keypoints3d", place)
+    return _people_under_keys({"": entry}, "", "keypoints3d", place)
 
 
 def _people_of_mmpose(entry: Any, place: str) -> People | None:
     """Read `{"instances": [{"keypoints": [[x, y, z], ...]}]}`, or its list alone."""
     entry = entry if isinstance(entry, dict) else {"instances": entry}
-    return _records(entry, "instances", "keypoints", place)
+    return _people_under_keys(entry, "instances", "keypoints", place)
 
 
-def _records(entry: Any, people_key: str, points_key: str, place: str) -> People | None:
+def _people_under_keys(entry: Any, people_key: str, points_key: str, place: str) -> People | None:
     """The people listed under one key; None if none has 3D points under the other key."""
     listed = entry.get(people_key) if isinstance(entry, dict) else None
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):

@@ -135,7 +135,7 @@ def tracks_of_people(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]
     people: list[dict[int, int]] = []
     last: list[Person] = []
     for number, poses in enumerate(frames):
-        cost = np.array([[_distance(one, other) for other in poses] for one in last])
+        cost = np.array([[_body_distance(one, other) for other in poses] for one in last])
         cost = cost.reshape(len(last), len(poses))
         new = set(range(len(poses)))
         for k, place in zip(*linear_sum_assignment(cost), strict=True):
@@ -175,7 +175,7 @@ def chosen_person(
     )
 
 
-def _distance(a: Person, b: Person) -> float:
+def _body_distance(a: Person, b: Person) -> float:
     """Mean distance of the landmarks that both people show, in heights of the larger one."""
     both = np.isfinite(a).all(-1) & np.isfinite(b).all(-1)
     if not both.any():

@@ -1,4 +1,4 @@
-"""Reads SAM 3D Body's results: 70 keypoints (MHR-70) and position of everybody per image.
+"""Reads SAM 3D Body's results: 70 keypoints (MHR-70) and the position of each person.
 
 A result is a dictionary for every person of an image. Saved are lists of them for every frame
 (.pkl, .npy), an .npz for every frame, or frame and person, in a folder, and .npz of arrays.
@@ -66,7 +66,7 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
         FileNotFoundError: when there is nothing there.
         ValueError: when it is damaged, mixed up, or nobody is found.
     """
-    frames = [[_checked(one, path) for one in people] for people in _frames(path)]
+    frames = [[_checked_person(one, path) for one in people] for people in _people_by_frame(path)]
     FRAMES.check(len(frames), path)
     PEOPLE.check(max(map(len, frames), default=0), path)
     added = [_depth_of_hips(one[_POINTS]) > _ADDED for people in frames for one in people]
@@ -107,7 +107,7 @@ def _in_image(points: np.ndarray, middle: float) -> np.ndarray:
     return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
 
 
-def _checked(person: object, path: Path) -> Person:
+def _checked_person(person: object, path: Path) -> Person:
     """The arrays of a person that recon uses, after a check of their shapes."""
     if not isinstance(person, dict) or _POINTS not in person:
         raise FormatError(f"{path}: expected people with {_POINTS}, got {person!r:.80}")
@@ -218,16 +218,16 @@ def _smoothed_over_time(values: np.ndarray) -> np.ndarray:
     frame = np.arange(len(values)) - len(values) / 2
     rows = np.stack((frame**0, frame, frame**2, values, values * frame))
 
-    def line(weights: np.ndarray) -> np.ndarray:
+    def regression_line(weights: np.ndarray) -> np.ndarray:
         one, x, xx, y, xy = convolve1d(rows, weights, mode="constant")
         return ((y * xx - x * xy) + (one * xy - x * y) * frame) / (one * xx - x * x)
 
     away = np.arange(-_REACH, _REACH + 1)
     gaussians = [np.exp(-((away / width) ** 2) / 2) for width in _WIDTHS]
-    errors = np.square([line(one * (away != 0)) - values for one in gaussians])
+    errors = np.square([regression_line(one * (away != 0)) - values for one in gaussians])
     more = errors - errors[errors.mean(1).argmin()]
     alike = more.mean(1) <= more.std(1) / np.sqrt(len(values))
-    return line(gaussians[np.flatnonzero(alike)[-1]])
+    return regression_line(gaussians[np.flatnonzero(alike)[-1]])
 
 
 def _noise_of_depths(values: np.ndarray) -> float:
@@ -236,10 +236,10 @@ def _noise_of_depths(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(steps**2) / 20)) if len(steps) else 0.0
 
 
-def _frames(path: Path) -> list[list[Any]]:
+def _people_by_frame(path: Path) -> list[list[Any]]:
     """Read the records of all people in every frame."""
     if path.is_dir():
-        return list(_of_folder(path))
+        return list(_people_in_folder(path))
     if path.suffix.lower() == ".npz":
         return _stacked(_arrays(path), path)
     with path.open("rb") as file:
@@ -296,7 +296,7 @@ def _stacked(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
     ]
 
 
-def _of_folder(folder: Path) -> Iterator[list[Any]]:
+def _people_in_folder(folder: Path) -> Iterator[list[Any]]:
     """Read a file per person and frame, numbered by name: frame first, then person."""
     files = sorted(folder.glob("*.npz"), key=lambda one: _numbers(one.stem))
     numbers = [_numbers(one.stem) for one in files]

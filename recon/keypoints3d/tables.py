@@ -41,7 +41,7 @@ def is_table_3d(header: Sequence[Sequence[str]]) -> bool:
         return True
     if first[:1] == ["scorer"]:
         return any(row[0].lower() == "coords" and {"z", "Z"} & set(row) for row in header if row)
-    return len(_triples(header[0])) >= _MIN_KEYPOINTS
+    return len(_xyz_columns(header[0])) >= _MIN_KEYPOINTS
 
 
 def read_table(path: Path) -> Points3D:
@@ -76,7 +76,7 @@ def read_table(path: Path) -> Points3D:
 
 
 def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
-    columns = _triples(header)
+    columns = _xyz_columns(header)
     if rows and {parse_unit(cell) for cell in rows[0] if cell} <= METRES.keys():
         rows = rows[1:]  # a second header row, with units
     refuse_repeated_columns([cell for cell in header if _COORDINATE.match(cell)], name)
@@ -167,7 +167,7 @@ def _time_in_seconds(cell: str) -> str:
         return cell
 
 
-def _triples(header: Sequence[str]) -> dict[str, tuple[int, int, int]]:
+def _xyz_columns(header: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     """Column numbers of x, y and z, keyed by the point's name."""
     found: dict[str, dict[str, int]] = {}
     for k, cell in enumerate(header):

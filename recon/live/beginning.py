@@ -1,4 +1,4 @@
-"""The first window of a stream: its first motion, by a look at the first moments or by a fit."""
+"""The first motion of a stream, proposed by a network or fitted to the first moments."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,7 +51,7 @@ class _FirstPoses(PosePrior):
 
 @dataclass(frozen=True)
 class KnownShape:
-    """What is known of the person's shape before tracking begins."""
+    """The person's shape as known before tracking begins."""
 
     shape: Float[Tensor, " shape"] | None = None
     """Shape coefficients; None is anybody."""
@@ -67,7 +67,7 @@ def first_window(
     poses: PosePrior,
     prior: Prior[Any] | None,
 ) -> SmoothedWindow:
-    """The first window of a stream, from consecutive moments: a network's first look, or a fit.
+    """The first window of a stream, whose motion a network proposes or a fit finds.
 
     Raises:
         ReconError: when nothing can be fitted to them.
@@ -108,7 +108,7 @@ def first_window(
     return first.refined(_STEPS_AFTER_FIT if looked is None else _STEPS_AFTER_LOOK)
 
 
-_First = tuple[Motion, Tensor, Sequence[Any], tuple[Noise, ...]]
+_FirstMotion = tuple[Motion, Tensor, Sequence[Any], tuple[Noise, ...]]
 """A motion, offsets of points from the body, the rows of every sensor in these, the noises."""
 
 
@@ -117,8 +117,8 @@ def _first_look(
     noise: tuple[float | None, ...],
     shape: Float[Tensor, " shape"] | None,
     body: BodyModel,
-) -> _First | None:
-    """What the network that looks first proposes; None where it cannot see, or knows no such data.
+) -> _FirstMotion | None:
+    """The motion that a network proposes; None for data that it cannot use.
 
     It takes a tenth of the time of a fit.
     """
@@ -142,7 +142,7 @@ def _first_fit(
     shape: Float[Tensor, " shape"] | None,
     body: BodyModel,
     poses: PosePrior,
-) -> _First:
+) -> _FirstMotion:
     """A fit under the pose prior."""
     first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=shape)

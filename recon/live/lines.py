@@ -1,13 +1,14 @@
 """`recon stream`: frames as lines of JSON in, estimates as lines of JSON out."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
+from recon.live.links import Link
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
 from recon.live.tracking import LiveEstimate
@@ -17,7 +18,10 @@ DIGITS = 6
 
 
 def stream_lines(
-    lines: Iterable[str], stream: Stream, complain: Callable[[str], None]
+    lines: Iterable[str],
+    stream: Stream,
+    complain: Callable[[str], None],
+    links: Sequence[Link] = (),
 ) -> Iterator[str]:
     """A line for every estimate, as soon as it is final.
 
@@ -29,6 +33,7 @@ def stream_lines(
             moment is one frame after the last. Blank lines are passed over.
         stream: with a template.
         complain: is told about lines that are no moments.
+        links: where every estimate is sent, too.
     """
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -39,10 +44,16 @@ def stream_lines(
         except ReconError as error:
             complain(f"line {number}: {error}")
             continue
+        for link in links:
+            link.send(estimate)
         if estimate is not None:
             yield from _json_lines(estimate)
     for estimate in stream.finish():
+        for link in links:
+            link.send(estimate)
         yield from _json_lines(estimate)
+    for link in links:
+        link.send(None)
 
 
 def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
@@ -56,7 +67,7 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
         points, time = moment["points"], moment.get("time")
         several = any(_is_sensor(one) for one in points)
         arrays = [_array(one) for one in points] if several else _array(points)
-        return arrays, None if time is None else float(str(time))  # true is no time
+        return arrays, None if time is None else float(str(time))  # float("True") raises
     except Exception as error:  # bad lines are reported; the stream goes on
         raise ReconError(
             'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '

@@ -85,7 +85,7 @@ _BEND = (1.0, -2.0, 1.0)
 
 @runtime_checkable
 class StepEnergies(Protocol):
-    """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
+    """The interface of a prior's energies of steps, as its `live(noise)` returns them."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
@@ -96,7 +96,7 @@ class StepEnergies(Protocol):
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """A record whose `energy` is differentiable in the motion."""
+        """Evaluate the steps: a record whose `energy` is differentiable in the motion."""
         ...
 
     def add_curvature(
@@ -212,7 +212,7 @@ class Objective:
         gradient_shape = pose.new_zeros(active, count)
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             model = sensor.point_model(points.of(*own))
-            jacobian = _by_variables(points.by_rotations(*own), turns)
+            jacobian = _by_variables(points.jacobian_by_rotations(*own), turns)
             pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
             columns = jacobian.flatten(1, 2)
             down = scale * model.gradient.flatten(1)[:, None]
@@ -220,7 +220,7 @@ class Objective:
             gradient = gradient + (down @ columns)[:, 0]
             alone = alone + columns.mT @ pulled
             if with_shape:
-                by_shape = points.by_shape(own[0], self.body).flatten(1, 2)
+                by_shape = points.jacobian_by_shape(own[0], self.body).flatten(1, 2)
                 border = border + pulled.mT @ by_shape
                 flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
                 corner = corner + by_shape.mT @ flat
@@ -229,7 +229,7 @@ class Objective:
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         # accelerations p_(t+1) - 2 p_t + p_(t-1) of which at least one frame may move
         second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
-        column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
+        column = _by_variables(self.joints.jacobian_by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
         gradient = gradient + (force[:, None] @ column)[:, 0]
         value = value + 0.5 * self.stiffness * bend.square().sum()

@@ -96,7 +96,7 @@ class PreviewTracking:
         return self._final_estimates(0, findings)
 
     def known(self) -> KnownShape:
-        """What is known of the person by now."""
+        """The person's shape, as far as it is known by now."""
         held = self.person.shape if self.shape is None else self.shape
         return KnownShape(held)
 

@@ -104,7 +104,7 @@ class SmoothedWindow:
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(frames_between(one, count - most, count) for one in data)
-            # this many frames are held fixed, so that the motion continues smoothly
+            # keep `reach` fixed frames before the window, so that the motion continues smoothly
             window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective
@@ -123,7 +123,7 @@ class SmoothedWindow:
         return replace(found, equations=refinement.equations)
 
     def stepped(self) -> "SmoothedWindow":
-        """The window after one Gauss-Newton step whose energy is not looked at.
+        """The window after one Gauss-Newton step, taken without a check of its energy.
 
         An evaluation of it would take a quarter of a push more, and a search for a shorter step
         where it rises twice as much as the push. The next push, which computes the energy anyway,

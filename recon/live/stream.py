@@ -90,12 +90,13 @@ class Stream:
         )
         self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
+        self._follows_one = False  # whether one moment alone set the clock
         self._other_clock: float | None = None
         self._given: float | None = None
         self._findings: list[Finding] = []
 
     def _set_prior(self, prior: str | Prior[Any] | Look) -> None:
-        """Load what is likely: a prior, or a network whose first look is given."""
+        """Load the prior, or the network whose proposals are the estimates."""
         self._look: Look | None = None
         self._prior: Prior[Any] | None = None
         named = prior in registered_places(LOOKS) if isinstance(prior, str) else callable(prior)
@@ -135,7 +136,7 @@ class Stream:
             return self._pushed(seen, time)
 
     def finish(self) -> tuple[LiveEstimate, ...]:
-        """The estimates of the moments that were pushed last; the stream then begins anew."""
+        """The estimates of the last moments; the stream then starts over."""
         with torch.no_grad():
             newest = self._newest_with_findings(self._end_tracking())
             self._given = None
@@ -165,6 +166,16 @@ class Stream:
         else:
             steps = math.floor((moment.time - last) * sensors.fps + 0.5)
         self._other_clock = None
+        if steps < 1 and self._follows_one:
+            # of two moments in the wrong order, the stamp of either may be wrong; what comes next
+            # would all be late if it were the first one's
+            self._end_tracking()
+            self._add_finding(
+                "frame order",
+                f"the first moment, at {last:.3f} s, was left out: the second is at "
+                f"{moment.time:.3f} s",
+            )
+            return self._push_in_sequence([moment], sensors)
         if steps < 1:
             self._insert_late(moment, -steps)
             return None
@@ -181,6 +192,7 @@ class Stream:
         self, moments: list[Moment], sensors: StreamSensors
     ) -> LiveEstimate | None:
         """The estimates that become final when consecutive moments follow the last one."""
+        self._follows_one = self._last is None
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:

@@ -142,7 +142,7 @@ class Tracking:
 
     @property
     def unseen(self) -> int:
-        """Moments since points were seen."""
+        """Number of moments since any point was seen."""
         if self.smoothed is not None:
             return self.since_seen
         empty = [moment.empty for moment in reversed(self.gathered)]
@@ -160,7 +160,7 @@ class Tracking:
         return self._final_estimates(0)
 
     def known(self) -> KnownShape:
-        """What is known of the person by now."""
+        """The person's shape, as far as it is known by now."""
         now = self.smoothed
         if now is None:
             return self.person

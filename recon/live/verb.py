@@ -19,6 +19,8 @@ def stream(
     noise: float | None = None,
     shape: str | None = None,
     body: Path | None = None,
+    vmc: str | None = None,
+    live_link: str | None = None,
 ) -> None:
     """Read moments from stdin and write estimates to stdout while a person is recorded.
 
@@ -43,8 +45,12 @@ def stream(
         noise: standard deviation of coordinates, metres or pixels; default: estimated.
         shape: held, such as height=1.80,weight=75; default: learned and then held.
         body: SMPL-family file; default: the bundled body.
+        vmc: HOST:PORT, or PORT of this machine, that gets estimates by the VMC protocol (Unity,
+            39539 as a rule); needs python-osc.
+        live_link: HOST:PORT, or PORT of this machine, that gets them as Unreal's JSON Live Link.
     """
     import sys
+    from contextlib import ExitStack
     from typing import Any, cast
 
     from recon.cli import console
@@ -55,14 +61,22 @@ def stream(
     from recon.api.given import body_given
     from recon.api.preview import loaded_look
     from recon.live.lines import stream_lines
+    from recon.live.links import Link, LiveLink, VmcLink
     from recon.live.stream import Stream
 
-    many = observations[0] if len(observations) == 1 else list(observations)
-    seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
-    likely = prior if method is None else loaded_look(method, "open", body_given(body))
-    live = Stream(likely, lag, template=seen, noise=noise, shape=shape, body=body)
-    sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
-    lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
-    for line in stream_lines(lines, live, console.print_error):
-        sys.stdout.write(line + "\n")
-        sys.stdout.flush()
+    with ExitStack() as stack:
+        links: list[Link] = []
+        if vmc is not None:
+            links.append(stack.enter_context(VmcLink(vmc, console.print_error)))
+        if live_link is not None:
+            unreal = LiveLink(live_link, complain=console.print_error)
+            links.append(stack.enter_context(unreal))
+        many = observations[0] if len(observations) == 1 else list(observations)
+        seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
+        likely = prior if method is None else loaded_look(method, "open", body_given(body))
+        live = Stream(likely, lag, template=seen, noise=noise, shape=shape, body=body)
+        sys.stdin.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+        lines = iter(partial(sys.stdin.readline, _LONGEST_LINE), "")
+        for line in stream_lines(lines, live, console.print_error, links):
+            sys.stdout.write(line + "\n")
+            sys.stdout.flush()

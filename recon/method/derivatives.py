@@ -147,7 +147,7 @@ class Neighbourhood:
 
     @property
     def ground_coordinates(self) -> int:
-        """Coordinates of the ground."""
+        """Number of coordinates of an unknown ground; 0 where it is known."""
         return 0 if self.ground is None else self.ground.coordinates
 
     @cached_property
@@ -203,10 +203,10 @@ class Neighbourhood:
         """Jacobian of points by the coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
-        turned = points.by_rotations(orientations, joints)
+        turned = points.jacobian_by_rotations(orientations, joints)
         identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
         moved = identity.expand(*turned.shape[:2], 3, 3)
-        return torch.cat((moved, turned, points.by_shape(orientations, self.body)), -1)
+        return torch.cat((moved, turned, points.jacobian_by_shape(orientations, self.body)), -1)
 
     def seen(self) -> Float[Tensor, "time 66 columns"]:
         """Jacobian of the joints in the frame of the recording, metres."""

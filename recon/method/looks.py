@@ -42,7 +42,7 @@ class ProposedMotions:
         return int(self.log_weight.argmax())
 
     def check(self, name: str) -> None:
-        """Refuse what a network of somebody else returned, if it is no such record.
+        """Refuse what a user's network returned, unless it is such a record with finite numbers.
 
         Args:
             name: of the network, for messages.

@@ -130,7 +130,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
             1, joints, own[..., None].expand(-1, -1, 3)
         )
         return
-    jacobian, shaped = model.by_steps(carried)
+    jacobian, shaped = model.jacobians_by_steps(carried)
     share = share[..., None]
     every = curvature.new_zeros(motion.frames, *curvature.shape[1:])
     own = every.index_add(0, before, (1 - share).square() * curvature)

@@ -23,7 +23,7 @@ S = TypeVar("S", bound=Sensor)
 
 
 def paced(sensor: S, pace: float = PACE) -> S:
-    """The sensor at a frame rate of about `pace`, or the sensor itself where that is not possible.
+    """The sensor averaged to a frame rate of about `pace`, or unchanged where that is impossible.
 
     Named points are averaged over neighbouring frames, for moments at most `1 / pace` seconds
     apart that include the first and the last frame. Clouds keep every n-th frame, as their points

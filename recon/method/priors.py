@@ -154,7 +154,7 @@ class Prior(ABC, Generic[S]):
         )
 
     def turns(self, variables: S, clip: int) -> Float[Tensor, "time 63 63"]:
-        """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
+        """Derivatives of the 21 joint rotations R Exp(w) by the last 63 numbers of a step."""
         raise NotImplementedError(
             f"{type(self).__name__} has a reach above 0, so it must define turns"
         )

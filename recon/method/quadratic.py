@@ -78,23 +78,23 @@ class ClipModel:
 
     def hessian(self) -> Banded:
         """The sum of all parts; to be called once."""
-        moved, shaped = self.by_steps(CarriedPoints.joints(self.body, self.motion.shape))
+        moved, shaped = self.jacobians_by_steps(CarriedPoints.joints(self.body, self.motion.shape))
         self.part.add_products(self.joints, moved.flatten(1, 2), shaped.flatten(1, 2))
         return self.part
 
-    def by_steps(
+    def jacobians_by_steps(
         self, points: CarriedPoints
     ) -> tuple[Float[Tensor, "time points 3 69"], Float[Tensor, "time points 3 shape"]]:
         """Derivatives of points by steps of frames, and by the shape."""
         orientations, joints = self.posed
-        turned = points.by_rotations(orientations, joints)
+        turned = points.jacobian_by_rotations(orientations, joints)
         identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
         moved = identity.expand(*turned.shape[:2], 3, 3)
         posed = (turned[..., 3:].flatten(1, 2) @ self.turn).unflatten(1, (-1, 3))
         by_steps = torch.cat((moved, turned[..., :3], posed), -1)
         if not self.with_shape:
             return by_steps, by_steps[..., :0]
-        return by_steps, points.by_shape_of(orientations, self._joints_by_shape)
+        return by_steps, points.jacobian_by_shape_of(orientations, self._joints_by_shape)
 
     @cached_property
     def posed(self) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 22 3"]]:

@@ -131,12 +131,12 @@ class Reconstruction:
         if device == found.motion.translation.device:
             return self
 
-        def here(one: Any) -> Any:
+        def on_device(one: Any) -> Any:
             return None if one is None else one.detach().to(device=device)
 
-        motion, scene = here(found.motion), here(self.estimate.scene)
-        energies = {name: here(one) for name, one in found.energies.items()}
-        decoded = Decoded(motion, energies, here(found.contacts), here(found.joints))
+        motion, scene = on_device(found.motion), on_device(self.estimate.scene)
+        energies = {name: on_device(one) for name, one in found.energies.items()}
+        decoded = Decoded(motion, energies, on_device(found.contacts), on_device(found.joints))
         return replace(self, estimate=Estimate(decoded, body.pose(motion), scene))
 
     def clip(self, index: int) -> Motion:

@@ -60,7 +60,7 @@ class Hypotheses(Generic[S]):
         return torch.arange(len(self.unknowns.scene.offsets)) if self.clip is None else self.clip
 
     def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:
-        """Of every clip, a number of rows with the lowest values, in the order of clips."""
+        """Rows with the lowest values, `count` for every clip, in the order of clips."""
         clip, ordered = self.clips, value.cpu().nan_to_num(torch.inf).argsort()
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
@@ -68,7 +68,7 @@ class Hypotheses(Generic[S]):
     def proposed(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"], tuple[str, ...]]:
-        """Hypotheses proposed from each, in its place, the row of each, and what is told of them.
+        """The hypotheses that each row is replaced by, the row each came from, and remarks.
 
         A row from which nothing is proposed stays.
         """

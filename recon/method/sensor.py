@@ -98,7 +98,7 @@ class Sensor(TensorStruct):
     def expected(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """Predicted values, frame of the recording, at those frames of the data that it covers."""
+        """Predicted values, frame of the recording, and which frames of the data they are for."""
         values = self.predicted(estimate)
         if self.vectors == "points":
             values = estimate.scene.to_recording(values)
@@ -109,7 +109,7 @@ class Sensor(TensorStruct):
     def at_own_times(
         self, values: Float[Tensor, "*batch time points dims"], motion: Motion
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """Values in the frames of a motion, at the data's frames that it covers, and which."""
+        """A motion's values at the data's frames that it covers, and the slice of these frames."""
         return at_observation_times(
             values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )

@@ -74,17 +74,17 @@ class Stage(Generic[S]):
 
     @property
     def matches(self) -> bool:
-        """Whether any energy is over correspondences."""
+        """Whether any energy uses correspondences, which are found again in rounds."""
         return any(hasattr(term.energy, "matched") for term in self.terms)
 
     def matched(self, estimate: Estimate) -> "Stage[S]":
         """The stage with correspondences fixed at an estimate while it is minimised."""
 
-        def held(term: Term) -> Term:
+        def with_fixed_correspondences(term: Term) -> Term:
             matched = getattr(term.energy, "matched", None)
             return term if matched is None else replace(term, energy=matched(estimate))
 
-        return replace(self, terms=tuple(held(term) for term in self.terms))
+        return replace(self, terms=tuple(with_fixed_correspondences(term) for term in self.terms))
 
     def values(self, estimate: Estimate) -> Float[Tensor, "rows terms"]:
         """Weighted energies of its terms."""
@@ -121,7 +121,7 @@ class StageReport:
     seconds: float
     compared: ComparedHypotheses | None = None
     """The hypotheses among which the stage chose; None where it left none out."""
-    began: tuple[str, ...] = ()  # what is told of the motions that were proposed
+    began: tuple[str, ...] = ()  # remarks on the motions that were proposed
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
         """The report of some clips of the batch; `compared` is not cut."""

@@ -77,14 +77,14 @@ def _in_recording(motion: Motion, scene: Scene, body: BodyModel) -> Motion:
 
 @dataclass(frozen=True)
 class Layout:
-    """How the optimised tensors of a batch lie side by side in one matrix, a row for each clip."""
+    """The order of the optimised tensors in the rows of one matrix, a row for each clip."""
 
     paths: tuple[str, ...]
     shapes: tuple[torch.Size, ...]
 
     @classmethod
     def of(cls, unknowns: Unknowns[Any], free: Collection[str]) -> "Layout":
-        """The tensors that are named, in the order of the record.
+        """The layout of the named tensors, in the order of the record.
 
         Args:
             unknowns: a record with these tensors.

@@ -249,17 +249,17 @@ def _recording_of(
     tips = [bone for bone in tree.parents if bone not in inner]
     names = (*order, *(f"{bone}_end" for bone in tips))
     parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
-    # a bone's `direction` leads to the joint of its children
+    # a bone's `direction` is the offset of its children's joint
     offsets = np.stack([np.zeros(3) if p < 0 else tree.bones[order[p]].direction for p in parents])
 
-    def local() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def local_poses() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for joint, (title, offset) in enumerate(zip(names, offsets, strict=True)):
             turn, shift = np.eye(3), np.zeros(3)
             if joint < len(order) and title in motion:
                 turn, shift = _bone_motion(tree.bones[title], motion[title], degrees, name)
             yield (tree.origin + shift if title == "root" else offset), turn
 
-    positions, orientations = posed_skeleton(parents, local(), frames)
+    positions, orientations = posed_skeleton(parents, local_poses(), frames)
     return SkeletonRecording(name, names, parents, offsets, positions, orientations, fps, ())
 
 

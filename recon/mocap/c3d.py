@@ -59,7 +59,7 @@ class _Header:
         """Byte order of the file, as numpy and struct write it."""
         return ">" if self.processor == _MIPS else "<"
 
-    def bounds(self, trial: _Parameters) -> tuple[int, int]:
+    def first_and_last_frame(self, trial: _Parameters) -> tuple[int, int]:
         """First and last frame, by the group TRIAL where the header's 16 bits are too few."""
         bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
         pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
@@ -94,7 +94,9 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     point = groups.get("POINT", {})
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
     usual: Up | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
-    first = max(1, header.bounds(groups.get("TRIAL", {}))[0])  # some programs count from 0
+    first = max(
+        1, header.first_and_last_frame(groups.get("TRIAL", {}))[0]
+    )  # some programs count from 0
     if first > 1:
         said = f"frame {first} is the first, at {(first - 1) / raw.fps:.3f} s"
         raw = replace(raw, decisions=(*raw.decisions, said))
@@ -119,7 +121,7 @@ def _markers(
     names = _labels(point, header.points)
     outputs = {label for key in _OUTPUTS for label in _texts(point, key)}
     chosen = [k for k, name in enumerate(names) if name not in outputs]
-    fps, said = stated_rate(_positive(point, "RATE") or header.rate, path, "POINT:RATE")
+    fps, said = stated_rate(_positive_number(point, "RATE") or header.rate, path, "POINT:RATE")
     if not chosen:
         raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     notes = [said]
@@ -156,13 +158,13 @@ def _joint_centres(
         ValueError: when the data is cut short, or its segments are not known.
     """
     rotation, labels = groups["ROTATION"], _texts(groups["ROTATION"], "LABELS")
-    if not (start := int(_positive(rotation, "DATA_START"))):
+    if not (start := int(_positive_number(rotation, "DATA_START"))):
         raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
     raw = data[(start - 1) * _BLOCK :]
     values = _floats(raw[: len(raw) // 4 * 4], header.processor)
-    rate = _positive(rotation, "RATE") or _positive(groups.get("POINT", {}), "RATE")
+    rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
-    first, last = header.bounds(groups.get("TRIAL", {}))
+    first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
     frames = last - first + 1
     JOINTS.check(len(labels), path, "ROTATION:LABELS")
     SAMPLES.check(max(0, frames) * len(labels), path, "header")
@@ -286,7 +288,7 @@ def _read_numbers(
     """Read some numbers of every frame (frames, columns), as they are stored."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
-    first, last = header.bounds(trial)
+    first, last = header.first_and_last_frame(trial)
     frames = last - first + 1
     size = frames * width * (4 if real else 2)
     if frames < 1 or start + size > len(data):
@@ -350,8 +352,10 @@ def read_analog(path: Path) -> AnalogChannels:
     after = slice(4 * header.points, None)
     raw = _read_numbers(data, header, trial, path, after, integer)
     values = raw.reshape(len(raw), header.analog_rows, -1)
-    fps = stated_rate(_positive(groups.get("POINT", {}), "RATE") or header.rate, path, "rate")[0]
-    first = max(1, header.bounds(trial)[0])
+    fps = stated_rate(
+        _positive_number(groups.get("POINT", {}), "RATE") or header.rate, path, "rate"
+    )[0]
+    first = max(1, header.first_and_last_frame(trial)[0])
     made = AnalogChannels(values, fps, (first - 1) / fps, groups)
     channels = values.shape[-1]
     scale = np.ones(channels)
@@ -359,11 +363,11 @@ def read_analog(path: Path) -> AnalogChannels:
     for target, key in ((scale, "SCALE"), (offset, "OFFSET")):
         stated = made.numbers("ANALOG", key, -1)[:channels]
         target[: len(stated)] = stated
-    scaled = (values - offset) * (scale * (_positive(analog, "GEN_SCALE") or 1.0))
+    scaled = (values - offset) * (scale * (_positive_number(analog, "GEN_SCALE") or 1.0))
     return replace(made, values=np.nan_to_num(scaled, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def _positive(group: _Parameters, key: str) -> float:
+def _positive_number(group: _Parameters, key: str) -> float:
     """The positive number that a parameter states, else 0."""
     value = group.get(key)
     stated = isinstance(value, np.ndarray) and value.size == 1 and value.flat[0] > 0

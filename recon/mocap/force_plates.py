@@ -160,7 +160,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
     span = analog.numbers("FORCE_PLATFORM", "ZERO", -1).astype(int)
     if len(span) >= 2 and 1 <= span[0] <= span[1] <= len(flat):
         empty = flat[span[0] - 1 : span[1]].mean(0)
-        # somebody may stand there already
+        # subtract the unloaded signal, unless somebody already stood on the plate
         flat = flat - empty if np.abs(empty[:3]).max() < BASELINE_N else flat
     return uniform_filter1d(flat, samples, axis=0, mode="nearest")[::samples]
 

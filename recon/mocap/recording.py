@@ -113,7 +113,7 @@ class MarkerRecording:
             start_time=self.start_time + start / self.fps,
         )
 
-    def evenly(self, count: int) -> "MarkerRecording":
+    def evenly_spread(self, count: int) -> "MarkerRecording":
         """At most so many frames, evenly spread; their times do not count."""
         index = np.unique(np.linspace(0, self.frames - 1, count).round().astype(int))
         return dataclasses.replace(

@@ -77,7 +77,7 @@ def joints_by_tree(
         return None
     pelvis, chest = (parents[one] for one, _ in limbs)
     if _ancestors(parents, pelvis)[1:].count(chest):
-        return None  # the arms would hang from the legs
+        return None  # no person: arms would be attached below the legs
     upwards = max(set(below[chest]) - set(limbs[1]), key=lambda one: reach[one], default=-1)
     neck = [] if upwards < 0 else longest[upwards]
     return {"pelvis": names[pelvis]} | found | _trunk_joints(names, parents, pelvis, chest, neck)

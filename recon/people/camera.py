@@ -84,7 +84,7 @@ class _SingleFit:
 
 
 def shared_camera(results: Sequence[Result]) -> SharedCamera:
-    """The camera that fits everybody best.
+    """The camera that agrees best with the separate fits of all people.
 
     Focal lengths are averaged. The ground is fitted to the lowest points of all people and to the
     upward direction of each posture; every person's distance and size may be scaled together

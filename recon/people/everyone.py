@@ -25,7 +25,7 @@ _LEAST_SHARE = 0.1
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """One of several people."""
+    """A person who was found in at least one view, with their keypoints in every view."""
 
     number: int
     """Their number by first appearance in the first view that shows them, for `--person`."""
@@ -46,7 +46,7 @@ class Everyone:
 
 @dataclass(frozen=True)
 class PersonClip:
-    """One of several people in detections."""
+    """A person's number and observations, as `recon.fit_people` takes them."""
 
     number: int
     """Their number as `person` takes it."""

@@ -40,7 +40,7 @@ class People:
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What should be read before the results are used; each names its person."""
+        """All warnings, each with the number of its person."""
         return self._findings("warnings")
 
     @property
@@ -115,7 +115,7 @@ class People:
                 save_motion(staged / name, one.file)
 
     def __repr__(self) -> str:
-        """A summary of at most ten lines: who there is, and findings."""
+        """A summary of at most ten lines: number of people and findings."""
         first = f"{len(self)} people" + (", one camera and ground" if self.camera_shared else "")
         every = zip(self.numbers, self.results, strict=True)
         kept = [f"person {n}: {one_line(repr(one).splitlines()[0])}" for n, one in every]

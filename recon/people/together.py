@@ -152,7 +152,7 @@ def fit_files(
     people, notes = people_in(paths_given(observations), FitSettings.of(reading), model)
     if isinstance(noise, Mapping):
         noise = noise.get("pixels")
-    # the reader has applied a given plane
+    # the reader has already moved the data to a given plane
     told = "auto" if plane is not None else ground
     return fit_people(people, body=model, notes=notes, noise=noise, ground=told, **how)
 

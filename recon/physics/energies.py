@@ -25,7 +25,7 @@ from recon.physics.dynamics import (
     inner_frames,
     vertex_masses,
 )
-from recon.physics.zmp import centre_of_pressure, smoothstep, supported, zmp
+from recon.physics.zmp import centre_of_pressure, share_carried, smoothstep, zmp
 
 TOLERANCE = 0.005
 """Metres below and above the ground that are neither penetration nor float (HUMOS)."""
@@ -60,7 +60,7 @@ def floating(estimate: Estimate) -> Float[Tensor, "*batch"]:
     of the weight is carried (`zmp.supported`). The first and last frames take their
     neighbour's weight; a clip too short for accelerations is all supported.
     """
-    weight = _for_all_frames(supported(dynamics_of(estimate)), estimate)
+    weight = _for_all_frames(share_carried(dynamics_of(estimate)), estimate)
     return 0.5 * _sum_over_frames(weight * _floating_height(estimate).square(), estimate)
 
 
@@ -107,7 +107,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     moving = dynamics_of(estimate)
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
     near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
-    cost = supported(moving) * near * _bounded(away, BALANCE_SCALE)
+    cost = share_carried(moving) * near * _bounded(away, BALANCE_SCALE)
     total = cost.where(estimate.motion.inner(step), 0.0).sum(-1)
     return 0.5 * total * (REFERENCE_FPS / estimate.motion.fps)
 
@@ -170,7 +170,7 @@ def _for_all_frames(
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
-    # padded clips end earlier
+    # the last frame that exists in each clip of the batch
     last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)

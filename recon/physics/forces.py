@@ -64,7 +64,7 @@ DRIFT_S = 0.3
 
 @dataclass(frozen=True)
 class GroundForces:
-    """What the ground does to the left and the right foot in every frame; world, z up."""
+    """Forces of the ground on the left and the right foot in every frame; world, z up."""
 
     force: Float[Tensor, "time 2 3"]
     """On the body, newtons; zero for a foot in the air."""
@@ -134,17 +134,17 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     centre = centre_of_pressure(points, points.new_ones(points.shape[-2]), SOLE_DECAY)
     contact = standing_feet(points, motion.fps)
     target, load = (held_at_ends(one, step) for one in (zmp(moving), relative_load(moving)))
-    share = _shares(centre, contact, target)
+    share = _load_shares(centre, contact, target)
     away = ((share[..., None] * centre).sum(-2) - target).norm(dim=-1)
     carried = contact.any(-1) & ((away < OUT_OF_REACH_M) | (load < FULL_LOAD))
     alone = carried & (contact.sum(-1) == 1)
     misfit = float(away[alone].median()) if bool(alone.any()) else USUAL_MISFIT_M
     trusted = alone[:, None] & contact
-    centre = _blended(centre, points[..., :2], target, trusted, misfit)
+    centre = _pressure_centres(centre, points[..., :2], target, trusted, misfit)
     centre = _smoothed(centre, contact, motion.fps)
     # second differences smear a push-off into flight
     explained = maximum_filter1d((carried | (load < FULL_LOAD)).numpy(), 4 * step + 1)
-    warnings = _unsupported(explained, contact)
+    warnings = _support_warnings(explained, contact)
     if mass is None:
         said = f"no mass given: forces are for {total:.1f} kg, that of the body's shape"
         warnings = [said, *warnings]
@@ -156,7 +156,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     drift = std.double().mean(-1)[:, None, None] / DRIFT_S**2 / GRAVITY
     unsure = (drift.square() + (SHAPE_MASS_SHARE * (mass is None)) ** 2) * contact[..., None]
     return GroundForces(
-        force=_split(moving, centre, share * carried[:, None], step),
+        force=_forces_by_foot(moving, centre, share * carried[:, None], step),
         centre=torch.nn.functional.pad(centre, (0, 1)) + down,
         force_std=total * GRAVITY * (shares.square() + unsure).sqrt(),
         centre_std=(std.double()[:, list(FEET[:2])].square() + place**2).sqrt(),
@@ -194,7 +194,7 @@ def _level_of_ground(file: MotionFile) -> float:
     return float(file.ground[3] / file.ground[2])
 
 
-def _shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tensor, "time 2"]:
+def _load_shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tensor, "time 2"]:
     """Shares of the vertical force: all on one foot, or by the lever rule about the ZMP."""
     line = centre[:, 1] - centre[:, 0]
     along = ((target - centre[:, 0]) * line).sum(-1) / line.square().sum(-1).clamp(min=1e-6)
@@ -203,10 +203,10 @@ def _shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tensor, "t
     return torch.where(both, torch.stack((1 - right, right), -1), contact.to(centre))
 
 
-def _split(
+def _forces_by_foot(
     moving: Dynamics, centre: Tensor, share: Tensor, step: int
 ) -> Float[Tensor, "time 2 3"]:
-    """Forces of both feet: the vertical shared as told, the horizontal by `ground_forces`."""
+    """Forces of both feet: the vertical by given shares, the horizontal by `ground_forces`."""
     acceleration, mass_centre = (
         held_at_ends(moving.acceleration, step),
         held_at_ends(moving.centre, step),
@@ -219,10 +219,10 @@ def _split(
     return torch.cat((aimed + share[..., None] * rest[:, None], up[..., None]), -1)
 
 
-def _blended(
+def _pressure_centres(
     pressed: Tensor, points: Tensor, target: Tensor, trusted: Tensor, misfit: float
 ) -> Float[Tensor, "time 2 2"]:
-    """Centres under a foot that stands alone, moved towards the ZMP within the sole's bounds.
+    """Centres of pressure of single feet, moved towards the ZMP within the sole's bounds.
 
     By inverse variances, of which both are together the square of their distance, the misfit.
     """
@@ -273,8 +273,8 @@ def held_at_ends(values: Tensor, step: int) -> Tensor:
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))
 
 
-def _unsupported(explained: Bool[np.ndarray, " time"], contact: Tensor) -> list[str]:
-    """What is said where the feet do not carry the body."""
+def _support_warnings(explained: Bool[np.ndarray, " time"], contact: Tensor) -> list[str]:
+    """Warnings where the feet do not carry the body."""
     if not bool(contact.any()):
         return ["no foot ever stands on the ground: there is no contact, and all forces are zero"]
     if explained.all():

@@ -24,7 +24,13 @@ from recon.physics.dynamics import (
     vertex_masses_as_published,
 )
 from recon.physics.energies import TOLERANCE
-from recon.physics.zmp import distances_to_support, supported, supporting, zmp, zmp_as_released
+from recon.physics.zmp import (
+    can_carry_weight,
+    distances_to_support,
+    share_carried,
+    zmp,
+    zmp_as_released,
+)
 
 JOINT_CONTACT = 0.015
 """Metres below which a foot joint is in contact (HUMOS): SMPL's toe joints sink as deep only
@@ -107,7 +113,7 @@ def physics_samples(
     for start in range(0, motion.frames, _CHUNK_FRAMES):
         stop = min(start + _CHUNK_FRAMES, motion.frames)
         held = None if contacts is None else contacts[start : stop + 1]
-        # speeds lead to the next frame, for the last frame from the one before
+        # speeds are steps to the next frame; the last frame takes the step before it
         pieces.append(
             _surface_samples(
                 motion, body, max(start - 1, 0), start, stop, held, points[start:stop]
@@ -140,7 +146,7 @@ def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor
         for mass in kinds
         for found in (body_dynamics(posed, mass, motion.fps),)
     )
-    return torch.stack((zmp_as_released(old), zmp(new)), -2), supported(new) >= 0.5
+    return torch.stack((zmp_as_released(old), zmp(new)), -2), share_carried(new) >= 0.5
 
 
 def _at_frames(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:
@@ -172,7 +178,7 @@ def _surface_samples(
         after = torch.arange(1, stop - start + 1).clamp(max=len(contacts) - 1)
         touch = contacts[: stop - start] & contacts[after]
     distances, has_base = distances_to_support(
-        points, skin[own], supporting(skin, motion.fps)[own]
+        points, skin[own], can_carry_weight(skin, motion.fps)[own]
     )
     return PhysicsSamples(
         lowest=skin[own, :, 2].amin(-1),
@@ -192,7 +198,7 @@ def _surface_samples(
 def _slip_of_feet(
     body: BodyModel, skin: Tensor, own: slice, following: Tensor, steps: Tensor, fps: float
 ):
-    """Mask of feet whose lowest vertex stays low, and the speed of this vertex."""
+    """Mask of feet whose lowest vertex stays low, and the horizontal speed of this vertex."""
     owner = body.weights.argmax(-1)
     touch, slip = [], []
     for side in _SIDES:

@@ -23,7 +23,7 @@ PRESSED = 0.1
 
 @dataclass(frozen=True)
 class MeasuredForces:
-    """What plates measured under the left and the right foot, at the frames of a motion."""
+    """Forces that plates measured under the left and the right foot, at a motion's frames."""
 
     force: Float[np.ndarray, "time 2 3"]
     """On the person, newtons; zero where it is not known."""
@@ -36,7 +36,7 @@ class MeasuredForces:
     warnings: tuple[str, ...]
 
     def compared(self, found: GroundForces) -> dict[str, dict[str, Any]]:
-        """How far estimated forces are from measured ones, by foot.
+        """Differences of estimated from measured forces, by foot.
 
         Root mean square of the vertical force in % of the weight, error of its impulse in %, and
         mean distance of the centres of pressure in cm where a tenth of the weight presses.
@@ -97,7 +97,9 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
             if apart[side] > NEAR_M:
                 strange += 1
                 continue
-            if _over(plates.corners[k], centre[frames, 1 - side], contact[frames, 1 - side]):
+            if _stands_within(
+                plates.corners[k], centre[frames, 1 - side], contact[frames, 1 - side]
+            ):
                 shared += 1
                 continue
             load = plates.force[rows, k, 2:]
@@ -125,7 +127,7 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
     return MeasuredForces(force, place, torque, known, tuple(warnings))
 
 
-def _over(corners: np.ndarray, centre: np.ndarray, contact: np.ndarray) -> bool:
+def _stands_within(corners: np.ndarray, centre: np.ndarray, contact: np.ndarray) -> bool:
     """Whether a foot stands within a rectangle for more than a fifth of some frames."""
     origin, sides = corners[0, :2], (corners[[1, 3]] - corners[0])[:, :2]
     along = (centre - origin) @ sides.T / (sides**2).sum(-1)

@@ -51,7 +51,7 @@ def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
     return torch.nan_to_num(_zmp_by_force(dynamics, force), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def supported(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
+def share_carried(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
     """How far the ground carries the body: 0 below 0.1 of its weight, 1 above 0.3."""
     return smoothstep(relative_load(dynamics), LEAST_LOAD, FULL_LOAD)
 
@@ -76,7 +76,7 @@ SUPPORT_SPEED = 0.4
 """m/s: 2 cm per frame at 20 fps."""
 
 
-def supporting(
+def can_carry_weight(
     vertices: Float[Tensor, "time vertices 3"], fps: float
 ) -> Bool[Tensor, "time vertices"]:
     """Mask of vertices that are low and slow enough to carry weight.

@@ -286,7 +286,7 @@ def _clip_of_one_person(
     settings: FitSettings,
     body: BodyModel,
 ) -> Clip:
-    """As `clip_of_files`; a given ground is ignored where all sensors' poses are known."""
+    """Like `clip_of_files`, but without a given ground where all sensors' poses are known."""
     if all(_has_pose(file) for _, file in files):
         settings = replace(settings, ground=None)
     return clip_of_files(files, notes, settings, body)

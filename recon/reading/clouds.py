@@ -40,7 +40,7 @@ _OFTEN = 0.1
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _PersonClusters:
     """The clusters of one frame that may be the person, the largest first."""
 
     label: Int[np.ndarray, " points"]
@@ -85,12 +85,12 @@ def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray]
     return kept, beside if beside > _OFTEN * len(frames) else 0
 
 
-def _clusters_of_frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _Frame:
+def _clusters_of_frame(cloud: Float[np.ndarray, "points 3"], reach: float) -> _PersonClusters:
     label = clusters(cloud, reach)
     size = np.bincount(label)
     large = int((size >= _LARGE * size[0]).sum())
     things = [cloud[label == k] for k in range(large)]
-    return _Frame(
+    return _PersonClusters(
         label,
         middles=np.stack([np.median(thing, axis=0) for thing in things]),
         sizes=np.array([np.linalg.norm(np.ptp(thing, axis=0)) for thing in things]),

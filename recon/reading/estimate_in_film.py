@@ -1,4 +1,4 @@
-"""Finds the person of an estimate in the film that a network told it from, and the camera."""
+"""Finds person and camera of a network's motion estimate in the film that it was made from."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ def people_of_film(film: Path, how: ReadOptions) -> list[Views]:
 def view_of_estimate(
     people: Sequence[Views], estimate: Motion | Keypoints3D, body: BodyModel
 ) -> tuple[Keypoints2D, tuple[str, ...]]:
-    """The person of a film whose keypoints are where a camera sees the estimate's, and notes.
+    """Keypoints and fitted camera of the person in a film whom the estimate shows, and notes.
 
     The camera stands still in the frame of the estimate, so its pose is that which brings the
     same points of all frames together. Which way is up is left to the fit.
@@ -52,7 +52,7 @@ def view_of_estimate(
     Raises:
         ObservationError: when nobody moves like the estimate.
     """
-    found = [_camera(one, estimate, body) for one in people]
+    found = [_fitted_camera(one, estimate, body) for one in people]
     best = int(np.argmin([error for error, _ in found]))
     (error, T), views = found[best], people[best]
     if error > _FAR:
@@ -68,10 +68,10 @@ def view_of_estimate(
     return view.derived(ground_known=False, level=level), (*views.decisions, said)
 
 
-def _camera(
+def _fitted_camera(
     views: Views, estimate: Motion | Keypoints3D, body: BodyModel
 ) -> tuple[float, Float[np.ndarray, "4 4"]]:
-    """How far keypoints lie from the estimate's, and the T_camera_estimate that is nearest."""
+    """T_camera_estimate by which the estimate's keypoints fit best, and their error."""
     file = views.files[0]
     names = keypoint_names(file.layout)
     if isinstance(estimate, Motion):

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations.camera_paths import keypoint_feet, with_unit
+from observations.camera_paths import keypoint_feet, with_path_in_metres
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
@@ -50,8 +50,9 @@ def keypoints_of(
         level=path is not None and path.level,
         unit_known=path is None or path.metric,
         lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),
+        fingers=_straight_fingers(file),
     )
-    return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
+    return view if view.unit_known else with_path_in_metres(view, keypoint_feet(view, body))
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
@@ -63,6 +64,15 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
         return file.pixels
     written = (file.pixels == 0).all(-1, keepdims=True)
     return np.where(written, 0.0, straightened(file.pixels, file.camera))
+
+
+def _straight_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
+    """Points of hands as a perfect lens would see them; None where there are none."""
+    if file.fingers is None:
+        return None
+    pixels = straightened(file.fingers[..., :2], file.camera)
+    fingers = np.concatenate((pixels, file.fingers[..., 2:]), -1)
+    return np.where(file.fingers[..., 2:] > 0, fingers, 0.0)[None]
 
 
 def pinhole(

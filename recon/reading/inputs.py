@@ -17,7 +17,7 @@ from recon.formats.replacing import MISSING, file_checksum, files_checksum, valu
 from recon.formats.scans import cloud_files
 from recon.keypoints3d.reader import body_file, time_stamps
 from recon.mocap.asf_amc import recording_files
-from recon.reading.places import expand
+from recon.reading.places import files_of_views
 
 _IMAGES, _KEYPOINTS = (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
@@ -61,13 +61,13 @@ def observation_input(path: Path) -> InputFiles:
     if not path.is_dir():
         return InputFiles(path, (path,))
     if holds_sam3d_body(path):
-        return InputFiles(path, _inside(path, (".npz",)))
+        return InputFiles(path, _files_inside(path, (".npz",)))
     if session := body_file(path):
         stamps = time_stamps(path)
         return InputFiles(path, (session, *([] if stamps is None else [stamps])))
     try:
         if (project := project_at(path)) is None:
-            clouds, images = tuple(cloud_files(path)), _inside(path, _IMAGES)
+            clouds, images = tuple(cloud_files(path)), _files_inside(path, _IMAGES)
             if clouds or images:
                 return InputFiles(path, (*clouds, path / "times.csv") if clouds else images)
             return InputFiles(path, _keypoint_files(path))
@@ -81,8 +81,8 @@ def observation_input(path: Path) -> InputFiles:
 
 def _keypoint_files(path: Path) -> tuple[Path, ...]:
     """The files of keypoints of all views in a folder."""
-    views, _ = expand([path])
-    return tuple(file for one in views for file in (_inside(one, _KEYPOINTS) or (one,)))
+    views, _ = files_of_views([path])
+    return tuple(file for one in views for file in (_files_inside(one, _KEYPOINTS) or (one,)))
 
 
 def camera_input(path: Path) -> InputFiles:
@@ -91,7 +91,7 @@ def camera_input(path: Path) -> InputFiles:
     if path.is_dir() and (path / "intri.yml").is_file():
         return InputFiles(path, tuple(path / name for name in sorted(pair)))
     if path.is_dir():
-        return InputFiles(path, _inside(path, _CALIBRATIONS))
+        return InputFiles(path, _files_inside(path, _CALIBRATIONS))
     if path.name.lower() in pair:
         return InputFiles(path, (path, path.with_name(*(pair - {path.name.lower()}))))
     return InputFiles(path, (path,))
@@ -107,7 +107,7 @@ def track_input(path: Path) -> InputFiles:
 
 def masks_input(path: Path) -> InputFiles:
     """The files of silhouettes: the images of a folder, or the one file itself."""
-    return InputFiles(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
+    return InputFiles(path, _files_inside(path, _IMAGES) if path.is_dir() else (path,))
 
 
 def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
@@ -156,10 +156,10 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         OSError, ValueError: when a file is there and cannot be read.
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
-    del plain["detections"]  # where they are kept
+    del plain["detections"]  # only the folder of detections, which does not change a result
     for name in ("shape", "detector"):
         if plain[name] is None:
-            del plain[name]  # results older than these options keep their checksums
+            del plain[name]  # so that checksums stay those of versions without these options
     contents: dict[str, Any] = {
         "weights": _weights_checksums(settings),
         "tables": _bundled_checksums(
@@ -217,5 +217,5 @@ def _bundled_checksums(package: str, folder: str, names: Sequence[str]) -> list[
         return [file_checksum(path / name) for name in names]
 
 
-def _inside(folder: Path, endings: Sequence[str]) -> tuple[Path, ...]:
+def _files_inside(folder: Path, endings: Sequence[str]) -> tuple[Path, ...]:
     return tuple(files_of(folder, endings)) if folder.is_dir() else ()

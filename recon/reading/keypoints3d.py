@@ -69,7 +69,7 @@ def settled(
     """
     check_override(unit)
     raw, hands = hands_apart(raw)
-    known = _upper_neck_renamed(_named(with_rate(raw, fps), body, layout))
+    known = _upper_neck_renamed(_with_known_names(with_rate(raw, fps), body, layout))
     metres, unit_reason = _metres_per_unit(known, body, unit)
     visible = np.all(np.isfinite(known.positions), axis=-1)
     positions = np.where(visible[..., None], known.positions, 0.0)
@@ -98,11 +98,11 @@ def settled(
     return PositionsFile(
         "keypoints3d", positions, visible, names, known.fps or 0.0, known.start_time, ground_known,
         level=level, placed=placed, decisions=tuple(said),
-        fingers=hands and _fingers(hands.positions, to_z_up(up).T * metres * factors),
+        fingers=hands and _turned_hand_points(hands.positions, to_z_up(up).T * metres * factors),
     )  # fmt: skip
 
 
-def _fingers(
+def _turned_hand_points(
     positions: Float[np.ndarray, "time 42 3"], turn: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "time 42 4"]:
     """Points of hands after a linear map of a row, and whether each was seen."""
@@ -110,7 +110,7 @@ def _fingers(
     return np.concatenate((np.where(seen, positions, 0.0) @ turn, seen), -1)
 
 
-def _named(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
+def _with_known_names(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
     """The points whose names recon knows; a note lists those that are left out."""
     if not raw.names:
         chosen, reason = settle_body_layout(raw.positions, layout or raw.layout, body, raw.name)

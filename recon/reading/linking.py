@@ -19,10 +19,10 @@ from recon.reading.assignments import BEGINS, cheapest_assignments
 from recon.reading.places import (
     FEWEST_KEYPOINTS,
     gap,
+    log_trunk_length,
     middle_of,
-    reshaping,
+    pose_change,
     size_of,
-    trunk_of,
     without_fragments,
 )
 
@@ -103,13 +103,13 @@ class _Person:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _FrameLinks:
     """Which person each detection of a frame is, and the same for the frames before it."""
 
     number: int
     labels: dict[int, int]
     """Row to label."""
-    before: "_Frame | None"
+    before: "_FrameLinks | None"
 
 
 @dataclass(frozen=True)
@@ -118,14 +118,14 @@ class _Assignment:
 
     people: tuple[_Person, ...]
     cost: float
-    frames: _Frame | None
+    frames: _FrameLinks | None
     fresh: int
     """The next label."""
     doubts: tuple[tuple[int, frozenset[int]], ...] = ()
     """First frame of every doubt, and the labels that it concerns from then on."""
 
     @property
-    def nameless(self) -> frozenset[tuple[int, ...]]:
+    def without_identities(self) -> frozenset[tuple[int, ...]]:
         """The last detection of every person, without identities.
 
         Equal for assignments that differ in names.
@@ -133,7 +133,7 @@ class _Assignment:
         return frozenset(person.rows for person in self.people)
 
 
-def farthest(unseen_frames: int) -> float:
+def largest_allowed_distance(unseen_frames: int) -> float:
     """The largest allowed distance from the expected place, in body sizes.
 
     Args:
@@ -162,7 +162,7 @@ class _Linking:
         self.seen = detections
         self.rows = rows
         self.sizes = {int(r): size_of(detections, int(r)) for r in rows}
-        self.trunks = {int(r): trunk_of(detections, int(r)) for r in rows}
+        self.trunks = {int(r): log_trunk_length(detections, int(r)) for r in rows}
         self.spread = self._usual_spread()
         self.followed = [_Assignment((), 0.0, None, 0)]
 
@@ -210,7 +210,7 @@ class _Linking:
         return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
     def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
-        """The best of the detections of one person; as many as there are people at a place."""
+        """Detections of a frame without duplicates of one person, of which the surest is kept."""
         lately = [
             p.expected(frame)
             for p in people
@@ -240,7 +240,7 @@ class _Linking:
         for one, two in pairwise(by_frame):
             for a in one.tolist():
                 nearest = min(two.tolist(), key=lambda b, a=a: gap(self.seen, a, b))
-                near.append(reshaping(self.seen, a, nearest))
+                near.append(pose_change(self.seen, a, nearest))
         usual = np.median(near) if near else np.inf
         return float(np.clip(usual, *_SPREADS))
 
@@ -251,7 +251,7 @@ class _Linking:
         out = np.full((len(people), len(rows)), np.inf)
         for k, person in enumerate(people):
             expected, unseen = person.expected(frame), frame - person.frame - 1
-            gate = farthest(unseen)
+            gate = largest_allowed_distance(unseen)
             spread = self.spread * (1 + _SPREAD_GROWTH * unseen)
             for p, row in enumerate(rows):
                 size = max(person.size, self.sizes[row])
@@ -302,7 +302,7 @@ class _Linking:
                 people.append(self._new_person(fresh, row, frame))
                 labels[row] = fresh
                 fresh += 1
-        step = _Frame(frame, labels, assignment.frames)
+        step = _FrameLinks(frame, labels, assignment.frames)
         return _Assignment(tuple(people), cost, step, fresh, assignment.doubts)
 
     def _new_person(self, label: int, row: int, frame: int) -> _Person:
@@ -344,11 +344,11 @@ class _Linking:
         for one in assignments:
             if one.cost > assignments[0].cost + _WORST:
                 break
-            same = kept.get(one.nameless)
+            same = kept.get(one.without_identities)
             if same is None:
-                kept[one.nameless] = one
+                kept[one.without_identities] = one
             else:
-                kept[one.nameless] = _marked_if_doubtful(same, one)
+                kept[one.without_identities] = _marked_if_doubtful(same, one)
         return list(kept.values())[:_KEPT]
 
 
@@ -368,7 +368,7 @@ def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
     return replace(best, doubts=(*best.doubts, doubt))
 
 
-def _first_difference(one: _Frame | None, two: _Frame | None) -> int:
+def _first_difference(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
     """The first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:

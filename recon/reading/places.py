@@ -39,7 +39,7 @@ def size_of(detections: Detections, row: int) -> float:
     return body_size(detections.pixels[row], detections.confidence[row])
 
 
-def trunk_of(detections: Detections, row: int) -> float:
+def log_trunk_length(detections: Detections, row: int) -> float:
     """Logarithm of the length of the trunk in the image, pixels; NaN where it is not seen."""
     names = keypoint_names(detections.layout)
     ends: list[np.ndarray] = []
@@ -57,22 +57,22 @@ def middle_of(detections: Detections, row: int) -> Float[np.ndarray, "1 2"]:
 
 
 def gap(detections: Detections, a: int, b: int) -> float:
-    """Mean distance of keypoints that both detections show, in body sizes; infinite if too few."""
+    """Mean distance of the keypoints that two detections share, in body sizes; infinite if few."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
     away = np.linalg.norm(detections.pixels[a, both] - detections.pixels[b, both], axis=-1).mean()
-    return float(away) / _larger(detections, a, b)
+    return float(away) / _larger_size(detections, a, b)
 
 
-def reshaping(detections: Detections, a: int, b: int) -> float:
+def pose_change(detections: Detections, a: int, b: int) -> float:
     """Change of the pose: the `gap` after removing the common displacement of all keypoints."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")
     away = detections.pixels[a, both] - detections.pixels[b, both]
     apart = np.linalg.norm(away - np.median(away, axis=0), axis=-1).mean()
-    return float(apart) / _larger(detections, a, b)
+    return float(apart) / _larger_size(detections, a, b)
 
 
 def distance(detections: Detections, a: int, b: int) -> float:
@@ -82,7 +82,7 @@ def distance(detections: Detections, a: int, b: int) -> float:
     if both.sum() >= FEWEST_KEYPOINTS:
         seen_a = seen_b = both
     way = detections.pixels[a, seen_a].mean(0) - detections.pixels[b, seen_b].mean(0)
-    return float(np.linalg.norm(way)) / _larger(detections, a, b)
+    return float(np.linalg.norm(way)) / _larger_size(detections, a, b)
 
 
 def without_fragments(
@@ -106,7 +106,7 @@ def without_fragments(
     return [row for row in rows if row not in lesser]
 
 
-def _larger(detections: Detections, a: int, b: int) -> float:
+def _larger_size(detections: Detections, a: int, b: int) -> float:
     return max(size_of(detections, a), size_of(detections, b))
 
 
@@ -117,8 +117,8 @@ _SAME = {"camera": "cam", "view": "cam", "c": "cam"}
 _NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
 
 
-def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
-    """The files or folders of single views, and notes on how folders were read.
+def files_of_views(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
+    """The files or folders of single views in some paths, and notes on how folders were read.
 
     A file is a view, and so is a folder of .json files. A folder of such folders, of films, or of
     one .csv table per camera, stands for them; a project for those of its first folder among
@@ -287,7 +287,8 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
         )
     width, height = file.camera.image_size
     kernel = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
-    confidence = file.confidence.copy()
+    hands = np.zeros((len(frames), 0, 3)) if file.fingers is None else file.fingers
+    confidence = np.concatenate((file.confidence, hands[..., 2]), 1)
     for t, frame in enumerate(frames):
         visible = masks.visible(frame)
         if visible is None:
@@ -298,9 +299,12 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
                 f"{visible.shape[1]} x {visible.shape[0]}"
             )
         wide = cv2.dilate(visible.astype(np.uint8), kernel) != 0
-        column, row = np.floor(file.pixels[t]).astype(np.int64).T
+        places = np.concatenate((file.pixels[t], hands[t, :, :2]))
+        column, row = np.floor(places).astype(np.int64).T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         seen = wide[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
         confidence[t, ~(inside & seen)] = 0.0
+    confidence, of_hands = np.split(confidence, [file.confidence.shape[1]], 1)
     pixels = np.where(confidence[..., None] > 0, file.pixels, 0.0)
-    return replace(file, pixels=pixels, confidence=confidence)
+    fingers = None if file.fingers is None else np.where(of_hands[..., None] > 0, hands, 0.0)
+    return replace(file, pixels=pixels, confidence=confidence, fingers=fingers)

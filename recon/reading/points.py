@@ -16,7 +16,7 @@ from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
-from recon.core.coordinates import surely_up
+from recon.core.coordinates import corrected_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.hands import right_handed
 from recon.core.layouts import LAYOUTS, keypoint_names
@@ -57,7 +57,7 @@ def positions_of(
             the message says what to do.
     """
     file = points_settled(file, path, body, unit=unit, up=up, hand=hand)
-    places, _ = _places(file, path, body)
+    places, _ = _places_on_body(file, path, body)
     kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
     visible = torch.from_numpy(file.visible)[None]
     points = torch.from_numpy(file.positions).float()[None] * visible[..., None]
@@ -102,7 +102,7 @@ def points_settled(
             f"{path}: no point is visible in any frame, so there is nothing to fit"
         )
     check_override(unit)
-    _, rest = _places(file, path, body)
+    _, rest = _places_on_body(file, path, body)
     metres = METRES[unit] if unit else 1.0
     turn, said = _turn_to_z_up(file, path, up)
     positions = file.positions @ turn.T * metres
@@ -121,7 +121,7 @@ def points_settled(
     )  # fmt: skip
 
 
-def _places(
+def _places_on_body(
     file: PositionsFile, path: str | Path, body: BodyModel
 ) -> tuple[tuple[int, ...], Tensor]:
     """Joint numbers or vertices of the named points, and their positions on the rest body."""
@@ -168,7 +168,7 @@ def _turn_to_z_up(
     """
     if up is not None:
         return to_z_up(up), ()
-    found = surely_up("z", file.names, file.positions, file.visible) if file.level else None
+    found = corrected_up("z", file.names, file.positions, file.visible) if file.level else None
     if found is None:
         return np.eye(3), ()
     low, high = np.quantile(file.positions[..., 2][file.visible], (0.02, 0.98))

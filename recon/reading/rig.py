@@ -105,17 +105,19 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     Raises:
         ObservationError: when two views share too few points or disagree.
     """
-    late = _shifts(views, longest_shift)
+    late = _frame_shifts(views, longest_shift)
     views = [view.shifted(frames) for view, frames in zip(views, late, strict=True)]
     frames, points = views[0].confidence.shape
     seen = np.stack([view.confidence.reshape(-1) > _SEEN for view in views])
     places = np.stack([_normalised(view).reshape(-1, 2) for view in views])
-    speeds = np.stack([_speeds(view).reshape(-1, 2) for view in views])
+    speeds = np.stack([_image_velocities(view).reshape(-1, 2) for view in views])
     used = np.flatnonzero(seen.sum(0) >= 2)
     if len(used) > _MOST_POINTS:
         used = used[np.linspace(0, len(used) - 1, _MOST_POINTS).astype(int)]
     poses = _first_poses([view.name for view in views], places, seen)
-    poses, scale, later = _refined(views, poses, places[:, used], speeds[:, used], seen[:, used])
+    poses, scale, later = _bundle_adjusted(
+        views, poses, places[:, used], speeds[:, used], seen[:, used]
+    )
     places = (places + later[:, None, None] * speeds) / scale[:, None, None]
     nearest = _nearest_points(poses, places, seen)
     off = np.linalg.norm(_projected(poses, nearest) - places, axis=-1)
@@ -142,7 +144,7 @@ def _normalised(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
     return (view.pixels - view.centre) / view.focal
 
 
-def _speeds(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
+def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
     """Change of the places from frame to frame; zero where a neighbour was not seen."""
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
@@ -150,7 +152,7 @@ def _speeds(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
     return np.where(three[..., None], np.gradient(_normalised(view), axis=0), 0.0)
 
 
-def _shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
+def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
     """Frames by which each view begins after the first, with which their points agree best."""
     coarse = max(1, longest // _COARSE)
     found = [0]
@@ -172,7 +174,7 @@ def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
     some = np.flatnonzero(seen)
     some = some[np.linspace(0, len(some) - 1, min(len(some), _SAMPLED)).astype(int)]
     a, b = (_normalised(view).reshape(-1, 2)[some] for view in (one, other))
-    matrix, _ = _essential(a, b, _DETECTOR)
+    matrix, _ = _essential_matrix(a, b, _DETECTOR)
     a, b = (np.concatenate((x, np.ones((len(x), 1))), -1) for x in (a, b))
     there, here = a @ matrix.T, b @ matrix
     steepness = np.linalg.norm(np.concatenate((there[:, :2], here[:, :2]), -1), axis=-1)
@@ -180,7 +182,7 @@ def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
     return float(np.minimum(off / _DETECTOR, 2.0).mean())
 
 
-def _essential(
+def _essential_matrix(
     a: Float[np.ndarray, "points 2"], b: Float[np.ndarray, "points 2"], off: float = _OFF
 ) -> tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " points"]]:
     """The essential matrix of two views, and which points agree with it."""
@@ -202,9 +204,12 @@ def _first_poses(
         both = seen[a] & seen[b]
         if both.sum() < _FEWEST_POINTS:
             continue
-        matrix, agree = _essential(places[a, both], places[b, both])
+        matrix, agree = _essential_matrix(places[a, both], places[b, both])
         if agree.mean() >= _AGREEING:
-            found[a, b] = int(agree.sum()), _turn_and_step(matrix, places[[a, b]][:, both], agree)
+            found[a, b] = (
+                int(agree.sum()),
+                _second_camera_pose(matrix, places[[a, b]][:, both], agree),
+            )
     if not found:
         raise ObservationError(
             f"the cameras of {', '.join(names)} cannot be told from the person: expected two "
@@ -222,11 +227,11 @@ def _first_poses(
         points = _nearest_points(
             np.stack([poses[v] for v in known]), places[known][:, here], seen[known][:, here]
         )
-        poses[best] = _resected(names[best], points, places[best, here])
+        poses[best] = _pose_from_points(names[best], points, places[best, here])
     return np.stack([poses[v] for v in range(len(names))])
 
 
-def _turn_and_step(
+def _second_camera_pose(
     matrix: Float[np.ndarray, "3 3"],
     places: Float[np.ndarray, "2 points 2"],
     agree: Bool[np.ndarray, " points"],
@@ -237,7 +242,7 @@ def _turn_and_step(
     return np.concatenate((turn, step), 1)
 
 
-def _resected(
+def _pose_from_points(
     name: str, points: Float[np.ndarray, "points 3"], places: Float[np.ndarray, "points 2"]
 ) -> Float[np.ndarray, "3 4"]:
     """The pose of a camera that sees known points.
@@ -278,7 +283,7 @@ def _projected(
     return there[..., :2] / np.maximum(there[..., 2:], 1e-3)
 
 
-def _refined(
+def _bundle_adjusted(
     views: Sequence[FilmedPerson],
     poses: Float[np.ndarray, "views 3 4"],
     places: Float[np.ndarray, "views points 2"],
@@ -314,7 +319,7 @@ def _refined(
     turns = Rotation.from_matrix(poses[:, :, :3]).as_rotvec()
     cameras = np.concatenate((turns, poses[:, :, 3], np.zeros((len(views), 2))), 1)
     start = np.concatenate((cameras.ravel(), _nearest_points(poses, places, seen).ravel()))
-    filled = _filled(view, point, len(views), len(residuals(start)), len(start))
+    filled = _jacobian_sparsity(view, point, len(views), len(residuals(start)), len(start))
     # a robust loss, as detectors err much now and then
     found = least_squares(
         residuals, start, jac_sparsity=filled, loss="soft_l1", x_scale="jac", max_nfev=100
@@ -323,7 +328,7 @@ def _refined(
     return best, np.exp(logs), late
 
 
-def _filled(
+def _jacobian_sparsity(
     view: np.ndarray, point: np.ndarray, views: int, residuals: int, unknowns: int
 ) -> csr_array:
     """Which residual depends on which unknown.

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.core.coordinates import surely_up
+from recon.core.coordinates import corrected_up
 from recon.core.errors import ObservationError
 from recon.reading.tracks import Track, TrackedView, Triangulated, triangulated
 
@@ -47,7 +47,7 @@ def across_views(
         ValueError: when no tracks of two views agree, several persons are seen about equally
             well, or the triangulated body has no human size or does not stand along z.
     """
-    pairs = _Pairs(views)
+    pairs = _TriangulatedPairs(views)
     if person is not None and not 0 <= person < len(views[0].tracks):
         raise ObservationError(
             f"{views[0].name}: there is no person {person}; there are {_listed_people(views[:1])}"
@@ -55,8 +55,8 @@ def across_views(
     seeds = [(0, person)] if person is not None else _starting_tracks(views)
     groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
     if len(groups) == 0:
-        for turned, names in _turned_over(views):
-            if any(len(_Pairs(turned).group(*seed)) > 1 for seed in seeds):
+        for turned, names in _with_flipped_y(views):
+            if any(len(_TriangulatedPairs(turned).group(*seed)) > 1 for seed in seeds):
                 tracks, said = across_views(turned, person, up_given=up_given)
                 told = (
                     f"y of the keypoints of {names} points up, as rays meet only so: turned down"
@@ -64,7 +64,7 @@ def across_views(
                 return tracks, (told, *said)
         raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
-            f"each other (least median error {pairs.least():.1%} of the body, at most "
+            f"each other (least median error {pairs.smallest_error():.1%} of the body, at most "
             f"{_CONSISTENT:.0%} expected). Does each view have its own camera, is the calibration "
             f"of this recording, do the frames belong together? There are {_listed_people(views)}"
         )
@@ -87,8 +87,8 @@ def across_views(
     return _tracks_of(views, best), tuple(notes)
 
 
-def _turned_over(views: Sequence[TrackedView]) -> Iterator[tuple[list[TrackedView], str]]:
-    """The views with y of the pixels turned over in all or in one, and whose it is."""
+def _with_flipped_y(views: Sequence[TrackedView]) -> Iterator[tuple[list[TrackedView], str]]:
+    """The views with reversed pixel y, in all views or in one, and a name for which."""
     over = [
         replace(
             view,
@@ -117,7 +117,7 @@ def everybody_across_views(
         ValueError: when nobody is found in two views, or somebody has no human size or does not
             stand along z.
     """
-    pairs = _Pairs(views)
+    pairs = _TriangulatedPairs(views)
     taken: set[tuple[int, int]] = set()
     found: list[tuple[int, list[Track | None]]] = []
     notes: list[str] = []
@@ -158,11 +158,13 @@ def _tracks_of(
         order = np.argsort(frame)
         pixels = np.concatenate([track.pixels for track in tracks])[order]
         confidence = np.concatenate([track.confidence for track in tracks])[order]
-        out.append(Track(tracks[0].number, frame[order], pixels, confidence))
+        hands = [track.hands for track in tracks if track.hands is not None]
+        both = np.concatenate(hands)[order] if hands else None
+        out.append(Track(tracks[0].number, frame[order], pixels, confidence, both))
     return out
 
 
-class _Pairs:
+class _TriangulatedPairs:
     """Triangulations of pairs of tracks, each made once."""
 
     def __init__(self, views: Sequence[TrackedView]) -> None:
@@ -177,7 +179,7 @@ class _Pairs:
             self._made[v, a, w, b] = triangulated([(self.views[v], a), (self.views[w], b)])
         return self._made[v, a, w, b]
 
-    def least(self) -> float:
+    def smallest_error(self) -> float:
         """The smallest triangulation error of any pair of tracks."""
         return min((pair.error for pair in self._made.values()), default=float("inf"))
 
@@ -249,7 +251,7 @@ class _Pairs:
                 f"the calibration makes the body's trunk {trunk:.3g} m long, not {_TRUNK[0]} to "
                 f"{_TRUNK[1]} m; give its unit with --camera-unit"
             )
-        found = None if up_given else surely_up("z", pair.names, pair.points, pair.seen)
+        found = None if up_given else corrected_up("z", pair.names, pair.points, pair.seen)
         if found is not None:
             raise ObservationError(
                 f"in the calibration's world the body stands along {found}, z was believed to "

@@ -25,10 +25,10 @@ _SAME_FORM, _CUT = 0.002, 0.05
 that may have been cut off."""
 
 
-def with_image_size(path: Path, how: ReadOptions) -> Detections | None:
+def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
     """Detections in a film or a file that states the size of its images; None for other files."""
     if is_film(path):
-        from recon.films.reader import read_film  # its networks and decoders are needed here only
+        from recon.films.reader import read_film  # imported here: it loads networks
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
@@ -58,7 +58,7 @@ def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> floa
     return float(np.mean(stated))
 
 
-def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
+def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
     """Detections in the pixels of a calibration, and a note where its images have another size.
 
     Images of the same form were scaled; others are taken as cut at their right and lower border.
@@ -77,9 +77,10 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.ptp(ratio) < _SAME_FORM:
         scaled = (found.pixels + 0.5) * ratio - 0.5
         pixels = np.where((found.confidence > 0)[..., None], scaled, 0.0)
-        behind, lines = found.background, found.lines
+        behind, lines, hands = found.background, found.lines, found.hands
         return replace(
             found, pixels=pixels, image_size=expected,
+            hands=None if hands is None else _scaled(hands, ratio),
             lines=None if lines is None else (lines + 0.5) * ratio - 0.5,
             background=None if behind is None
             else replace(behind, pixels=(behind.pixels + 0.5) * ratio - 0.5),
@@ -87,6 +88,13 @@ def in_size_of(found: Detections, camera: CameraArrays) -> tuple[Detections, str
     if np.abs(ratio - 1).max() > _CUT:
         raise ObservationError(f"{said}; give the calibration of this film")
     return found, f"{said}: taken as cut at the right and below"
+
+
+def _scaled(
+    hands: Float[np.ndarray, "rows 42 3"], ratio: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "rows 42 3"]:
+    pixels = np.where(hands[..., 2:] > 0, (hands[..., :2] + 0.5) * ratio - 0.5, 0.0)
+    return np.concatenate((pixels, hands[..., 2:]), -1)
 
 
 _SHOTS_LISTED = 8
@@ -138,6 +146,7 @@ def in_one_shot(
             pixels=found.pixels[mine],
             confidence=found.confidence[mine],
             identity=found.identity[mine],
+            hands=None if found.hands is None else found.hands[mine],
             background=behind,
         ),
         (starts[best], ends[best]),
@@ -148,7 +157,7 @@ def in_one_shot(
 def levelled(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
-    """A camera with what the background of its film tells: path, vertical, focal length.
+    """A camera with the path, vertical and focal length that its background shows.
 
     Straight lines tell the vertical, and points of the background how the camera moves. Unchanged,
     and without a note, where its pose is known or the background tells nothing.
@@ -161,7 +170,7 @@ def levelled(
     """
     if camera.T_camera_world is not None or camera.path is not None:
         return camera, ""
-    camera, moved, said = _moved(found, camera, rate)
+    camera, moved, said = _with_motion(found, camera, rate)
     if found.lines is None and moved is None:
         return camera, said
     from recon.films.vertical import find_vertical  # films only
@@ -175,11 +184,11 @@ def levelled(
     images = [ends[shown == one] for one in numbers]
     T = np.eye(4)[None]
     if moved is not None:
-        # lines are told as the middle picture would show them
+        # rotate the lines of all pictures into the view of the middle picture
         middle = np.linalg.inv(moved.at(moved.frames[[len(moved.frames) // 2]])[0])
         T = middle @ moved.at(frames)
         images = [
-            _seen_turned(one, focal, (middle @ pose)[:3, :3])
+            _turned_segments(one, focal, (middle @ pose)[:3, :3])
             for one, pose in zip(images, moved.at(numbers), strict=True)
         ]
     metric = moved is None or not moved.places.any()
@@ -210,7 +219,7 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
     return replace(camera, camera_matrix=matrix, focal_known=True)
 
 
-def _moved(
+def _with_motion(
     found: Detections, camera: CameraArrays, rate: float
 ) -> tuple[CameraArrays, "CameraMotion | None", str]:
     """The camera with the focal length that its motion tells, the motion, and a note."""
@@ -240,7 +249,9 @@ def _moved(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        return camera, moved, note
+        # a better guess, with which the path was found
+        guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
+        return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"
     return _with_focal(camera, moved.focal), moved, note
 
@@ -249,10 +260,10 @@ _BESIDE = 0.3
 """Least cosine between what is seen and the axis of the camera in whose image it is drawn."""
 
 
-def _seen_turned(
+def _turned_segments(
     ends: Float[np.ndarray, "lines 2 2"], focal: float, R: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "lines 2 2"]:
-    """Segments as a turned camera would see them, pixels from the principal point.
+    """Segments in pixels from the principal point, after a rotation of the camera.
 
     Args:
         ends: of the segments.

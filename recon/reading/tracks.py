@@ -11,7 +11,7 @@ from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
 from recon.formats.cameras import CameraArrays
-from recon.reading.linking import LOST_AFTER, farthest, linked
+from recon.reading.linking import LOST_AFTER, largest_allowed_distance, linked
 from recon.reading.places import FEWEST_KEYPOINTS, body_size, distance
 
 _EQUAL = 0.8
@@ -33,6 +33,8 @@ class Track:
     """Frame numbers, increasing."""
     pixels: Float[np.ndarray, "seen points 2"]
     confidence: Float[np.ndarray, "seen points"]
+    hands: Float[np.ndarray, "seen 42 3"] | None = None
+    """Pixels and confidence of the points of hands, where the file has any."""
     ended_by: int | None = None
     """The frame where it ended because another person was about as near, or None."""
 
@@ -58,8 +60,11 @@ class Track:
         return float(np.median(np.linalg.norm(high - low, axis=-1)) / 2 / np.median(sizes))
 
     def turned_over(self, height: int) -> "Track":
-        """The track in an image of this height whose y counts the other way."""
-        return replace(self, pixels=self.pixels * (1, -1) + (0, height))
+        """The track with the y axis of pixels reversed, in an image of this height."""
+        hands = self.hands
+        if hands is not None:
+            hands = np.where(hands[..., 2:] > 0, hands * (1, -1, 1) + (0, height, 0), 0.0)
+        return replace(self, pixels=self.pixels * (1, -1) + (0, height), hands=hands)
 
     def __str__(self) -> str:
         place = self.pixels[self.confidence > 0].mean(0)
@@ -105,6 +110,7 @@ def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -
             frame=detections.frame[rows[labels == label]],
             pixels=detections.pixels[rows[labels == label]],
             confidence=detections.confidence[rows[labels == label]],
+            hands=None if detections.hands is None else detections.hands[rows[labels == label]],
             ended_by=ended.get(label),
         )
         for number, label in enumerate(order)
@@ -153,7 +159,9 @@ def _consistent(detections: Detections, rows: np.ndarray, identity: np.ndarray) 
             return False
         for a, b in pairwise(own.tolist()):
             gap = int(detections.frame[b] - detections.frame[a])
-            if gap <= LOST_AFTER and distance(detections, a, b) > farthest(gap - 1):
+            if gap <= LOST_AFTER and distance(detections, a, b) > largest_allowed_distance(
+                gap - 1
+            ):
                 return False
     return True
 

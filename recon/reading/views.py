@@ -22,9 +22,15 @@ from recon.formats.cameras import (
 from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import fits_memory
 from recon.formats.tracks import CameraTrack, read_track
-from recon.reading.places import expand, match_cameras, view_name
+from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
-from recon.reading.stated import in_one_shot, in_size_of, levelled, stated_rate, with_image_size
+from recon.reading.stated import (
+    in_one_shot,
+    levelled,
+    read_sized_detections,
+    scaled_to_camera,
+    stated_rate,
+)
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
 
 _OUTSIDE = 0.5
@@ -68,9 +74,11 @@ def read_views(
         ValueError: when something is missing, damaged, ambiguous or does not fit together; the
             message says what was expected and which option decides.
     """
-    folders, notes = expand(paths)
+    folders, notes = files_of_views(paths)
     check_calibrated(folders, how)
-    known = {path: one for path in folders if (one := with_image_size(path, how)) is not None}
+    known = {
+        path: one for path in folders if (one := read_sized_detections(path, how)) is not None
+    }
     fps = how.frame_rate or stated_rate(folders, known)
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
@@ -97,7 +105,7 @@ def read_views(
         known.get(path) or read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
-    sized = [in_size_of(one, camera) for one, camera in zip(found, cameras, strict=True)]
+    sized = [scaled_to_camera(one, camera) for one, camera in zip(found, cameras, strict=True)]
     found = [one for one, _ in sized]
     first, frames = _frame_range(found)
     shot = None
@@ -112,7 +120,7 @@ def read_views(
         path = CameraPath(poses, track.metric, track.level)
         cameras = [replace(cameras[0], T_camera_world=None, path=path)]
     level: list[str] = []
-    if how.ground is None:  # a plane that was given tells more
+    if how.ground is None:  # a given ground plane also tells which way is up
         numbers = first + np.arange(frames)
         both = [levelled(*one, numbers, fps) for one in zip(found, cameras, strict=True)]
         cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
@@ -279,8 +287,11 @@ class SeenViews:
         pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
         pixels[track.frame - self.first_frame] = track.pixels
         confidence[track.frame - self.first_frame] = track.confidence
-        layout, camera = self.found[view].layout, self.cameras[view]
-        return KeypointsFile(pixels, confidence, layout, self.fps, camera)
+        layout, camera, fingers = self.found[view].layout, self.cameras[view], None
+        if track.hands is not None:
+            fingers = np.zeros((self.frames, *track.hands.shape[1:]))
+            fingers[track.frame - self.first_frame] = track.hands
+        return KeypointsFile(pixels, confidence, layout, self.fps, camera, fingers=fingers)
 
 
 def _camera_at_frames(camera: CameraArrays, name: str, first: int, frames: int) -> CameraArrays:
@@ -337,6 +348,9 @@ def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[
     most = np.array(camera.image_size) - 1 - _BORDER
     inside = ((found.pixels > _BORDER) & (found.pixels < most)).all(-1)
     seen = found.confidence > 0
+    if (hands := found.hands) is not None:
+        within = ((hands[..., :2] > _BORDER) & (hands[..., :2] < most)).all(-1, keepdims=True)
+        found = replace(found, hands=np.where(within, hands, 0.0))
     count = int((seen & ~inside).sum())
     if count == 0:
         return found, ""
@@ -350,7 +364,7 @@ def _without_border_keypoints(found: Detections, camera: CameraArrays) -> tuple[
 
 
 def _check_pixels(found: Detections, camera: CameraArrays) -> None:
-    """Refuse keypoints that are not in the pixels of this camera.
+    """Refuse keypoints in fractions of the image, or of images of another size.
 
     Raises:
         ValueError: for fractions of an image, a swapped width and height, or another resolution.

@@ -133,7 +133,7 @@ def depth_points(
             depth = measured_depth(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
-                # also by true depth, so that noise cannot make hidden surfaces visible
+                # hide by the true depth too, so that noise cannot make hidden surfaces visible
                 kept &= heights(true, view) >= corruption.hide_below
                 kept &= heights(depth, view) >= corruption.hide_below
             cloud = _world_points(depth, kept, view, corruption, points, random)

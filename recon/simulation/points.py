@@ -71,7 +71,7 @@ class Corruption:
             seen &= ~(((points >= low) & (points <= high)).all(-1) & active)
         return seen
 
-    def disturb(
+    def with_noise(
         self, points: Float[Tensor, "time points 3"], generator: Generator
     ) -> Float[Tensor, "time points 3"]:
         """The points with noise and outliers."""
@@ -145,7 +145,7 @@ def _disturbed_and_visible(
 ) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(seed)
     visible = corruption.visible(truth, generator, times)
-    positions = corruption.disturb(truth, generator)
+    positions = corruption.with_noise(truth, generator)
     return torch.where(visible[..., None], positions, 0.0), visible
 
 
@@ -187,7 +187,7 @@ def scan_points(
     ]
     true = torch.from_numpy(np.stack(clouds))
     visible = corruption.visible(true, generator, motion.times)
-    seen = corruption.disturb(true, generator)
+    seen = corruption.with_noise(true, generator)
     if not visible.any():
         raise ReconError("the corruption hides every point of every frame")
     clear = replace(corruption, missing_points=0.0, missing_frames=0.0)

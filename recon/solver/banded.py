@@ -45,7 +45,7 @@ class Banded:
 
     @property
     def reach(self) -> int:
-        """Largest distance in frames of two that are coupled."""
+        """Largest number of frames between two frames that are coupled."""
         return self.inner.shape[1] - 1
 
     def add_frames(

@@ -39,7 +39,7 @@ class Curvature:
     def empty(
         cls, active: int, n: int, slots: int, device: torch.device, scaled: bool = False
     ) -> "Curvature":
-        """No knowledge yet."""
+        """The state before the first step, without any pair: directions are steepest descent."""
 
         def zeros(*shape: int) -> Float64[Tensor, "..."]:
             return torch.zeros(*shape, dtype=torch.float64, device=device)

@@ -111,7 +111,7 @@ def _minimise(
     active = ActiveElements.begin(
         start, terms, gradient, value, largest, settings.history, settings.scaled
     )
-    reason = _why_not_begin(settings, value, largest)
+    reason = _reasons_to_end_at_start(settings, value, largest)
     ledger.close(active, reason)
     active.keep(reason == GOES_ON)
     active.direction = active.curvature.direction(active.gradient, active.element[:0])
@@ -173,7 +173,7 @@ def _minimise(
     return ledger.solution()
 
 
-def _why_not_begin(
+def _reasons_to_end_at_start(
     settings: LBFGS,
     value: Float64[np.ndarray, " batch"],
     largest: Float64[np.ndarray, " batch"],

@@ -14,12 +14,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-# Extrapolated trials advance by at least and at most these multiples of the last advance.
+# Each extrapolated step is between these multiples of the step before it.
 EXPAND_LEAST, EXPAND_MOST = 0.1, 9.0
-# Trials within a bracket stay this fraction of its width away from both ends.
+# Trial steps inside a bracket keep this share of its width away from both ends.
 MARGIN = 0.1
-# A bracket that kept more than this fraction of its width over two trials is bisected
-# (Moré & Thuente 1994, section 4).
+# A bracket that keeps more than this share of its width over two trials is bisected (Moré 1994).
 SHRINK = 0.66
 # After a trial with a non-finite value, the next trial is at this fraction of its step.
 RETREAT = 0.25

@@ -126,7 +126,7 @@ class ActiveElements:
         self.searches.begin(finished, self.searches.low[1].copy())
 
     def indices(self, rows: Bool[np.ndarray, " active"]) -> Int64[Tensor, " rows"]:
-        """Row numbers, on the device."""
+        """Numbers of the rows in which a mask is true, on the device of the tensors."""
         return torch.from_numpy(rows.nonzero()[0]).to(self.element.device)
 
 

@@ -104,7 +104,7 @@ def show_of_files(
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
-    """Make the scene that `view` draws of motion and observation files.
+    """The scene that `view` draws, made of motion and observation files.
 
     Raises:
         FileNotFoundError, ValueError: as there.
@@ -137,7 +137,7 @@ def show_of_files(
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     points, cloud, cameras = observed(obs, file, model)
     if film:
-        from recon.view.film import views_of_cameras, with_films  # it loads the decoder of films
+        from recon.view.film import views_of_cameras, with_films  # imported here: loads a decoder
 
         cameras = with_films(
             cameras or views_of_cameras(file.cameras), film, file.motion, str(motion), frame_rate

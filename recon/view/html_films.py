@@ -29,14 +29,18 @@ def films_html(show: Show, page: Path, overlay: Path | None = None) -> str:
     """
     if not any(view.film for view in show.cameras):
         return ""
-    videos = _embedded(show, overlay) if show.frames <= EMBEDDED_FRAMES else _linked(show, page)
+    videos = (
+        _embedded_films(show, overlay)
+        if show.frames <= EMBEDDED_FRAMES
+        else _linked_films(show, page)
+    )
     assets = resources.files("recon") / "assets"
     style = (assets / "films.css").read_text(encoding="utf-8")
     script = (assets / "films.js").read_text(encoding="utf-8")
     return f'<style>{style}</style><div id="recon-films">{videos}</div><script>{script}</script>'
 
 
-def _embedded(show: Show, overlay: Path | None) -> str:
+def _embedded_films(show: Show, overlay: Path | None) -> str:
     with tempfile.TemporaryDirectory() as folder:
         if overlay is None:
             write_overlay(overlay := Path(folder) / "films.mp4", show)
@@ -45,7 +49,7 @@ def _embedded(show: Show, overlay: Path | None) -> str:
     return _video(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
 
 
-def _linked(show: Show, page: Path) -> str:
+def _linked_films(show: Show, page: Path) -> str:
     parts: list[str] = []
     for view in show.cameras:
         if (on_clock := view.film) is None:

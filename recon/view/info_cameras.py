@@ -14,7 +14,7 @@ from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
 from recon.formats.scan_times import timed
 from recon.formats.scans import cloud_files, naturally_sorted, read_cloud, scan_paths
-from recon.reading.places import expand, view_name
+from recon.reading.places import files_of_views, view_name
 from recon.reading.tracks import tracks_of_people
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
@@ -37,7 +37,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
         return _describe_images(path)
     views, notes = [], ()
     try:
-        views, notes = expand([path])
+        views, notes = files_of_views([path])
     except ValueError as error:
         if endings & _CALIBRATIONS:
             return describe_calibration(path)
@@ -94,7 +94,7 @@ def describe_film(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `recon.films.decoding.open_film` does.
     """
-    from recon.films.decoding import open_film  # loads a decoder
+    from recon.films.decoding import open_film  # imported here: it loads a decoder
 
     film = open_film(path)
     shots = "not looked for in a film so long"

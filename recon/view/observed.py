@@ -28,7 +28,7 @@ Cloud = tuple[Float[Tensor, "_ 3"], ...]
 def observed(
     paths: Sequence[Path], file: MotionFile, body: BodyModel
 ) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
-    """Read points, a scan and cameras of observation files at the frames of a motion.
+    """Points, a scan and cameras of observation files, at the frames of a motion.
 
     Cameras of unknown pose take that of the motion file.
 

@@ -203,7 +203,7 @@ def blend(
 
 
 def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """Linear colour of every vertex: the figure's, or that of what is marked near its joints.
+    """Linear colour of every vertex: the figure's, or that of a mark near its joint.
 
     Limbs that are unsure or were inferred are marked, and joints that touch the ground.
     """

@@ -134,7 +134,9 @@ class Figure:
         if self.observed is None or self.joint_std is None:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         squared = self.joint_std.detach().cpu().square()
-        apart = squared - squared.amin(1, keepdim=True)  # all share the error of the place
+        apart = squared - squared.amin(
+            1, keepdim=True
+        )  # without the error of the body's place, common to all joints
         return _with_limbs_above(apart > UNSURE_M**2) & ~self.inferred_limbs
 
 

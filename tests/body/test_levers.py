@@ -89,7 +89,7 @@ def test_derivatives_by_steps(posed: Posed) -> None:
 
 
 def test_derivatives_by_the_shape(posed: Posed) -> None:
-    found = ShapeLevers.of(posed.carried(), posed.body).by_shape(posed.bones())
+    found = ShapeLevers.of(posed.carried(), posed.body).jacobian_by_shape(posed.bones())
     for k in range(posed.body.shape_size):
         ends = []
         for sign in (1, -1):

@@ -7,10 +7,10 @@ import pytest
 
 from recon.core.coordinates import (
     along_body,
+    corrected_up,
     decide_up,
     reason_for_declared_unit,
     settled_up,
-    surely_up,
     unit_from_bones,
     unit_from_markers,
 )
@@ -133,21 +133,21 @@ def test_a_raised_foot_whose_fellow_is_hidden_tells_nothing_of_the_up_axis() -> 
     rise = along_body(names, positions, visible)
     assert len(rise) == 1
     assert decide_up(rise.mean(0), "z", "clip")[0] == "z"
-    assert surely_up("z", names, positions, visible) is None
+    assert corrected_up("z", names, positions, visible) is None
 
 
 @pytest.mark.parametrize("raised", [True, False])
 @pytest.mark.parametrize("up", ["x", "y", "x-down", "y-down", "z-down"])
 def test_a_trunk_tells_that_a_file_says_the_wrong_axis(up: Up, raised: bool) -> None:
     names, positions, visible = dancer(raised)
-    assert surely_up("z", names, positions @ to_z_up(up), visible) == up
+    assert corrected_up("z", names, positions @ to_z_up(up), visible) == up
 
 
 def test_a_slanted_body_leaves_the_axis_to_what_the_file_says() -> None:
     """It was refused, though nothing contradicted the file."""
     names, positions, visible = dancer(raised=False)
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) + np.eye(3)
-    assert surely_up("z", names, positions @ turn, visible) is None
+    assert corrected_up("z", names, positions @ turn, visible) is None
 
 
 def test_somebody_who_bends_with_hidden_legs_tells_nothing_of_the_up_axis() -> None:
@@ -159,9 +159,9 @@ def test_somebody_who_bends_with_hidden_legs_tells_nothing_of_the_up_axis() -> N
     turn[:, 2, 0], turn[:, 2, 2] = -np.sin(angle), np.cos(angle)
     pelvis = upright[:, [names.index("pelvis")]]
     bent = (upright - pelvis) @ turn.swapaxes(1, 2) + pelvis
-    assert surely_up("z", names, bent, visible.repeat(5, 0)) is None
+    assert corrected_up("z", names, bent, visible.repeat(5, 0)) is None
     lying = bent[[-1] * 5]
-    assert surely_up("z", names, lying, visible.repeat(5, 0)) == "x"
+    assert corrected_up("z", names, lying, visible.repeat(5, 0)) == "x"
 
 
 def test_rates_hidden_by_rounding_are_whole() -> None:

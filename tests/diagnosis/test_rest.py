@@ -10,7 +10,7 @@ from observations.keypoints2d import Keypoints2D
 from recon.api.pipeline import fitted
 from recon.core import rotations as so3
 from recon.core.camera import Camera
-from recon.diagnosis.cameras import foot_rest, moving_finding
+from recon.diagnosis.cameras import moving_finding, slowest_foot_speeds
 from recon.diagnosis.images import Images
 from recon.fitting.methods import FitOptions
 from recon.reading.images import keypoints_of
@@ -46,7 +46,7 @@ def images(view: Keypoints2D) -> Images:
 @pytest.mark.parametrize("layout", ["openpose25", "coco17"])
 @pytest.mark.parametrize("noise", [0.5, 3.0, 8.0])
 def test_feet_rest_before_a_fixed_camera(noise: float, layout: str) -> None:
-    rest = foot_rest(images(seen(cameras(walk(FRAMES), first=0.9)[0], noise, layout)))
+    rest = slowest_foot_speeds(images(seen(cameras(walk(FRAMES), first=0.9)[0], noise, layout)))
     assert rest is not None
     assert not rest.moves
 
@@ -59,7 +59,7 @@ def test_nothing_rests_before_a_camera_that_moves(
 ) -> None:
     """Only cameras that were carried around people by 20 degrees and more were found before."""
     shown = images(seen(turning(degrees, hertz)))
-    rest = foot_rest(shown)
+    rest = slowest_foot_speeds(shown)
     assert rest is not None
     assert rest.moves
     finding = moving_finding("phone", shown, rest)
@@ -73,7 +73,7 @@ def test_feet_that_are_not_seen_tell_nothing() -> None:
     feet = [k for k, name in enumerate(view.points.names) if "_" in name and "hip" not in name]
     confidence = view.confidence.clone()
     confidence[..., feet] = 0
-    assert foot_rest(images(view.replace(confidence=confidence))) is None
+    assert slowest_foot_speeds(images(view.replace(confidence=confidence))) is None
 
 
 def test_a_fit_to_a_panned_phone_is_warned_of() -> None:

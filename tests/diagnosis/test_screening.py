@@ -16,7 +16,7 @@ from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.findings import Findings
 from recon.diagnosis.misplaced import exchanged_pairs
-from recon.diagnosis.movement import in_room, with_belt
+from recon.diagnosis.movement import motion_in_room, with_belt
 from recon.diagnosis.named_points import NamedPoints, Predicted
 from recon.diagnosis.points import screen_points
 from recon.method.protocols import Estimate
@@ -282,7 +282,7 @@ def test_a_treadmill_is_left_and_entered_again():
     back = with_belt(away, -belt)
     assert torch.allclose(back.positions, clip.positions, atol=1e-5)
     motion = walk()
-    moved = in_room(motion, belt)
+    moved = motion_in_room(motion, belt)
     drift = (moved.translation - motion.translation)[-1] - (
         moved.translation - motion.translation
     )[0]

@@ -190,6 +190,20 @@ def test_right_names_before_an_exchange_that_begins_without_a_jump_are_kept() ->
     assert out is spoilt
 
 
+@pytest.mark.parametrize("limb", [("knee", "ankle", "toe", "heel"), ("wrist", "elbow")])
+@pytest.mark.parametrize("frames", [1, 2])
+def test_limbs_that_collapse_for_a_moment_keep_their_names(limb: tuple[str], frames: int) -> None:
+    """All frames before were exchanged: from the middle, paths led to the counterparts."""
+    (one,) = filmed(1)
+    other = renamed(one, slice(None), [pair for pair in SIDES if pair[0].endswith(limb)])
+    share = torch.zeros(FRAMES)
+    share[12 : 12 + frames] = 0.45
+    spoilt = one.replace(pixels=torch.lerp(one.pixels, other.pixels, share[:, None, None]))
+    (out,), repairs, _ = screened((spoilt,))
+    assert [f.code for f in repairs if "exchanged" in f.code] == []
+    assert torch.equal(out.pixels[0, :12], one.pixels[0, :12])
+
+
 @pytest.mark.parametrize("rows", [(1,), (0, 1, 2)])
 def test_sides_exchanged_throughout_are_exchanged_back(rows: tuple[int, ...]) -> None:
     """Rays tell which view has them exchanged; noses, knees and toes tell if all views have."""

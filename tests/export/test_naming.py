@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from recon.body.model import BodyModel
+from recon.core.bone_names import names_of_joints, renamed
 from recon.core.errors import ReconError
 from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
 from recon.core.units import to_z_up
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.gltf import write_glb
-from recon.export.naming import names_of_joints, renamed
 from recon.export.usd import joint_paths
 from recon.formats.motions import load_motion
 from recon.mocap.bvh import read_bvh

@@ -15,7 +15,7 @@ from recon import cli
 from recon.films.blazepose import BlazePose
 from recon.films.reader import read_film
 from recon.formats.opening import load_arrays
-from recon.reading.places import expand
+from recon.reading.places import files_of_views
 from tests.films.painted import FRAMES, LANDMARKS, RATE, SIZE, walker, write
 
 MODELS = Path(__file__).parents[2] / "film-models"
@@ -172,7 +172,7 @@ def test_a_folder_of_films_is_the_views_of_one_clip(film, tmp_path, capsys):
     for name in ("cam1.mp4", "cam2.mp4"):
         (views / name).write_bytes(film.read_bytes())
     (views / "Calib.toml").write_text("")
-    assert expand([views]) == ([views / "cam1.mp4", views / "cam2.mp4"], ANY)
+    assert files_of_views([views]) == ([views / "cam1.mp4", views / "cam2.mp4"], ANY)
     assert cli.run(["fit", str(views), "--out", str(tmp_path / "a.npz")]) == cli.BAD_INPUT
     said = " ".join(capsys.readouterr().err.split())
     assert all(word in said for word in ("--camera", "`recon calibrate`", "`recon batch`"))

@@ -107,7 +107,7 @@ def energies_of(
 
 def total(energies: PoseEnergies, poses: Poses) -> Tensor:
     value, _ = energies.energies_and_gradients(poses, torch.arange(len(poses.translation)))
-    return value.sum() + energies.tied(poses)[0].sum()
+    return value.sum() + energies.tie_energies(poses)[0].sum()
 
 
 def crouching(body: BodyModel, vertices: Tensor) -> tuple[Motion, Markers3D]:
@@ -151,7 +151,7 @@ def test_gradients(anybody: BodyModel) -> None:
     )
     energies = replace(energies, linked=torch.tensor([True, False, True]))
     poses, rows = energies.poses_of(motion.translation, motion.rotations), torch.arange(FRAMES)
-    gradient = energies.energies_and_gradients(poses, rows)[1] + energies.tied(poses)[1]
+    gradient = energies.energies_and_gradients(poses, rows)[1] + energies.tie_energies(poses)[1]
     for k in range(gradient.shape[1]):
         step = torch.zeros_like(gradient)
         for frame in (k % 2, 2 + k % 2):

@@ -54,7 +54,7 @@ class _Bent(TiedFrames[_Points]):
     def share_data_kind(self, some: Tensor, others: Tensor) -> Tensor:
         return self.kinds[some] == self.kinds[others]
 
-    def tied(self, state: _Points) -> tuple[Tensor, Tensor]:
+    def tie_energies(self, state: _Points) -> tuple[Tensor, Tensor]:
         step = state.x.diff(dim=0) * self.linked[:, None]
         ends = torch.nn.functional.pad(self.spring * step, (0, 0, 1, 1))
         return 0.5 * self.spring * step.square().sum(-1), ends[:-1] - ends[1:]
@@ -73,7 +73,7 @@ def bent() -> _Bent:
 
 def total(bent: _Bent, x: Tensor) -> Tensor:
     value, _ = bent.energies_and_gradients(_Points(x), torch.arange(len(x)))
-    between, _ = bent.tied(_Points(x))
+    between, _ = bent.tie_energies(_Points(x))
     return value.sum() + between.sum()
 
 

@@ -128,6 +128,16 @@ def test_one_wrong_time_stamp_does_no_harm(seen):
     assert "jump" in codes(found)
 
 
+@pytest.mark.parametrize("wrong", [0.4, -0.4, 1e6])
+def test_a_wrong_first_time_stamp_loses_two_estimates_at_most(seen, wrong):
+    """All moments before the wrong stamp came late, and up to 15 were left out."""
+    times = [k / FPS for k in range(FRAMES)]
+    found = played(stream(lag=4), seen, [times[0] + wrong, *times[1:]])
+    given = [one.time for one in found if one.observed.any()]
+    assert len(given) >= FRAMES - 2
+    assert given[-FRAMES + 2 :] == pytest.approx(times[2:])
+
+
 @pytest.mark.slow
 def test_the_clock_may_begin_anew(seen):
     times = [k / FPS + (0.0 if k < 16 else -100.0) for k in range(FRAMES)]

@@ -17,7 +17,7 @@ from recon.fitting.settings import FitSettings
 from recon.people.camera import shared_camera
 from recon.people.together import load_people
 from recon.reading.clip import load_clip
-from recon.reading.places import expand
+from recon.reading.places import files_of_views
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from recon.view.info import info
@@ -142,7 +142,7 @@ def test_arrays_of_keypoints_are_taken_by_every_verb(tmp_path):
         np.savez(tmp_path / "rig" / f"cam{k}.npz", keypoints=pixels, scores=scores)
     assert info(tmp_path / "rig" / "cam0.npz")["people"][0].startswith("person 0: 8 frames")
     assert info(tmp_path / "rig")["format"] == "2D keypoints of 2 views"
-    assert [one.name for one in expand([tmp_path / "rig"])[0]] == ["cam0.npz", "cam1.npz"]
+    assert [one.name for one in files_of_views([tmp_path / "rig"])[0]] == ["cam0.npz", "cam1.npz"]
     for path in (tmp_path / "rig", tmp_path / "rig" / "cam0.npz"):
         with pytest.raises(recon.ReconError, match="`recon fit` takes it"):
             recon.refine(path, "pose")

@@ -3,7 +3,12 @@
 import pytest
 import torch
 
-from recon.physics.zmp import base_of_support, distances_to_support, signed_distance, supporting
+from recon.physics.zmp import (
+    base_of_support,
+    can_carry_weight,
+    distances_to_support,
+    signed_distance,
+)
 
 SQUARE = torch.tensor(
     [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5], [0.5, 0.0]]
@@ -34,8 +39,8 @@ def test_low_and_slow_skin_supports_at_any_rate() -> None:
         along = torch.arange(4, dtype=torch.float64)[:, None] / fps * at(0.39, 0.41, 0.0)
         vertices = torch.stack((along, torch.zeros_like(along), torch.zeros_like(along)), -1)
         vertices[..., 2, 2] = 0.051
-        assert supporting(vertices, fps).tolist() == [[True, False, False]] * 4
-    assert supporting(vertices[:1], 20.0).tolist() == [[True, True, False]]
+        assert can_carry_weight(vertices, fps).tolist() == [[True, False, False]] * 4
+    assert can_carry_weight(vertices[:1], 20.0).tolist() == [[True, True, False]]
 
 
 def test_every_frame_has_its_own_base() -> None:

@@ -8,7 +8,7 @@ from recon.physics.zmp import (
     GRAVITY,
     RELEASED_GRAVITY,
     relative_load,
-    supported,
+    share_carried,
     zmp,
     zmp_as_released,
 )
@@ -83,12 +83,12 @@ def test_a_rod_that_spins_up_presses_on_the_side_that_its_moment_says() -> None:
 def test_free_fall_has_no_weight_and_a_finite_gradient() -> None:
     fall = torch.tensor([[0.5, 0.0, -GRAVITY]], dtype=torch.float64, requires_grad=True)
     moving = dynamics(spin=(3.0, -2.0, 0.0)).replace(acceleration=fall)
-    weight = supported(moving)
+    weight = share_carried(moving)
     assert weight.item() == 0
     (slope,) = torch.autograd.grad((weight * zmp(moving).square().sum(-1)).sum(), fall)
     assert slope.isfinite().all()
     assert zmp(moving).abs().max() < 10  # metres
-    assert supported(dynamics()).item() == 1
+    assert share_carried(dynamics()).item() == 1
 
 
 def test_the_released_one_differs_by_its_denominator_alone() -> None:

@@ -24,10 +24,10 @@ from training.labels.clouds import (
     CloudCorpus,
     CloudVariation,
     LabelledClouds,
+    augmented,
     half_hidden,
     mirrored_where,
     thinned,
-    varied,
 )
 from training.labels.train import LabelRun, LabelTraining, export_weights
 
@@ -181,7 +181,7 @@ def test_half_hidden_clouds_have_half_of_the_points():
 def test_variations_keep_what_is_true_of_points():
     clouds = a_corpus().take(torch.arange(6), 300, None)
     variation = CloudVariation(tilted=1.0, hidden=1.0, lost_limb=1.0)
-    other = thinned(varied(clouds, variation, torch.Generator().manual_seed(1)), 250)
+    other = thinned(augmented(clouds, variation, torch.Generator().manual_seed(1)), 250)
     assert other.points.shape[2] == 250
     assert not other.level.any()
     # the points were their own places up to a turn and a mirror image
@@ -215,7 +215,7 @@ def test_training_learns_goes_on_and_is_exported(tmp_path):
         variation=CloudVariation(fewest=40, most=60),
     )  # fmt: skip
     settings.out.mkdir()
-    LabelRun(settings, clouds, clouds).go()
+    LabelRun(settings, clouds, clouds).train_to_end()
     whole = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert [row["step"] for row in whole["rows"]] == [2, 4]
     assert 0 <= whole["rows"][-1]["wrong"] <= 1

@@ -86,9 +86,11 @@ def test_frames_walk_below_the_pelvis(bundled: BodyModel) -> None:
     visible[:, 20:30] = False
     for shown in (seen.visible, visible):
         frames = WalkingFrames.of(seen.derived(visible=shown), bundled)
-        pelvis = frames.inside(joints[:, :, :1])
+        pelvis = frames.in_walking_frames(joints[:, :, :1])
         assert pelvis[..., :2].norm(dim=-1).max() < 0.2  # metres
-        left = frames.inside(joints[:, :, 1:2] - joints[:, :, 2:3] + frames.origin[:, :, None])
+        left = frames.in_walking_frames(
+            joints[:, :, 1:2] - joints[:, :, 2:3] + frames.origin[:, :, None]
+        )
         assert left[..., 0].min() > 0  # the left hip is at +x of the right one
 
 

@@ -152,7 +152,7 @@ def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monk
     cut = replace(whole, out=tmp_path / "cut")
     for settings in (whole, cut):
         settings.out.mkdir()
-    HumosRun(whole, corpus, checked).go()
+    HumosRun(whole, corpus, checked).train_to_end()
     run = HumosRun(cut, corpus, checked)
     losses = run.losses
 
@@ -163,8 +163,8 @@ def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monk
 
     monkeypatch.setattr(run, "losses", failing)
     with pytest.raises(KeyboardInterrupt):
-        run.go()
-    HumosRun(cut, corpus, checked).go()
+        run.train_to_end()
+    HumosRun(cut, corpus, checked).train_to_end()
     one, other = (
         torch.load(s.out / "checkpoint.pt", weights_only=True)["averaged"] for s in (whole, cut)
     )

@@ -72,13 +72,13 @@ def test_training_goes_on_as_if_it_was_never_cut(folder: Path, tmp_path: Path) -
         held_out = Corpus.load(own, "validation", body)
         return LookRun(own, corpus_of(folder, body), held_out)
 
-    run("whole").go()
+    run("whole").train_to_end()
     cut = run("cut")
     for _ in range(3):
         losses = cut.losses()
         cut.descend(losses["total"], cut.rate())
     cut.save()
-    run("cut").go()
+    run("cut").train_to_end()
     whole, continued = (read_state(tmp_path / out / "checkpoint.pt") for out in ("whole", "cut"))
     assert whole is not None
     assert continued is not None

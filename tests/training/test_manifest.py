@@ -18,7 +18,7 @@ from training.manifest import (
     stretches_to_teach,
     write_manifest,
 )
-from training.settings import CorpusSettings, identity
+from training.settings import CorpusSettings, identity_of_run
 
 ROW = ManifestRow("02_01", "cmu", 0, 30, 1.0, True, True, True, True, "")
 
@@ -77,15 +77,15 @@ def test_each_lesson_takes_its_own_stretches(tmp_path: Path) -> None:
 
 def test_trainings_take_what_the_manifest_allows(tmp_path: Path) -> None:
     settings = CorpusSettings(corpus_with(tmp_path, "02_01", "35_01"), tmp_path / "out")
-    before = identity(settings)
+    before = identity_of_run(settings)
     assert [clip.motion.frames for clip in settings.load_clips("train")] == [120, 120]
     write_manifest(
         [*rows_of("02_01"), replace(ROW, clip="35_01", poses=False, steps=False)], tmp_path
     )
     assert [clip.name for clip in settings.load_clips("train")] == ["02_01"]
-    steps = list(settings.taught("train", "steps"))
+    steps = list(settings.stretches_that_teach("train", "steps"))
     assert [(name, file.motion.frames) for name, _, file in steps] == [("02_01", 30)] * 2
-    assert identity(settings) != before
+    assert identity_of_run(settings) != before
 
 
 def test_a_clip_that_the_manifest_does_not_know_is_told(tmp_path: Path) -> None:

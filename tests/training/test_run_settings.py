@@ -13,7 +13,7 @@ from training.humor.train import HumorTraining
 from training.humor.variation import Variation
 from training.humos.train import HumosTraining
 from training.labels.train import LabelTraining
-from training.settings import FREE, identity, same_run, settings_to_store
+from training.settings import FREE, identity_of_run, refuse_other_run, settings_to_store
 
 KINDS = (HumorTraining, HumosTraining, LabelTraining)
 CHECKPOINT = Path("run/checkpoint.pt")
@@ -60,12 +60,12 @@ def test_every_setting_is_held_but_those_that_only_take_time(kind, field, tmp_pa
     if kind is HumosTraining and field.name == "latent":
         settings = replace(settings, latent=7)
     changed = replace(settings, **{field.name: another(getattr(settings, field.name), field)})
-    found = identity(settings)
+    found = identity_of_run(settings)
     if field.name in FREE:
-        same_run(CHECKPOINT, identity(changed), found)
+        refuse_other_run(CHECKPOINT, identity_of_run(changed), found)
         return
     with pytest.raises(ValueError, match=rf"a run with other {field.name} \(.*; take another"):
-        same_run(CHECKPOINT, identity(changed), found)
+        refuse_other_run(CHECKPOINT, identity_of_run(changed), found)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -78,41 +78,41 @@ def test_contents_are_held_wherever_they_lie(kind, file, name, tmp_path):
     """A corpus that was converted anew, or another one of that name, was learned on from."""
     (tmp_path / "here").mkdir()
     settings = settings_of(kind, tmp_path / "here")
-    found = identity(settings)
+    found = identity_of_run(settings)
     (tmp_path / "here").rename(tmp_path / "there")
     moved = settings_of(kind, tmp_path / "there")
-    same_run(CHECKPOINT, identity(moved), found)
+    refuse_other_run(CHECKPOINT, identity_of_run(moved), found)
     if kind is not HumorTraining and file == "weights":
         return
     (tmp_path / "there" / file).write_text('"another"')
     with pytest.raises(ValueError, match=rf"other ({name}) \(its contents differ\)"):
-        same_run(CHECKPOINT, identity(moved), found)
+        refuse_other_run(CHECKPOINT, identity_of_run(moved), found)
 
 
 def test_variations_that_were_unknown_then_and_are_off_now_change_nothing(tmp_path):
     """Every new variation would otherwise end all runs that were interrupted before it came."""
     settings = replace(settings_of(HumorTraining, tmp_path), variation=Variation())
-    found = identity(settings)
+    found = identity_of_run(settings)
     del found["variation"]["raises"]
-    same_run(CHECKPOINT, identity(settings), found)
+    refuse_other_run(CHECKPOINT, identity_of_run(settings), found)
     raised = replace(settings, variation=replace(settings.variation, raises=0.5))
     with pytest.raises(ValueError, match="other variation"):
-        same_run(CHECKPOINT, identity(raised), found)
+        refuse_other_run(CHECKPOINT, identity_of_run(raised), found)
     with pytest.raises(ValueError, match="other variation"):
-        same_run(CHECKPOINT, found, identity(raised))
+        refuse_other_run(CHECKPOINT, found, identity_of_run(raised))
 
 
 def test_clips_that_come_or_go_are_another_corpus(tmp_path):
     settings = settings_of(HumorTraining, tmp_path)
-    found = identity(settings)
+    found = identity_of_run(settings)
     (tmp_path / "corpus" / "c.npz").write_text("c")
     with pytest.raises(ValueError, match="other corpus"):
-        same_run(CHECKPOINT, identity(settings), found)
+        refuse_other_run(CHECKPOINT, identity_of_run(settings), found)
 
 
 def test_checkpoints_that_do_not_say_what_they_learned_from_are_refused(tmp_path):
     with pytest.raises(ValueError, match="older version"):
-        same_run(CHECKPOINT, identity(settings_of(HumorTraining, tmp_path)), None)
+        refuse_other_run(CHECKPOINT, identity_of_run(settings_of(HumorTraining, tmp_path)), None)
 
 
 def test_weights_do_not_tell_where_they_were_trained(tmp_path):

@@ -83,7 +83,7 @@ class CycleCorpus(TensorStruct):
         room: list[tuple[int, int]] = []
         cycles: list[Cycle] = []
         clips: list[str] = []
-        for name, _, stretch in settings.taught(part, "steps"):
+        for name, _, stretch in settings.stretches_that_teach(part, "steps"):
             motion = stretch.motion
             for cycle in find_cycles(motion):
                 step = cycle.duration / (ANCHORS - 1)

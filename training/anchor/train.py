@@ -31,7 +31,7 @@ _EXACT = -10.0
 
 @dataclass(frozen=True)
 class AnchorTraining(CorpusSettings):
-    """Settings of a run."""
+    """Settings of a run that learns cycles of gait."""
 
     latent: int = 512
     """Principal components, which are the numbers of a code."""

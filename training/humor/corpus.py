@@ -130,7 +130,7 @@ class Corpus(TensorStruct):
         """
         found = [
             (name, kind_of(described_action(path)), _at_rate(piece))
-            for name, path, stretch in settings.taught(part, lesson)
+            for name, path, stretch in settings.stretches_that_teach(part, lesson)
             for piece in _between_jumps(stretch)
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]

@@ -33,7 +33,7 @@ _FOLDED = 0.35
 
 @dataclass(frozen=True)
 class LegTargets(TensorStruct):
-    """Places at which pelvis and ankles shall be; feet keep their orientations in the world."""
+    """Target positions of pelvis and ankles; feet keep their orientations in the world."""
 
     root: Float[Tensor, "windows times 3 3"]
     pelvis: Float[Tensor, "windows times 3"]
@@ -132,7 +132,7 @@ _HANDS = (20, 21)
 
 def may_move_pelvis(moments: Moments) -> Bool[Tensor, " windows"]:
     """Windows in which neither hands nor knees nor the pelvis carry weight."""
-    return ~moments.ever(0, *KNEES, *_HANDS)
+    return ~moments.ever_in_contact(0, *KNEES, *_HANDS)
 
 
 def with_pelvis_moved(
@@ -200,7 +200,7 @@ _SIDES = ((1, 4, 7, 10), (2, 5, 8, 11))
 def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
     """Windows in which a foot stands all the time, and neither hands nor knees carry weight."""
     stands = _foot_stands(moments, 0) | _foot_stands(moments, 1)
-    return stands & ~moments.ever(0, *_HANDS, 4, 5)
+    return stands & ~moments.ever_in_contact(0, *_HANDS, 4, 5)
 
 
 def with_leg_raised(
@@ -297,7 +297,7 @@ _APART = 0.07
 
 def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
     """Windows in which both feet stand on the ground all the time, and nothing else does."""
-    return moments.always(*FEET) & ~moments.ever(0, 4, 5, *_HANDS)
+    return moments.always_in_contact(*FEET) & ~moments.ever_in_contact(0, 4, 5, *_HANDS)
 
 
 def with_step_added(

@@ -42,11 +42,11 @@ class Moments(TensorStruct):
         orientations, joints = forward_kinematics(self.rotations, self.rest)
         return orientations, joints + self.translation[:, :, None]
 
-    def always(self, *joints: int) -> Bool[Tensor, " windows"]:
+    def always_in_contact(self, *joints: int) -> Bool[Tensor, " windows"]:
         """Whether each of these joints is in contact in every frame."""
         return self.contacts[..., [CHANNELS[j] for j in joints]].flatten(1).all(1)
 
-    def ever(self, *joints: int) -> Bool[Tensor, " windows"]:
+    def ever_in_contact(self, *joints: int) -> Bool[Tensor, " windows"]:
         """Whether one of these joints is in contact in any frame."""
         return self.contacts[..., [CHANNELS[j] for j in joints]].flatten(1).any(1)
 

@@ -52,7 +52,7 @@ def main(
     """
     known = CorpusSettings(corpus, out, splits=splits).load_clips("train", lesson="steps")
     clips = [clip.motion for clip in known if clip.motion.frames >= SPAN]
-    drawn = draw(clips, steps, seed)
+    drawn = drawn_windows(clips, steps, seed)
     roots = {
         name: half_precision_root(matrix)
         for name, matrix in curvature(Humor.load(), drawn).items()
@@ -63,17 +63,17 @@ def main(
     LOG.info("wrote %s, from %d clips", out, len(clips))
 
 
-def draw(clips: list[Motion], count: int, seed: int) -> Motion:
-    """Short windows, each of a clip and from a frame that are drawn; axes (count, frames)."""
+def drawn_windows(clips: list[Motion], count: int, seed: int) -> Motion:
+    """Short windows of random clips, from random frames on; axes (count, frames)."""
     random = torch.Generator().manual_seed(seed)
 
-    def below(stop: int) -> int:
+    def random_index(stop: int) -> int:
         return int(torch.randint(stop, (1,), generator=random))
 
     found: list[Motion] = []
     for _ in range(count):
-        clip = clips[below(len(clips))]
-        first = below(clip.frames - SPAN + 1)
+        clip = clips[random_index(len(clips))]
+        first = random_index(clip.frames - SPAN + 1)
         found.append(clip.window(first, first + SPAN).replace(start_time=0.0))
     return stack(found)
 
@@ -85,10 +85,11 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
     prior = Collocation(exact)
     with torch.no_grad():
         base = prior.encode(motion)
-        here = _residuals(prior, base)
+        here = _residuals_of_middle_step(prior, base)
         columns = [
             tuple(
-                (moved - at) / _STEP for moved, at in zip(_residuals(prior, v), here, strict=True)
+                (moved - at) / _STEP
+                for moved, at in zip(_residuals_of_middle_step(prior, v), here, strict=True)
             )
             for v in _perturbed(prior, base)
         ]
@@ -120,7 +121,9 @@ def _perturbed(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
     return found
 
 
-def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Tensor]:
+def _residuals_of_middle_step(
+    prior: Collocation, variables: PoseVariables
+) -> tuple[Tensor, Tensor]:
     """Residuals of the middle step: whitened decoder errors, and latents against the prior."""
     motion = prior.poses.decode(variables).motion
     states = states_of(motion, prior.humor.body)

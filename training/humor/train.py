@@ -43,7 +43,7 @@ _SCALED_BY = 20_000
 
 @dataclass(frozen=True)
 class HumorTraining(TrainingSettings):
-    """Settings of a run."""
+    """Settings of a training run of HuMoR."""
 
     decay: float = 0.1
     clip: float = 5.0
@@ -157,14 +157,14 @@ def train(settings: HumorTraining) -> Path:
     with in_folder(settings):
         body = BodyModel.load()
         learned = held_out = Corpus.load(settings, "train", body)
-        if any(True for _ in settings.taught("validation", "steps")):
+        if any(True for _ in settings.stretches_that_teach("validation", "steps")):
             held_out = Corpus.load(settings, "validation", body)
         else:
             LOG.warning(
                 "no validation clip teaches steps: the validation losses of this run are those of "
                 "its training clips"
             )
-        return HumorRun(settings, learned, held_out).go()
+        return HumorRun(settings, learned, held_out).train_to_end()
 
 
 def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -> Path:

@@ -87,7 +87,7 @@ _HANDS = (20, 21)
 
 def may_move_arms(moments: Moments) -> Bool[Tensor, " windows"]:
     """Mask of the windows in which no hand is in contact, so arms may be replaced."""
-    return ~moments.ever(*_HANDS)
+    return ~moments.ever_in_contact(*_HANDS)
 
 
 def with_arms_moved(
@@ -163,7 +163,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
         below = below @ own
     made = legs.derived(rotations=rotations)
     near = (differ.norm(dim=-1) < _FARTHEST).all(1)
-    hands = legs.ever(*_HANDS) | trunks.ever(*_HANDS)
+    hands = legs.ever_in_contact(*_HANDS) | trunks.ever_in_contact(*_HANDS)
     return made, near & ~hands & above_ground(legs, made)
 
 
@@ -194,7 +194,7 @@ def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
     """
     rising = moments.translation[..., 2].diff(dim=1) / moments.seconds.diff(dim=1)
     steady = rising.amax(1) - rising.amin(1) < _STEADY
-    return steady & ~moments.ever(*_CARRIERS)
+    return steady & ~moments.ever_in_contact(*_CARRIERS)
 
 
 def with_flight(

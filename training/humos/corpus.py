@@ -94,7 +94,7 @@ class BodyCorpus(TensorStruct):
             ValueError: when no clip remains.
         """
         found: list[tuple[str, BodyFrames, Tensor, Tensor]] = []
-        for name, _, stretch in settings.taught(part, "steps"):
+        for name, _, stretch in settings.stretches_that_teach(part, "steps"):
             motion = stretch.motion
             for speed in speeds:
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)

@@ -95,7 +95,7 @@ class PhysicsLosses:
 def physics_losses(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel
 ) -> PhysicsLosses:
-    """Penetration, float where the recorded body does not fly, slide, dynamic stability.
+    """Losses of penetration, floating (unless the recorded body flies), sliding and balance.
 
     And vertical acceleration: a body whose lowest point is put on the ground in every frame may
     tremble, which no loss of poses sees.

@@ -41,7 +41,7 @@ _SPREAD = BodyVariation(shape=0.2)
 
 @dataclass(frozen=True)
 class HumosTraining(TrainingSettings):
-    """Settings of a run."""
+    """Settings of a training run of HUMOS."""
 
     warm_steps: int = 1500
     """Steps of the auto-encoder before there is another body."""
@@ -126,7 +126,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         ]
         return fitted_basis(torch.cat(rows), settings.basis)
 
-    def more(self) -> dict[str, Any]:
+    def further_state(self) -> dict[str, Any]:
         """The principal directions, which are not trained."""
         return {"basis": self.networks.basis.tensors()}
 
@@ -190,7 +190,9 @@ def train(settings: HumosTraining) -> Path:
     with in_folder(settings):
         body = BodyModel.load()
         learned = BodyCorpus.load(settings, "train", body, settings.speeds)
-        return HumosRun(settings, learned, BodyCorpus.load(settings, "validation", body)).go()
+        return HumosRun(
+            settings, learned, BodyCorpus.load(settings, "validation", body)
+        ).train_to_end()
 
 
 def export_weights(settings: HumosTraining, path: Path) -> Path:
@@ -292,8 +294,7 @@ def fitted_codes(
             torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
             for p in pairs
         )
-        # u has unit variance, so this covariance of neighbours is their regression matrix;
-        # singular values below one make the process stationary
+        # regression of whitened neighbours; singular values below one make the process stationary
         left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
         follow = (left * lengths.clamp(max=_MEMORY)) @ right
         rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)

@@ -106,7 +106,7 @@ class CloudCorpus:
         rows = min(round(variation.fewest * math.exp(span * share)), POINTS)
         moment = torch.randint(moments, (count, 1), generator=random)
         plain = self.take(chosen, min(2 * rows, POINTS), random, moment if lone else None)
-        return thinned(varied(plain, variation, random), rows)
+        return thinned(augmented(plain, variation, random), rows)
 
     def take(
         self,
@@ -135,7 +135,9 @@ class CloudCorpus:
         )
 
 
-def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator) -> LabelledClouds:
+def augmented(
+    clouds: LabelledClouds, variation: CloudVariation, random: Generator
+) -> LabelledClouds:
     """Augmented clouds: turned, mirrored, partly hidden, rescaled."""
     windows = len(clouds.points)
 
@@ -149,7 +151,7 @@ def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator)
         tilted[:, None, None], _random_rotations(windows, random), so3.about_z(angle)
     )
     blind = chance(variation.blind)
-    present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
+    present = clouds.present & ~_beyond_plane_or_box(clouds, chance(variation.hidden), random)
     present &= ~_in_hidden_regions(clouds, chance(variation.lost_limb), random)
     # do not crop when the crop would keep too few points
     enough = present.flatten(1).sum(-1) >= 0.25 * clouds.present.flatten(1).sum(-1)
@@ -203,7 +205,7 @@ def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
     return clouds.replace(present=present, regions=clouds.regions.where(present, -1))
 
 
-def _hidden(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
+def _beyond_plane_or_box(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
     """Mask of points beyond a random plane or inside a random box, constant over time."""
     windows = len(clouds.points)
     normal = torch.randn(windows, 3, generator=random)

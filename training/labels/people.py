@@ -106,7 +106,7 @@ class Postures:
         if random.random() < 0.5:
             bend = random.normal(0.0, random.choice([0.1, 0.25]), (1, len(JOINTS), 3))
             bend[:, 0] = 0.0
-            window = window @ _turns(bend)
+            window = window @ _rotation_matrices(bend)
         return window
 
     def _recorded(self, moments: int, random: np.random.Generator) -> np.ndarray:
@@ -144,7 +144,7 @@ def random_motion(
         turns[joint_index(f"{side}_knee"), 0] = random.uniform(0.0, min(2.4, 1.2 + abs(flexion)))
         turns[joint_index(f"{side}_ankle")] = random.normal(0.0, 0.3, 3)
     drift = random.normal(0.0, random.choice([0.0, 0.2]), (1, len(JOINTS), 3))
-    return _turns(turns + drift * np.arange(moments)[:, None, None]).astype(np.float32)
+    return _rotation_matrices(turns + drift * np.arange(moments)[:, None, None]).astype(np.float32)
 
 
 def turned_over(random: np.random.Generator) -> Float[np.ndarray, "3 3"]:
@@ -159,6 +159,8 @@ def turned_over(random: np.random.Generator) -> Float[np.ndarray, "3 3"]:
     return Rotation.from_quat(random.normal(size=4)).as_matrix()
 
 
-def _turns(vectors: Float[np.ndarray, "moments 22 3"]) -> Float[np.ndarray, "moments 22 3 3"]:
+def _rotation_matrices(
+    vectors: Float[np.ndarray, "moments 22 3"],
+) -> Float[np.ndarray, "moments 22 3 3"]:
     matrices = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
     return matrices.reshape(*vectors.shape[:-1], 3, 3).astype(np.float32)

@@ -62,7 +62,7 @@ def drawn_room(
     eye = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     eye[2] = max(random.uniform(0.3, 2.3), 0.15)
     target = middle + random.normal(0.0, 0.12, 3)
-    # people at a small distance should fit into the image about half of the time
+    # so that near people fit into the image in about half of the windows
     zoom = random.uniform(0.8, 1.15) * min(away / 2.2, 1.6)
     matrix = [[zoom * _FOCAL, 0, SIZE[0] / 2], [0, zoom * _FOCAL, SIZE[1] / 2], [0, 0, 1]]
     camera = Camera.create(
@@ -101,7 +101,7 @@ def glimpse(
     left_over: str,
     random: np.random.Generator,
 ) -> Glimpse:
-    """What the sensor sees of a person and of the things that a segmentation leaves.
+    """The points that the sensor measures of a person and of things not cut out.
 
     Args:
         vertices: of the person, metres.
@@ -112,7 +112,7 @@ def glimpse(
             what lies in a `box` about the body.
         random: source of chance.
     """
-    depth, seen, surface = _image(vertices, faces, places, room)
+    depth, seen, surface = _rendered_image(vertices, faces, places, room)
     noisy = measured_depth(depth, room.camera, room.sensor, random)
     noisy = np.where(noisy > 0, noisy + room.blotches * _correlated_noise(random), 0.0)
     row, column = np.nonzero(noisy)
@@ -165,7 +165,7 @@ def all_around(
     return Glimpse(points, shown * on_body[:, None], on_body)
 
 
-def _image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):
+def _rendered_image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):
     """Depths (0 where there is nothing), places on the body and surfaces of all pixels."""
     camera, mesh = room.camera, room.furniture
     every = np.concatenate([vertices, mesh.vertices])

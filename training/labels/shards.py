@@ -53,7 +53,7 @@ class Source:
 
 
 def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
-    """The folders of labelled clouds of the training and the validation people of a corpus.
+    """Draw labelled clouds of training and of validation people; the two folders with them.
 
     Files `clouds_0000.npz` and so on that are there already are not made again; the same seed and
     number give the same file.

@@ -13,7 +13,13 @@ from priors.labels.looking import in_network_frame, label_probabilities
 from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds, from_right_to_left
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from training.descent import Muon
-from training.labels.clouds import CloudCorpus, CloudVariation, LabelledClouds, half_hidden, varied
+from training.labels.clouds import (
+    CloudCorpus,
+    CloudVariation,
+    LabelledClouds,
+    augmented,
+    half_hidden,
+)
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, in_folder, trained_state
 from training.settings import TrainingSettings, settings_to_store
@@ -60,7 +66,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         self.checked = {
             "": whole,
             "half_": half_hidden(whole, random),
-            "tilted_": varied(whole, _TURNED_OVER, random),
+            "tilted_": augmented(whole, _TURNED_OVER, random),
         }
         super().__init__(settings)
 
@@ -109,7 +115,9 @@ def train(settings: LabelTraining) -> Path:
     """
     with in_folder(settings):
         learned, checked = make_training_clouds(settings)
-        return LabelRun(settings, CloudCorpus.load(learned), CloudCorpus.load(checked)).go()
+        return LabelRun(
+            settings, CloudCorpus.load(learned), CloudCorpus.load(checked)
+        ).train_to_end()
 
 
 def export_weights(settings: LabelTraining, path: Path) -> Path:

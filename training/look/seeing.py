@@ -1,4 +1,4 @@
-"""What sensors see of windows of motion: points with noise, gaps, hidden limbs, single frames."""
+"""Simulates sensors for windows of motion: noise, gaps, hidden limbs, single frames."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _LIMBS = tuple(
 
 @dataclass(frozen=True)
 class Seeing:
-    """Settings of what is seen of windows; each share is the probability that a window has it."""
+    """Settings of the simulated sensors; a share is the probability that a window is affected."""
 
     as_joints: float = 0.55
     """The 22 joints; else 6 to 32 points on the skin."""
@@ -53,7 +53,7 @@ class Seeing:
         body: BodyModel,
         random: torch.Generator,
     ) -> SeenPoints:
-        """Points seen of windows at 30 Hz.
+        """Simulated sensor points of windows of motion at 30 Hz, with noise and gaps.
 
         Args:
             joints: true positions, world, metres.
@@ -68,11 +68,13 @@ class Seeing:
         skin_bone = body.weights.argmax(-1)[vertex]
         skin_offset = body.template[vertex] - body.joint_template[skin_bone]
         slot = torch.arange(SLOTS, device=joints.device).expand(count, -1)
-        of_joints = draw.happens(self.as_joints, count)[:, None]
+        of_joints = draw.with_probability(self.as_joints, count)[:, None]
         bone = slot.clamp(max=len(JOINTS) - 1).where(of_joints, skin_bone)
         offset = skin_offset.where(~of_joints[..., None], 0.0)
         shown = (slot < len(JOINTS)).where(of_joints, slot < draw.integers(27, count, 1) + 6)
-        shown = shown & ~(draw.happens(self.fewer, count, 1) & draw.happens(0.3, count, SLOTS))
+        shown = shown & ~(
+            draw.with_probability(self.fewer, count, 1) & draw.with_probability(0.3, count, SLOTS)
+        )
 
         wrong = draw.uniform(count, 1, 1) * self.placed * draw.normal(count, SLOTS, 3)
         true = joints[rows[:, None], :, bone].transpose(1, 2)
@@ -81,35 +83,45 @@ class Seeing:
         low, high = torch.tensor(self.noise).log().tolist()
         std = (low + (high - low) * draw.uniform(count)).exp()
         places = true + std[:, None, None, None] * draw.normal(*true.shape)
-        wild = draw.happens(self.outliers, count, 1, 1) & draw.happens(0.03, count, time, SLOTS)
+        wild = draw.with_probability(self.outliers, count, 1, 1) & draw.with_probability(
+            0.03, count, time, SLOTS
+        )
         places = places + wild[..., None] * (draw.uniform(*true.shape) - 0.5)
 
-        seen = shown[:, None] & self._open(draw, true, bone)
+        seen = shown[:, None] & self._visible_points(draw, true, bone)
         length = 20 + draw.integers(max(time - 20, 1), count)
-        length = length.where(draw.happens(self.shorter, count), time)
+        length = length.where(draw.with_probability(self.shorter, count), time)
         exists = torch.arange(time, device=joints.device) < length[:, None]
         return SeenPoints(places, seen & exists[..., None], bone, offset, std, exists)
 
-    def _open(
+    def _visible_points(
         self, draw: "_Draws", true: Tensor, bone: Tensor
     ) -> Bool[Tensor, "windows time points"]:
         """Mask of the points that nothing hides."""
         count, time = true.shape[:2]
         height = 0.3 + 0.9 * draw.uniform(count, 1, 1)
-        always = draw.happens(0.6, count, 1)
+        always = draw.with_probability(0.6, count, 1)
         low = (true[..., 2] < height) & (always | draw.spells(count, time, 0.3, 2.0))[..., None]
-        hidden = low & draw.happens(self.below, count, 1, 1)
+        hidden = low & draw.with_probability(self.below, count, 1, 1)
         for share, whole, usual in ((self.limbs, 0.0, 0.6), (self.gap, 0.3, 0.0)):
-            own = self._some_limbs(draw, bone, whole)
-            when = draw.happens(usual, count, 1) | draw.spells(count, time, 0.2, 2.0)
-            hidden |= own[:, None] & when[..., None] & draw.happens(share, count, 1, 1)
-        rate = 0.7 * draw.uniform(count, 1, 1) * draw.happens(self.single_points, count, 1, 1)
+            own = self._points_of_random_limbs(draw, bone, whole)
+            when = draw.with_probability(usual, count, 1) | draw.spells(count, time, 0.2, 2.0)
+            hidden |= own[:, None] & when[..., None] & draw.with_probability(share, count, 1, 1)
+        rate = (
+            0.7
+            * draw.uniform(count, 1, 1)
+            * draw.with_probability(self.single_points, count, 1, 1)
+        )
         hidden |= draw.uniform(*true.shape[:3]) < rate
-        rate = 0.6 * draw.uniform(count, 1, 1) * draw.happens(self.single_frames, count, 1, 1)
+        rate = (
+            0.6
+            * draw.uniform(count, 1, 1)
+            * draw.with_probability(self.single_frames, count, 1, 1)
+        )
         hidden |= draw.uniform(count, time, 1) < rate
         return ~hidden
 
-    def _some_limbs(
+    def _points_of_random_limbs(
         self, draw: "_Draws", bone: Tensor, whole: float
     ) -> Bool[Tensor, "windows points"]:
         """Points of random limbs, or with a probability `whole` all points."""
@@ -118,9 +130,9 @@ class Seeing:
             [[joint in limb for joint in range(len(JOINTS))] for limb in _LIMBS],
             device=bone.device,
         )
-        chosen = draw.happens(0.4, count, len(_LIMBS))
+        chosen = draw.with_probability(0.4, count, len(_LIMBS))
         joints = (chosen.float() @ table.float()) > 0
-        return joints.gather(1, bone) | draw.happens(whole, count, 1)
+        return joints.gather(1, bone) | draw.with_probability(whole, count, 1)
 
 
 CLEAR = Seeing(
@@ -146,7 +158,7 @@ class _Draws:
     def integers(self, below: int, *size: int) -> Tensor:
         return torch.randint(below, size, generator=self.random, device=self.like.device)
 
-    def happens(self, share: float, *size: int) -> Tensor:
+    def with_probability(self, share: float, *size: int) -> Tensor:
         return self.uniform(*size) < share
 
     def spells(self, count: int, time: int, least: float, most: float) -> Tensor:

@@ -1,4 +1,4 @@
-"""Training the network that looks first: windows of the corpus, seen by simulated sensors.
+"""Training the proposing network: windows of the corpus, seen by simulated sensors.
 
     python -m training look CORPUS --out look.safetensors
     python -m training.look.train --corpus CORPUS --out RUN [--start WEIGHTS] [--device cuda]
@@ -62,7 +62,7 @@ class LookWeights:
 
 @dataclass(frozen=True)
 class LookTraining(TrainingSettings):
-    """Settings of a run."""
+    """Settings of a training run of the proposing network."""
 
     steps: int = 20_000
     rate: float = 6e-4
@@ -116,7 +116,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         """Losses of drawn windows."""
         settings, body = self.settings, self.learned.body
         pool, place = divmod(self.step, 4 * _DRAWN_AT_ONCE)
-        # numbers are drawn by the step's own seeds, so that a run goes on as if it was never cut
+        # random numbers are seeded by the step, so that a resumed run continues exactly
         if place == 0 or self.drawn is None:
             self.random.manual_seed(settings.seed + pool)
             count = _DRAWN_AT_ONCE * settings.windows
@@ -136,7 +136,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 def seen_of(
     windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
-    """What simulated sensors see of windows."""
+    """Simulated sensor points of windows."""
     orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
     return seeing.points_of(windows.states.joints, orientations, body, random)
 
@@ -155,13 +155,17 @@ def losses_of(
     exists = seen.exists.to(target)
     joints = found.joints(body)
     parts = {
-        "joints": _over_time(_length(joints - target).mean(-1), exists),
-        "rotations": _over_time(_length((found.rotations - true).flatten(-2)).mean(-1), exists),
+        "joints": _over_time(_smooth_norm(joints - target).mean(-1), exists),
+        "rotations": _over_time(
+            _smooth_norm((found.rotations - true).flatten(-2)).mean(-1), exists
+        ),
         "velocities": 30
-        * _over_time(_length((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
-        "likelihood": _over_time(_nats(joints - target, found.log_std).mean(-1), exists),
+        * _over_time(_smooth_norm((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
+        "likelihood": _over_time(
+            _negative_log_density(joints - target, found.log_std).mean(-1), exists
+        ),
         "contacts": windows.trusted[:, None]
-        * _over_time(_entropy(found, windows.contacts[:, None]).mean(-1), exists),
+        * _over_time(_contact_cross_entropy(found, windows.contacts[:, None]).mean(-1), exists),
     }
     near = (found.log_weight - parts["joints"] / _NEAREST_M).detach().softmax(-1)
     cost = sum(getattr(weights, name) * value for name, value in parts.items())
@@ -174,7 +178,7 @@ def losses_of(
     return rows | {"choice": choice.mean(), "total": total}
 
 
-def _length(vectors: Tensor) -> Tensor:
+def _smooth_norm(vectors: Tensor) -> Tensor:
     return (vectors.square().sum(-1) + 1e-8).sqrt()
 
 
@@ -183,13 +187,13 @@ def _over_time(values: Tensor, exists: Float[Tensor, "clips time"]) -> Tensor:
     return (values * exists[:, None]).sum(-1) / exists.sum(-1).clamp(min=1)[:, None]
 
 
-def _nats(away: Tensor, log_std: Tensor) -> Tensor:
+def _negative_log_density(away: Tensor, log_std: Tensor) -> Tensor:
     """-log of the Gaussian density; only standard deviations learn from it."""
     squared = away.detach().square().sum(-1).clamp(max=4.0)
     return 3 * log_std + 0.5 * squared * (-2 * log_std).exp()
 
 
-def _entropy(found: Proposed, contacts: Tensor) -> Tensor:
+def _contact_cross_entropy(found: Proposed, contacts: Tensor) -> Tensor:
     return torch.nn.functional.binary_cross_entropy_with_logits(
         found.contacts, contacts.expand_as(found.contacts), reduction="none"
     )
@@ -258,10 +262,10 @@ def train(settings: LookTraining) -> Path:
     """
     with in_folder(settings):
         body = BodyModel.load()
-        # poses on the ground and on furniture are worth seeing, though no steps are learned there
+        # also clips on the ground and on furniture, whose poses may be learned but not their steps
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
-        return LookRun(settings, learned, held_out).go()
+        return LookRun(settings, learned, held_out).train_to_end()
 
 
 def export_weights(settings: LookTraining, path: Path) -> Path:

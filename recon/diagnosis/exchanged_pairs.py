@@ -1,0 +1,245 @@
+"""Repairs exchanged names of two keypoints of one view: neighbours along a limb, left and right.
+
+Two keypoints jump onto each other's path where a stretch with exchanged names begins or ends; the
+bones of the limb show which part is wrong: exchanged ends make one of them longer than it is. In
+one view a fit must confirm the exchange.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.diagnosis.findings import Finding, Findings, listed, spans, stretches
+from recon.diagnosis.images import (
+    Images,
+    better_changes,
+    keeps_facing,
+    length_saved,
+    neighbours_on_limbs,
+)
+
+_OFF = 0.08
+"""Metres by which both keypoints leave their own paths when their names are exchanged."""
+_ON = 0.5
+"""Share of that by which they may then miss the other's path."""
+_USUAL = 5.0
+"""Multiple of the usual distance from their paths by which both keypoints must leave them."""
+_FEW = 0.35
+"""Share of the keypoints that may leave their paths at that moment; more is the whole body."""
+_STRETCHED = 0.03
+"""Metres by which bones of a limb are on average too long when two of its ends are exchanged
+throughout; in good windows of validation people exchanging never saves that."""
+_EXCURSION = 3
+"""Frames for which a point may leave its path and come back."""
+
+
+@dataclass(frozen=True)
+class ExchangedPair:
+    """Two keypoints of a view that have each other's name in a range of frames."""
+
+    view: int
+    points: tuple[int, int]
+    first: int
+    last: int
+    distance: float
+    """Metres by which both jumped, bones were too long or rays missed each other."""
+
+
+def repaired_pairs(images: Images) -> tuple[Images, Findings]:
+    """The images with names of pairs exchanged back that single views tell, and the findings.
+
+    Where one view is all there is, a fit must confirm what jumps tell; what it does not confirm
+    is a warning.
+    """
+    jumping, doubted = exchanged_for_a_while(images), list[ExchangedPair]()
+    if len(images.names) == 1 and jumping:
+        jumping, doubted = _confirmed_pairs(images, jumping)
+    jumps = "they jump onto each other's path"
+    images, found = repaired_by(images, jumping, jumps)
+    found += Findings(warnings=_pair_findings(images, doubted, jumps, sure=False))
+    images, more = repaired_by(images, exchanged_throughout(images), "they stretch the limb")
+    return images, found + more
+
+
+def _confirmed_pairs(
+    images: Images, found: list[ExchangedPair]
+) -> tuple[list[ExchangedPair], list[ExchangedPair]]:
+    """The pairs of one view whose changes of names make a fit worse, and the others."""
+    sure, doubted = list[ExchangedPair](), list[ExchangedPair]()
+    for (first, last), own in _by_stretch(found).items():
+        after = exchanged_back(images, own)
+        ends = [t for t in (first, last + 1) if 0 < t < images.pixels.shape[1]]
+        better = bool(better_changes(images, after, np.array(ends)).all())
+        confirmed = better and (len(ends) == 2 or keeps_facing(after))
+        (sure if confirmed else doubted).extend(own)
+    return sure, doubted
+
+
+def _by_stretch(found: Sequence[ExchangedPair]) -> dict[tuple[int, int], list[ExchangedPair]]:
+    """Exchanged pairs of one view by their first and last frame."""
+    own: dict[tuple[int, int], list[ExchangedPair]] = {}
+    for one in found:
+        own.setdefault((one.first, one.last), []).append(one)
+    return own
+
+
+def repaired_by(
+    images: Images, found: Sequence[ExchangedPair], why: str
+) -> tuple[Images, Findings]:
+    """The images with names of pairs exchanged back, and findings that say why."""
+    return exchanged_back(images, found), Findings(_pair_findings(images, found, why))
+
+
+def _pair_findings(
+    images: Images, found: Sequence[ExchangedPair], why: str, *, sure: bool = True
+) -> tuple[Finding, ...]:
+    return tuple(
+        _pair_finding(images, why, view, *stretch, own, sure=sure)
+        for view in range(len(images.names))
+        for stretch, own in _by_stretch([one for one in found if one.view == view]).items()
+    )
+
+
+def exchanged_back(images: Images, found: Sequence[ExchangedPair]) -> Images:
+    """The images in which the two keypoints of every pair have each other's place."""
+    pixels, confidence = images.pixels.copy(), images.confidence.copy()
+    for one in found:
+        when, both = slice(one.first, one.last + 1), [*one.points]
+        for values in (pixels, confidence):
+            values[one.view, when, both] = values[one.view, when, both[::-1]]
+    return replace(images, pixels=pixels, confidence=confidence)
+
+
+def _pair_finding(
+    images: Images,
+    why: str,
+    view: int,
+    first: int,
+    last: int,
+    pairs: list[ExchangedPair],
+    *,
+    sure: bool,
+) -> Finding:
+    names = tuple(images.points[k] for one in pairs for k in one.points)
+    throughout = first == 0 and last == images.pixels.shape[1] - 1
+    frames = () if throughout else ((first, last),)
+    when = "throughout" if throughout else f"in {spans(frames)}"
+    said = (
+        f"{listed(names)} have each other's name {when}, as {why}; names were exchanged back"
+        if sure
+        else f"{listed(names)} may have each other's name {when}: {why}. One view does not tell "
+        "for sure, and they kept their names; look at these frames"
+    )
+    return Finding(
+        "points exchanged",
+        said,
+        names,
+        frames,
+        max(one.distance for one in pairs),
+    ).of(images.names[view])
+
+
+def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
+    """The stretches in which two keypoints of one view exchange their names.
+
+    A jump of both along each other's path begins a stretch, the next one ends it. The moments
+    that stretch bones are the wrong ones, else the fewer.
+    """
+    found: list[ExchangedPair] = []
+    steady = without_excursions(images)
+    for v in range(len(images.names)):
+        for pair, jumps in _jumps_onto_each_other(steady, v).items():
+            exchanged = np.zeros(images.pixels.shape[1], dtype=bool)
+            for t in jumps:
+                exchanged[t:] ^= True
+            saved = np.nan_to_num(length_saved(images, v, pair))
+            inside, outside = saved[exchanged].sum(), saved[~exchanged].sum()
+            if outside > inside or (outside == inside and exchanged.mean() > 0.5):
+                exchanged = ~exchanged
+            away = min(jumps.values())
+            found += [ExchangedPair(v, pair, a, b, away) for a, b in stretches(exchanged)]
+    return found
+
+
+def exchanged_throughout(images: Images) -> list[ExchangedPair]:
+    """Neighbours along a limb that, exchanged in all frames, make bones plausibly short."""
+    last = images.pixels.shape[1] - 1
+    found: list[ExchangedPair] = []
+    for v in range(len(images.names)):
+        for pair in neighbours_on_limbs(images):
+            saved = length_saved(images, v, pair)
+            known = saved[np.isfinite(saved)]
+            if known.size and (mean := float(known.mean())) > _STRETCHED:
+                found.append(ExchangedPair(v, pair, 0, last, mean))
+    return found
+
+
+def _jumps_onto_each_other(images: Images, view: int) -> dict[tuple[int, int], dict[int, float]]:
+    """Frames at which pairs of keypoints jump onto each other's path, and how far in metres.
+
+    Outliers, which do not stay where they jump to, are left out.
+    """
+    before, known = (values[0] for values in extrapolated(images.view([view])))
+    now, scale = images.pixels[view], images.scale[view, :, None]
+    known &= images.seen[view]
+    own = np.where(known, np.linalg.norm(now - before, axis=-1) / scale, 0.0)
+    usual = float(np.median(own[known])) if known.any() else 0.0
+    off = known & (own > max(_OFF, _USUAL * usual))
+    few = off.sum(-1) <= np.maximum(2, _FEW * known.sum(-1))
+    found: dict[tuple[int, int], dict[int, float]] = {}
+    for t in np.flatnonzero((off.sum(-1) >= 2) & few).tolist():
+        rows = np.flatnonzero(off[t])
+        ways = np.linalg.norm(now[t, rows][:, None] - before[t, rows], axis=-1)
+        ratio = ways / scale[t] / own[t, rows][:, None]
+        for pair in np.argwhere(np.triu(np.maximum(ratio, ratio.T) < _ON, 1)):
+            both = rows[pair]
+            away = float(own[t, both].min())
+            if t + 1 < len(now):
+                leave = np.linalg.norm(now[t + 1, both] - now[t, both], axis=-1) / scale[t]
+                if (images.seen[view, t + 1, both] & (leave > _ON * away)).any():
+                    continue
+            found.setdefault((int(both[0]), int(both[1])), {})[t] = away
+    return found
+
+
+def without_excursions(images: Images) -> Images:
+    """The images with straight paths where a point leaves its own for up to three frames.
+
+    Detectors that fail for a moment put points between left and right; from there, a velocity
+    leads them to the other side, and the true place looks like the counterpart's. A point that
+    lies where its counterpart was stays: that is an exchange.
+    """
+    place, seen = images.pixels.copy(), images.seen
+    for length in range(1, _EXCURSION + 1):
+        step = length + 1
+        before, after = images.pixels[:, :-step], images.pixels[:, step:]
+        scale = images.scale[:, :-step, None]
+        back = np.linalg.norm(after - before, axis=-1) / scale
+        away = np.ones_like(back, dtype=bool) & seen[:, :-step] & seen[:, step:]
+        for k in range(1, step):
+            there = images.pixels[:, k : k - step]
+            left = np.linalg.norm(there - before, axis=-1) / scale
+            other = np.linalg.norm(there - before[:, :, images.counterparts], axis=-1) / scale
+            away &= (left > _OFF) & (left > 2 * back)
+            away &= (other > _ON * left) | ~images.sided
+        for k in range(1, step):
+            line = before + (after - before) * k / step
+            place[:, k : k - step] = np.where(away[..., None], line, place[:, k : k - step])
+    return replace(images, pixels=place)
+
+
+def extrapolated(
+    images: Images,
+) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
+    """Positions that earlier frames predict for the keypoints, and where there are any.
+
+    Where a keypoint was not seen two moments before, it would stay.
+    """
+    seen, place = images.seen, images.pixels
+    before, known = np.zeros_like(place), np.zeros_like(seen)
+    before[:, 1:], known[:, 1:] = place[:, :-1], seen[:, :-1]
+    moving = (seen[:, 1:-1] & seen[:, :-2])[..., None]
+    before[:, 2:] += np.where(moving, place[:, 1:-1] - place[:, :-2], 0.0)
+    return before, known

@@ -1,0 +1,265 @@
+"""Live links: estimates of a stream as UDP packets, VMC for Unity and JSON for Unreal's Live Link.
+
+Both coordinate systems are left-handed, so positions p and rotations R are mirrored: p' = W p of
+points in the world and R' = B R B of rotations to a parent, where W maps our world (z up) and B
+the axes of our rest pose (a T pose, y up, facing z). The root's rotation is W R B.
+"""
+
+import errno
+import json
+import socket
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from recon.core import rotations as so3
+from recon.core.bone_names import renamed
+from recon.core.errors import ReconError, optional_module
+from recon.core.skeleton import FAMILIES, JOINTS, PARENTS
+from recon.live.tracking import LiveEstimate
+
+_BUNDLE_BYTES = 1_200
+"""Bytes of messages in an OSC bundle, so that it is not cut into fragments on its way."""
+_LONGEST_SUBJECT = 100
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """Another program's axes."""
+
+    world: Float[np.ndarray, "3 3"]
+    """From our world to theirs, without scale."""
+    body: Float[np.ndarray, "3 3"]
+    """From the axes of our rest pose to theirs; a reflection, its own inverse."""
+
+    def bones(
+        self, estimate: LiveEstimate
+    ) -> tuple[Float[np.ndarray, "22 3"], Float[np.ndarray, "22 4"]]:
+        """Positions (metres) and quaternions (x, y, z, w) to the parent; of the root, world."""
+        local = estimate.rotations.double().numpy()
+        joints = estimate.joints.double().numpy()
+        turned = local.copy()
+        for children, parent in FAMILIES:
+            turned[children] = turned[parent] @ local[children]
+        ways = joints[1:] - joints[_PARENTS]
+        offsets = (ways[:, None] @ turned[_PARENTS])[:, 0] @ self.body
+        offsets = np.concatenate((joints[:1] @ self.world.T, offsets))
+        theirs = self.body @ local @ self.body
+        theirs[0] = self.world @ local[0] @ self.body
+        return offsets, so3.to_quaternion(torch.from_numpy(theirs)).numpy()
+
+
+_PARENTS = np.array(PARENTS[1:])
+_UNITY = _Axes(
+    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.diag([-1.0, 1.0, 1.0])
+)
+"""y up, the rest pose faces z."""
+_UNREAL = _Axes(
+    np.diag([1.0, -1.0, 1.0]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+)
+"""z up, the rest pose faces y."""
+
+
+class Link(AbstractContextManager[Any]):
+    """A UDP socket that estimates are sent by; it tells once what hinders packets, and goes on."""
+
+    def __init__(self, address: str, complain: Callable[[str], Any]) -> None:
+        host, port = _host_and_port(address)
+        self._address, self._complain, self._told = address, complain, set[int | None]()
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError) as error:
+            raise ReconError(
+                f"{address:.80}: no host is called {host!r:.80} ({error!s:.80})"
+            ) from error
+        # receivers that listen to `localhost` mostly do so by IPv4
+        family, kind, protocol, _, place = min(found, key=lambda one: one[0] != socket.AF_INET)
+        self._socket = socket.socket(family, kind, protocol)
+        try:
+            self._socket.connect(place)
+        except OSError as error:
+            self._socket.close()
+            raise ReconError(f"{address}: nothing can be sent there ({error})") from error
+
+    def send(self, estimate: LiveEstimate | None) -> None:
+        """Send an estimate, with those before it that became final with it; None is none yet."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Close the socket; nothing can be sent afterwards."""
+        self._socket.close()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _send_packet(self, packet: bytes) -> None:
+        try:
+            try:
+                self._socket.send(packet)
+            except ConnectionRefusedError as error:
+                # that is said of the packet before; this one was not sent yet
+                self._tell(error, "nobody listens there yet; packets are sent all the same")
+                self._socket.send(packet)
+        except ConnectionRefusedError:
+            return
+        except OSError as error:
+            size = f" ({len(packet):,} bytes)" if error.errno == errno.EMSGSIZE else ""
+            self._tell(error, f"a packet{size} was not sent: {error}")
+
+    def _tell(self, error: OSError, message: str) -> None:
+        if error.errno not in self._told:
+            self._told.add(error.errno)
+            self._complain(f"{self._address}: {message}")
+
+
+class VmcLink(Link):
+    """Sends estimates by the VMC protocol, as programs for avatars in Unity receive it.
+
+    An estimate is `/VMC/Ext/OK`, `/VMC/Ext/T` with its time, `/VMC/Ext/Root/Pos`, which stays at
+    the origin, and `/VMC/Ext/Bone/Pos` for 22 of Unity's HumanBodyBones, in bundles (OSC) that fit
+    into a packet of a network. Where no joint was observed, or there is no estimate, OK says that
+    nothing is tracked.
+    """
+
+    def __init__(
+        self, address: str = "127.0.0.1:39539", complain: Callable[[str], Any] = warnings.warn
+    ) -> None:
+        """A link that has sent nothing yet.
+
+        Args:
+            address: HOST:PORT; a PORT alone is one of this machine.
+            complain: is told, once each, why packets are not delivered.
+
+        Raises:
+            ReconError: when the address is none, or python-osc is not installed.
+        """
+        builder = optional_module(
+            "pythonosc.osc_message_builder", "python-osc", "sending VMC", "live"
+        ).OscMessageBuilder
+
+        def head(address: str, *values: str | int | float) -> bytes:
+            """A message without its floats, which are the last 4 bytes each."""
+            message = builder(f"/VMC/Ext/{address}")
+            for value in values:
+                message.add_arg(value)
+            floats = sum(isinstance(value, float) for value in values)
+            return message.build().dgram[: -4 * floats or None]
+
+        super().__init__(address, complain)
+        self._tracked = [head("OK", 1, 3, 0, found) for found in (0, 1)]
+        self._time = head("T", 0.0)
+        pose = [0.0] * 7
+        self._root = head("Root/Pos", "root", *pose) + _floats([*pose[1:], 1.0])
+        # VRM's names of these bones are Unity's, but for capitals
+        vrm = renamed(JOINTS, "vrm")
+        self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
+
+    def send(self, estimate: LiveEstimate | None) -> None:
+        """Send an estimate, with those before it that became final with it; None is none yet."""
+        if estimate is None:
+            self._send_bundles(self._tracked[:1])
+            return
+        for one in estimate.every:
+            rows = np.concatenate(_UNITY.bones(one), 1)
+            bones = [bone + _floats(row) for bone, row in zip(self._bones, rows, strict=True)]
+            tracked = self._tracked[int(one.observed.any())]
+            self._send_bundles([tracked, self._time + _floats([one.time]), self._root, *bones])
+
+    def _send_bundles(self, messages: Sequence[bytes]) -> None:
+        """Send messages in as few bundles, to be acted on at once, as fit into packets."""
+        bundle = head = b"#bundle\0" + bytes(7) + b"\1"
+        for message in messages:
+            if len(bundle) + len(message) > _BUNDLE_BYTES:
+                self._send_packet(bundle)
+                bundle = head
+            bundle += len(message).to_bytes(4, "big") + message
+        self._send_packet(bundle)
+
+
+def _floats(values: Sequence[float] | np.ndarray) -> bytes:
+    return np.array(values, dtype=">f4").tobytes()
+
+
+class LiveLink(Link):
+    """Sends estimates in the JSON of Unreal's plugin "JSON Live Link".
+
+    A packet is one estimate: an object with the subject, a list of bones, each with Name, Parent
+    (its number), Location (cm), Rotation (x, y, z, w) and Scale, relative to the parent. The names
+    are those of the UE5 mannequin, the first is `root` at the origin. That one also has Time, the
+    estimate's seconds, which the plugin passes over.
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1:54321",
+        subject: str = "recon",
+        complain: Callable[[str], Any] = warnings.warn,
+    ) -> None:
+        """A link that has sent nothing yet.
+
+        Args:
+            address: HOST:PORT; a PORT alone is one of this machine.
+            subject: name that Unreal lists.
+            complain: is told, once each, why packets are not delivered.
+
+        Raises:
+            ReconError: when the address is none, or the subject no name.
+        """
+        if not (subject.isascii() and subject.isprintable() and subject.strip()) or (
+            len(subject) > _LONGEST_SUBJECT
+        ):
+            raise ReconError(
+                f"subject: expected 1 to {_LONGEST_SUBJECT} letters of ASCII, which is what the "
+                f"plugin reads, got {subject!r:.60}"
+            )
+        self._subject = subject
+        self._names = renamed(JOINTS, "unreal")
+        super().__init__(address, complain)
+
+    def send(self, estimate: LiveEstimate | None) -> None:
+        """Send an estimate, with those before it that became final with it; None sends nothing."""
+        for one in () if estimate is None else estimate.every:
+            offsets, turns = _UNREAL.bones(one)
+            bones = [_bone("root", -1, [0.0] * 3, [0.0, 0.0, 0.0, 1.0]) | {"Time": one.time}]
+            rows = zip(
+                self._names, PARENTS, (100 * offsets).round(5).tolist(), turns.round(8).tolist(),
+                strict=True,
+            )  # fmt: skip
+            bones += [_bone(name, parent + 1, place, turn) for name, parent, place, turn in rows]
+            packet = json.dumps({self._subject: bones}, separators=(",", ":"))
+            self._send_packet(packet.encode("ascii"))
+
+
+def _bone(name: str, parent: int, location: list[float], turn: list[float]) -> dict[str, Any]:
+    return {
+        "Name": name, "Parent": parent, "Location": location, "Rotation": turn,
+        "Scale": [1.0, 1.0, 1.0],
+    }  # fmt: skip
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    """The parts of HOST:PORT, [IPv6]:PORT, or PORT on this machine.
+
+    Raises:
+        ReconError: when it is none of these.
+    """
+    text = f"127.0.0.1:{address}" if address.isdecimal() else address
+    try:
+        parts = urlsplit(f"//{text}")
+        host, port = parts.hostname, parts.port
+        plain = parts.netloc == text and "@" not in text
+    except ValueError:  # its port is no number up to 65535
+        host = port = plain = None
+    if not (host and port and plain):
+        raise ReconError(
+            "expected HOST:PORT with a port from 1 to 65535, such as 127.0.0.1:39539, or a PORT "
+            f"of this machine, got {address!r:.80}"
+        )
+    return host, port
