@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.interpolate import interp1d
 from scipy.spatial.transform import Rotation, Slerp
 
 _NOISE = 0.0015
@@ -28,12 +29,14 @@ _MOST_OFF = 0.0025
 
 
 @dataclass(frozen=True)
-class Turning:
-    """The rotations of a camera that stands on one spot."""
+class CameraMotion:
+    """The poses of a camera in the frame of its first picture."""
 
     frames: Int[np.ndarray, " pictures"]
     R_first_camera: Float[np.ndarray, "pictures 3 3"]
     """From the camera's frame to that of the first picture."""
+    places: Float[np.ndarray, "pictures 3"]
+    """In the first picture's frame and an unknown unit; zero where the camera stands on a spot."""
     focal: float
     """Pixels."""
     focal_told: bool
@@ -44,12 +47,17 @@ class Turning:
         """The largest turn from the first picture, radians."""
         return _turn(self.R_first_camera)
 
-    def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 3 3"]:
-        """Rotations at any frames, between the pictures by the shortest way."""
+    def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 4 4"]:
+        """T_first_camera at any frames, between the pictures by the shortest way."""
+        T = np.tile(np.eye(4), (len(frames), 1, 1))
         if len(self.frames) < 2:
-            return np.tile(np.eye(3), (len(frames), 1, 1))
+            return T
         within = np.clip(frames, self.frames[0], self.frames[-1])
-        return Slerp(self.frames, Rotation.from_matrix(self.R_first_camera))(within).as_matrix()
+        T[:, :3, :3] = Slerp(self.frames, Rotation.from_matrix(self.R_first_camera))(
+            within
+        ).as_matrix()
+        T[:, :3, 3] = interp1d(self.frames, self.places, axis=0)(within)
+        return T
 
 
 def find_turning(
@@ -59,7 +67,7 @@ def find_turning(
     focal: float,
     *,
     known: bool,
-) -> Turning | None:
+) -> CameraMotion | None:
     """How a camera turns; None where it hardly does, or moves from its spot.
 
     Args:
@@ -94,12 +102,33 @@ def find_turning(
             found, off = turned(factor)
     if _turn(found) < _LEAST_TURN or np.median(off) > _MOST_OFF:
         return None
-    return Turning(frames, found, focal * factor, told)
+    return CameraMotion(frames, found, np.zeros((len(frames), 3)), focal * factor, told)
 
 
 def _turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
     """The largest angle from the first picture, radians."""
     return float(Rotation.from_matrix(rotations).magnitude().max())
+
+
+def turned_onto(
+    rays: Float[np.ndarray, "points 3"],
+    goal: Float[np.ndarray, "points 3"],
+    R: Float[np.ndarray, "3 3"] | None = None,
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    """The rotation R rays = goal of most unit vectors, how far each is off, and its weight.
+
+    Args:
+        rays: unit vectors.
+        goal: unit vectors.
+        R: where to begin; None is no rotation.
+    """
+    R, off, weight = np.eye(3) if R is None else R, np.zeros(len(rays)), np.ones(len(rays))
+    for wider in _WIDER:
+        off = np.linalg.norm(rays @ R.T - goal, axis=1)
+        weight = 1 / (1 + (off / (wider * _NOISE)) ** 2) ** 2
+        u, _, vt = np.linalg.svd((goal * weight[:, None]).T @ rays)
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return R, off, weight
 
 
 def _chained(
@@ -122,12 +151,7 @@ def _chained(
         mine, ray, weight = point[rows], rays[rows], np.ones(len(rows))
         old = trust[mine] > 0
         if old.sum() >= _FEWEST_POINTS:
-            goal, off = known[mine[old]], np.zeros(0)
-            for wider in _WIDER:
-                off = np.linalg.norm(ray[old] @ turn.T - goal, axis=1)
-                weight[old] = 1 / (1 + (off / (wider * _NOISE)) ** 2) ** 2
-                u, _, vt = np.linalg.svd((goal * weight[old, None]).T @ ray[old])
-                turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+            turn, off, weight[old] = turned_onto(ray[old], known[mine[old]], turn)
             offs.append(off)
         turns.append(turn)
         trust[mine] += weight + 1e-3

@@ -16,7 +16,7 @@ from recon.formats.cameras import CameraArrays, CameraPath, straightened
 from recon.formats.producers import is_film
 
 if TYPE_CHECKING:
-    from recon.films.turning import Turning
+    from recon.films.turning import CameraMotion
 
 _DRIFT = 1.0
 """Frames by which views of nearly one frame rate may drift apart."""
@@ -155,23 +155,24 @@ def in_one_shot(
 
 
 def levelled(
-    found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"]
+    found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
-    """A camera with the rotations, vertical and focal length that its background shows.
+    """A camera with the path, vertical and focal length that its background shows.
 
-    Straight lines tell the vertical, and points of the background how the camera turns. Unchanged,
+    Straight lines tell the vertical, and points of the background how the camera moves. Unchanged,
     and without a note, where its pose is known or the background tells nothing.
 
     Args:
         found: of the film.
         camera: which filmed it.
         frames: numbers of the frames that are read.
+        rate: frames per second.
     """
     if camera.T_camera_world is not None or camera.path is not None:
         return camera, ""
-    camera, turning, turned = _with_turning(found, camera)
-    if found.lines is None and turning is None:
-        return camera, turned
+    camera, moved, said = _with_motion(found, camera, rate)
+    if found.lines is None and moved is None:
+        return camera, said
     from recon.films.vertical import find_vertical  # films only
 
     matrix = camera.camera_matrix
@@ -181,31 +182,34 @@ def levelled(
         lines, shown = np.zeros((0, 2, 2)), np.zeros(0, int)
     ends, numbers = straightened(lines, camera) - matrix[:2, 2], np.unique(shown)
     images = [ends[shown == one] for one in numbers]
-    R = np.eye(3)[None]
-    if turning is not None:
+    T = np.eye(4)[None]
+    if moved is not None:
         # rotate the lines of all pictures into the view of the middle picture
-        middle = turning.at(turning.frames[[len(turning.frames) // 2]])[0]
-        R = middle.T @ turning.at(frames)
+        middle = np.linalg.inv(moved.at(moved.frames[[len(moved.frames) // 2]])[0])
+        T = middle @ moved.at(frames)
         images = [
-            _turned_segments(one, focal, middle.T @ turn)
-            for one, turn in zip(images, turning.at(numbers), strict=True)
+            _turned_segments(one, focal, (middle @ pose)[:3, :3])
+            for one, pose in zip(images, moved.at(numbers), strict=True)
         ]
+    metric = moved is None or not moved.places.any()
     told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
     if told is None:
-        path = None if turning is None else _turning_path(R, level=False)
-        return camera if path is None else replace(camera, path=path), turned
+        path = None if moved is None else CameraPath(T, metric=metric, level=False)
+        return camera if path is None else replace(camera, path=path), said
     down, roll = (
         np.degrees(np.arcsin(-told.up[2])), np.degrees(np.arctan2(told.up[0], -told.up[1]))
     )  # fmt: skip
-    said = (
+    level = (
         f"{found.name}: straight lines tell that the camera looks {down:.0f} degrees down and is "
         f"rolled by {roll:.0f}"
     )
     if told.focal is not None:
         camera = _with_focal(camera, told.focal)
-        said += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
-    path = _turning_path(level_turn(told.up) @ R, level=True)
-    return replace(camera, path=path), "; ".join(one for one in (turned, said) if one)
+        level += f", and a focal length of {told.focal:.0f} pixels, which is taken instead"
+    upright = np.eye(4)
+    upright[:3, :3] = level_turn(told.up)
+    path = CameraPath(upright @ T, metric=metric, level=True)
+    return replace(camera, path=path), "; ".join(one for one in (said, level) if one)
 
 
 def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
@@ -215,42 +219,41 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
     return replace(camera, camera_matrix=matrix, focal_known=True)
 
 
-def _turning_path(R: Float[np.ndarray, "frames 3 3"], *, level: bool) -> CameraPath:
-    T_world_camera = np.tile(np.eye(4), (len(R), 1, 1))
-    T_world_camera[:, :3, :3] = R
-    return CameraPath(T_world_camera, metric=True, level=level)
-
-
-def _with_turning(
-    found: Detections, camera: CameraArrays
-) -> tuple[CameraArrays, "Turning | None", str]:
-    """The camera with the focal length found from its turning, the turning, and a note."""
+def _with_motion(
+    found: Detections, camera: CameraArrays, rate: float
+) -> tuple[CameraArrays, "CameraMotion | None", str]:
+    """The camera with the focal length that its motion tells, the motion, and a note."""
     behind = found.background
     if behind is None or len(behind.frame) == 0:
         return camera, None, ""
-    from recon.films.turning import find_turning  # films only
+    from recon.films.carrying import find_path  # films only
+    from recon.films.turning import find_turning
 
     matrix = camera.camera_matrix
     focal = float(matrix[[0, 1], [0, 1]].mean())
-    turning = find_turning(
-        behind.frame, behind.point, straightened(behind.pixels, camera) - matrix[:2, 2], focal,
-        known=camera.focal_known,
-    )  # fmt: skip
-    if turning is None:
+    pixels = straightened(behind.pixels, camera) - matrix[:2, 2]
+    seen = behind.frame, behind.point, pixels, focal
+    moved = find_turning(*seen, known=camera.focal_known)
+    if moved is None:
+        moved = find_path(*seen, known=camera.focal_known, rate=rate)
+    if isinstance(moved, str):
         note = (
             f"{found.name}: its background moves, so the camera was carried or held in the hand; "
-            "its path cannot be told from the film, and it is taken as standing still: give its "
-            "track (--camera-track), or places and steps are not to be trusted"
+            f"{moved}, so its path cannot be told from the film, and it is taken as standing "
+            "still: give its track (--camera-track), or places and steps are not to be trusted"
         )
         return camera, None, note
+    how = "turns" if not moved.places.any() else "is carried, and turns"
     note = (
-        f"{found.name}: its background tells that the camera turns by up to "
-        f"{np.degrees(turning.angle):.0f} degrees"
+        f"{found.name}: its background tells that the camera {how} by up to "
+        f"{np.degrees(moved.angle):.0f} degrees"
     )
-    if not turning.focal_told:
-        return camera, turning, note
-    note += f", and a focal length of {turning.focal:.0f} pixels, which is taken instead"
-    return _with_focal(camera, turning.focal), turning, note
+    if not moved.focal_told:
+        # a better guess, with which the path was found
+        guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
+        return guess, moved, note
+    note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"
+    return _with_focal(camera, moved.focal), moved, note
 
 
 _BESIDE = 0.3

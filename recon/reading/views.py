@@ -122,7 +122,7 @@ def read_views(
     level: list[str] = []
     if how.ground is None:  # a given ground plane also tells which way is up
         numbers = first + np.arange(frames)
-        both = [levelled(*one, numbers) for one in zip(found, cameras, strict=True)]
+        both = [levelled(*one, numbers, fps) for one in zip(found, cameras, strict=True)]
         cameras, level = [camera for camera, _ in both], [note for _, note in both if note]
     for one, camera in zip(found, cameras, strict=True):
         _check_pixels(one, camera)

@@ -13,6 +13,7 @@ from recon.core.errors import FormatError
 from recon.detections.records import Background, Detections
 from recon.detections.tables import detection_arrays, read_detection_arrays
 from recon.films.background import Followed, moving_background
+from recon.films.carrying import find_path
 from recon.films.turning import find_turning
 from recon.formats.cameras import guessed_camera
 from recon.reading.stated import in_one_shot, levelled
@@ -101,7 +102,7 @@ def test_turns_and_focal_length_of_a_pan_are_found():
     assert found is not None
     assert found.focal_told
     assert found.focal == pytest.approx(FOCAL, rel=0.02)
-    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.at(np.arange(FRAMES)))
+    off = Rotation.from_matrix(true.swapaxes(1, 2) @ found.at(np.arange(FRAMES))[:, :3, :3])
     assert np.degrees(off.magnitude().max()) < 0.5
 
 
@@ -134,7 +135,9 @@ def test_nobody_is_followed_from_one_shot_into_another():
 
 
 def test_camera_of_a_film_turns_as_its_background_tells():
-    camera, said = levelled(people(panned()), guessed_camera((WIDTH, HEIGHT)), np.arange(FRAMES))
+    camera, said = levelled(
+        people(panned()), guessed_camera((WIDTH, HEIGHT)), np.arange(FRAMES), 30.0
+    )
     assert "turns by up to" in said
     assert camera.focal_known
     assert camera.path is not None
@@ -144,17 +147,47 @@ def test_camera_of_a_film_turns_as_its_background_tells():
     assert np.degrees(off.magnitude().max()) < 0.5
 
 
-def test_camera_that_is_carried_is_said_to_need_its_track():
-    chance = np.random.default_rng(0)
+def carried(step: float, noise: float = 0.2) -> tuple[Background, np.ndarray]:
+    """Points in a room before a camera that walks past, sways and turns; its places."""
+    chance, time = np.random.default_rng(0), np.arange(FRAMES)
     points = chance.uniform((-3, -1.5, 2), (6, 1.5, 9), (90, 3))
+    places = step * np.column_stack((time, 0.4 * np.sin(0.3 * time), 0.3 * time))
     frame, point = (one.ravel() for one in np.mgrid[:FRAMES, :90])
-    away = points[point] - frame[:, None] * (0.13, 0, 0)
-    pixels = FOCAL * away[:, :2] / away[:, 2:] + MIDDLE
-    seen = people(Background(frame, point, pixels))
-    assert moving_background(seen.background, people())[0] is not None
-    camera = guessed_camera((WIDTH, HEIGHT))
-    same, said = levelled(seen, camera, np.arange(FRAMES))
-    assert same is camera
+    there = np.einsum("nji,nj->ni", turned(10.0)[frame], points[point] - places[frame])
+    pixels = FOCAL * there[:, :2] / there[:, 2:] + MIDDLE
+    pixels += noise * chance.standard_normal(pixels.shape)
+    inside = ((pixels > 0) & (pixels < 2 * MIDDLE)).all(1)
+    return Background(frame[inside], point[inside], pixels[inside]), places
+
+
+def test_path_of_a_carried_camera_is_found_up_to_its_unit():
+    behind, places = carried(0.13)
+    people_there = people(behind)
+    assert moving_background(behind, people())[0] is not None
+    guess = guessed_camera((WIDTH, HEIGHT))
+    camera, said = levelled(people_there, guess, np.arange(FRAMES), 30.0)
+    assert "is carried" in said
+    assert camera.path is not None
+    assert not camera.path.metric
+    assert camera.camera_matrix[0, 0] == pytest.approx(FOCAL, rel=0.06)
+    T = np.linalg.inv(camera.path.T_world_camera[0]) @ camera.path.T_world_camera
+    found, unit = T[:, :3, 3], np.linalg.norm(places[-1])
+    found = found * unit / np.linalg.norm(found[-1])
+    assert np.abs(found - places).max() < 0.05 * unit
+    off = Rotation.from_matrix(T[:, :3, :3].swapaxes(1, 2) @ turned(10.0))
+    assert np.degrees(off.magnitude().max()) < 1.5
+
+
+def test_path_that_cannot_be_told_is_said_to_be_needed():
+    behind, _ = carried(0.004, noise=0.5)
+    guess = guessed_camera((WIDTH, HEIGHT))
+    pixels = behind.pixels - MIDDLE
+    small = find_path(behind.frame, behind.point, pixels, FOCAL, known=True, rate=30.0)
+    assert isinstance(small, str)
+    chance = np.random.default_rng(0)
+    torn = replace(behind, pixels=chance.uniform(0, 2 * MIDDLE, behind.pixels.shape))
+    same, said = levelled(people(torn), guess, np.arange(FRAMES), 30.0)
+    assert same is guess
     assert "--camera-track" in said
 
 

@@ -1,0 +1,272 @@
+"""Refines poses of pictures, points, and a focal length together: bundle adjustment.
+
+After Triggs et al. 2000. A picture of rotation R and translation t sees the point X = (x, y, z, w)
+at f π(R (x, y, z) + w t), π(a, b, c) = (a, b) / c. Points are homogeneous and of length one, so
+that those far away do no harm. Damped Gauss-Newton steps, points eliminated, lower the sum of
+Geman-McClure functions r² / (1 + r²) of the distances r between where points are and should be
+seen, over their noise.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
+
+NOISE = 0.001
+"""Radians by which points agree."""
+_MISFIT = 4.0
+"""Multiples of the noise by which a misfit is off; a point is given up with half of them."""
+_CLOSEST = 1e-6
+"""Least depth of what is in front of a camera, in lengths of a point."""
+_RIDGE = 1e-9
+"""Added to the diagonal of normal matrices, for pictures and points that nothing holds."""
+_MOST_DAMPING, _LEAST_DAMPING = 1e6, 1e-7
+_SMALL_GAIN = 1e-4
+"""Share of the cost by which a last step lowers it."""
+_MOST_ZOOM = 0.1
+"""Most change of the logarithm of the focal length in a step."""
+
+
+@dataclass
+class Scene:
+    """Pictures, points of the background, and where they are seen."""
+
+    picture: Int[np.ndarray, " seen"]
+    point: Int[np.ndarray, " seen"]
+    places: Float[np.ndarray, "seen 2"]
+    """x/z and y/z for the focal length that was given."""
+    R: Float[np.ndarray, "pictures 3 3"]
+    """From the world to the camera, as t."""
+    t: Float[np.ndarray, "pictures 3"]
+    X: Float[np.ndarray, "points 4"]
+    placed: Bool[np.ndarray, " pictures"]
+    """Pictures whose poses are known."""
+    known: Bool[np.ndarray, " points"]
+    focal: float = 1.0
+    """Over the one that was given."""
+    normal: Float[np.ndarray, "n n"] = field(default_factory=lambda: np.zeros((0, 0)))
+    """Normal matrix of the last refinement of points: a turn and a shift of every picture that
+    moved, and the logarithm of the focal length if it was free."""
+
+    def usable(self) -> Bool[np.ndarray, " seen"]:
+        """Observations of known points in placed pictures."""
+        return self.placed[self.picture] & self.known[self.point]
+
+    def centres(self) -> Float[np.ndarray, "pictures 3"]:
+        """Places of the cameras in the world."""
+        return -np.einsum("kji,kj->ki", self.R, self.t)
+
+    def in_cameras(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, "rows 3"]:
+        """Points of some observations in the frames of their cameras, times w."""
+        k, X = self.picture[rows], self.X[self.point[rows]]
+        return np.einsum("nij,nj->ni", self.R[k], X[:, :3]) + self.t[k] * X[:, 3:]
+
+    def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
+        """How far from their places points should be seen; infinite behind a camera."""
+        there = self.in_cameras(rows)
+        front = there[:, 2] > _CLOSEST
+        seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
+        return np.where(
+            front, np.linalg.norm(self.focal * seen - self.places[rows], axis=1), np.inf
+        )
+
+    def triangulate(self) -> None:
+        """Place all further points that two placed pictures see, by linear least squares."""
+        rows = np.flatnonzero(self.placed[self.picture] & ~self.known[self.point])
+        P = np.concatenate((self.R, self.t[:, :, None]), 2)[self.picture[rows]]
+        A = (self.places[rows] / self.focal)[:, :, None] * P[:, 2:] - P[:, :2]
+        square = np.zeros((len(self.X), 4, 4))
+        np.add.at(square, self.point[rows], A.swapaxes(1, 2) @ A)
+        chosen = np.bincount(self.point[rows], minlength=len(self.X)) >= 2
+        self.X[chosen] = np.linalg.eigh(square[chosen])[1][:, :, 0]
+        # of the two signs the one in front of the first camera that sees the point
+        first = rows[np.unique(self.point[rows], return_index=True)[1]]
+        first = first[chosen[self.point[first]]]
+        self.X[self.point[first]] *= np.sign(self.in_cameras(first)[:, 2:])
+        self.known |= chosen
+        self.drop_misfits()
+
+    def drop_misfits(self) -> None:
+        """Forget points that half of their pictures contradict."""
+        rows = np.flatnonzero(self.usable())
+        fits = rows[self.errors(rows) < _MISFIT * NOISE]
+        of_all, of_fits = (
+            np.bincount(self.point[own], minlength=len(self.X)) for own in (rows, fits)
+        )
+        self.known &= (of_fits >= 2) & (2 * of_fits >= of_all)
+
+    def refine(
+        self,
+        moved: Bool[np.ndarray, " pictures"],
+        *,
+        points: bool = True,
+        focal: float | None = None,
+        steady: float | None = None,
+        wider: float = 1.0,
+        steps: int = 10,
+    ) -> None:
+        """Lower the cost by poses, and by points and the focal length.
+
+        Args:
+            moved: the pictures whose poses change.
+            points: whether points move.
+            focal: standard deviation of the logarithm of the focal length; None keeps it.
+            steady: that of second differences of the places of cameras; None is without.
+            wider: multiple of the noise beyond which observations count little.
+            steps: most steps.
+        """
+        problem = _Problem(
+            self, np.flatnonzero(self.usable() & (moved[self.picture] | points)), moved,
+            points, focal, steady, wider * NOISE,
+        )  # fmt: skip
+        value, damping = problem.cost(), 1e-4
+        for _ in range(steps):
+            kept, step = (self.R, self.t, self.X, self.focal), problem.linearised()
+            while not (now := self._after(step, damping, problem)) < value:
+                self.R, self.t, self.X, self.focal = kept
+                damping *= 10
+                if damping > _MOST_DAMPING:
+                    return
+            gain, value = value - now, now
+            damping = max(damping / 10, _LEAST_DAMPING)
+            if gain < _SMALL_GAIN * value:
+                return
+
+    def _after(self, step: Callable[[float], None], damping: float, problem: "_Problem") -> float:
+        step(damping)
+        return problem.cost()
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What `Scene.refine` lowers."""
+
+    scene: Scene
+    rows: Int[np.ndarray, " rows"]
+    moved: Bool[np.ndarray, " pictures"]
+    points: bool
+    focal: float | None
+    steady: float | None
+    scale: float
+
+    def cost(self) -> float:
+        """The objective."""
+        square = (self.scene.errors(self.rows) / self.scale) ** 2
+        total = float((1 - 1 / (1 + square)).sum())
+        if self.focal is not None:
+            total += (np.log(self.scene.focal) / self.focal) ** 2
+        if self.steady is not None:
+            total += float((self.bends() ** 2).sum())
+        return total
+
+    def bends(self) -> Float[np.ndarray, "inner 3"]:
+        """Second differences of the places of cameras over their standard deviation."""
+        return np.diff(self.scene.centres()[self.moved], n=2, axis=0) / self.steady
+
+    def linearised(self) -> Callable[[float], None]:
+        """Gauss-Newton about the present scene: a function that takes the step of a damping."""
+        it, rows = self.scene, self.rows
+        k, p = it.picture[rows], it.point[rows]
+        there = it.in_cameras(rows)
+        front = there[:, 2] > _CLOSEST
+        z = np.where(front, there[:, 2], 1.0)[:, None]
+        seen = there[:, :2] / z
+        off = it.focal * seen - it.places[rows]
+        # root of the weight (1 + r²)⁻² of iterated least squares
+        root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
+        off, root = off * root[:, None], root[:, None, None]
+        D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
+        D *= it.focal * root / z[:, None]
+        # a picture turns about its own place, then moves
+        poses = np.concatenate((-D @ _cross(there), D * it.X[p, 3][:, None, None]), 2)
+        count = int(self.moved.sum())
+        number = np.cumsum(self.moved) - 1
+        columns = _blocks(poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count)
+        if self.focal is not None:
+            zoom = sparse.csr_array((it.focal * seen * root[:, 0]).reshape(-1, 1))
+            columns = sparse.hstack((columns, zoom), format="csr")
+        H, g = columns.T @ columns, columns.T @ off.ravel()
+        if self.steady is not None:
+            bend = sparse.diags_array(
+                [1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)
+            )
+            shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in it.R[self.moved]]
+            bent = sparse.kron(bend, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
+            H, g = H + bent.T @ bent, g + bent.T @ self.bends().ravel()
+        if self.focal is not None:
+            last = np.zeros(len(g))
+            last[-1] = 1 / self.focal
+            H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(it.focal)
+        if not self.points:
+            return lambda damping: self._take(
+                -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
+                None,
+            )
+        used, which = np.unique(p, return_inverse=True)
+        basis = _perpendicular(it.X[used])
+        Jp = D @ np.concatenate((it.R[k], it.t[k][:, :, None]), 2) @ basis[which]
+        Hpp, gp = np.zeros((len(used), 3, 3)), np.zeros((len(used), 3))
+        np.add.at(Hpp, which, Jp.swapaxes(1, 2) @ Jp)
+        np.add.at(gp, which, np.einsum("nij,ni->nj", Jp, off))
+        W = columns.T @ _blocks(Jp, which, len(used))
+
+        def without_points(damping: float) -> tuple[np.ndarray, Any, Any]:
+            more = (damping * np.einsum("pii->pi", Hpp) + _RIDGE)[:, :, None] * np.eye(3)
+            inverse, each = np.linalg.inv(Hpp + more), np.arange(len(used) + 1)
+            WV = W @ sparse.bsr_array((inverse, each[:-1], each))
+            return inverse, WV, (H - WV @ W.T).toarray()
+
+        it.normal = without_points(0.0)[2]
+
+        def take(damping: float) -> None:
+            inverse, WV, S = without_points(damping)
+            damped = S + np.diag(damping * S.diagonal() + _RIDGE)
+            step = -np.linalg.solve(damped, g - WV @ gp.ravel())
+            own = -np.einsum("pij,pj->pi", inverse, gp + (W.T @ step).reshape(-1, 3))
+            self._take(step, (used, np.einsum("pij,pj->pi", basis, own)))
+
+        return take
+
+    def _take(
+        self, step: Float[np.ndarray, " n"], points: tuple[np.ndarray, np.ndarray] | None
+    ) -> None:
+        it = self.scene
+        if self.focal is not None:
+            it.focal *= float(np.exp(np.clip(step[-1], -_MOST_ZOOM, _MOST_ZOOM)))
+        own = step[: 6 * int(self.moved.sum())].reshape(-1, 6)
+        turn = Rotation.from_rotvec(own[:, :3]).as_matrix()
+        it.R, it.t = it.R.copy(), it.t.copy()
+        it.R[self.moved] = turn @ it.R[self.moved]
+        it.t[self.moved] = np.einsum("kij,kj->ki", turn, it.t[self.moved]) + own[:, 3:]
+        if points is not None:
+            used, change = points
+            X = it.X[used] + change
+            it.X = it.X.copy()
+            it.X[used] = X / np.linalg.norm(X, axis=1, keepdims=True)
+
+
+def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:
+    """Sparse matrix with a pair of rows for every block, which stands in a column of blocks."""
+    rows, _, n = values.shape
+    columns = np.broadcast_to(n * number[:, None, None] + np.arange(n), values.shape)
+    ends = np.arange(0, values.size + 1, n)
+    return sparse.csr_array((values.ravel(), columns.ravel(), ends), (2 * rows, n * count))
+
+
+def _cross(v: Float[np.ndarray, "rows 3"]) -> Float[np.ndarray, "rows 3 3"]:
+    """Matrices of the cross product with vectors."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return out - out.swapaxes(1, 2)
+
+
+def _perpendicular(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:
+    """Orthonormal bases of what is perpendicular to unit vectors, by reflections."""
+    v = X + np.where(X[:, :1] >= 0, 1.0, -1.0) * np.eye(4)[0]
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return (np.eye(4) - 2 * v[:, :, None] * v[:, None, :])[:, :, 1:]

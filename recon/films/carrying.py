@@ -1,0 +1,240 @@
+"""The path of a carried camera, up to its unit, from points of the background.
+
+Structure from motion: two pictures between which points move otherwise than by a rotation are
+placed by their essential matrix (Nistér 2004), the others one after the other by the points that
+are known by then, and all are refined together (`recon.films.bundle`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from recon.films.bundle import NOISE, Scene
+from recon.films.turning import CameraMotion, turned_onto
+
+_EVERY, _MOST_KEYS, _FEWEST_KEYS = 3, 150, 5
+"""Pictures from one key picture to the next, and how many of these there may be."""
+_FEWEST_SHARED = 20
+"""Points that two pictures must share to begin with them."""
+_PAIRS = 3
+"""Pairs of pictures from which the path is begun; the one that explains most is kept."""
+_TRIED = 12
+"""Key pictures with which pairs begin."""
+_IN_FRONT = 0.7
+"""Share of the points of a pair that must fit it and lie in front of both."""
+_FEWEST_POINTS = 6
+"""Known points by which a picture is placed."""
+_REFINED_EVERY = 4
+"""Pictures after whose placing all are refined."""
+_WIDER = (30.0, 8.0, 2.0, 1.0)
+"""Multiples of the noise in the rounds of placing a picture."""
+_FOCAL_DEVIATION, _FOCAL_TOLD = 0.15, 0.04
+"""Standard deviation of the logarithm of a guessed focal length, and of one that points tell."""
+_FITS, _FEWEST_FIT = 3.0, 0.5
+"""Multiples of the noise within which observations fit, and their least share."""
+_SURE = 0.05
+"""Most standard deviation of places, as a share of the path's extent: paths of rendered films of
+validation people err by up to four times that."""
+_ACCELERATION = 0.5
+"""Standard deviation of a carried camera's acceleration, distances of the background per s²."""
+
+
+def find_path(
+    frame: Int[np.ndarray, " rows"],
+    point: Int[np.ndarray, " rows"],
+    pixels: Float[np.ndarray, "rows 2"],
+    focal: float,
+    *,
+    known: bool,
+    rate: float,
+) -> CameraMotion | str:
+    """How a carried camera moves, up to the unit of its path; else why that cannot be told.
+
+    Args:
+        frame: number of the picture of each row.
+        point: number of its point.
+        pixels: from the principal point, without the lens' distortion.
+        focal: focal length in pixels; its guess where it is not known.
+        known: whether it is known; if not, it is refined.
+        rate: frames per second.
+    """
+    frames, picture = np.unique(frame, return_inverse=True)
+    every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
+    keys = np.arange(0, len(frames), every)
+    best: Scene | None = None
+    first = 0
+    seen = _Seen(picture, point, pixels / focal)
+    if len(keys) >= _FEWEST_KEYS:
+        for scene, one in _grown(seen, keys, known=known):
+            if best is None or _share_that_fits(scene) > _share_that_fits(best):
+                best, first = scene, one
+    if best is None:
+        return "no two of its pictures share points enough at different distances"
+    if _share_that_fits(best) < _FEWEST_FIT:
+        return "points of its background do not agree on a path"
+    place, zoom = _deviations(best, _but(best, first), focal=not known)
+    if place > _SURE:
+        return "it moves too little for the distance of its background"
+    whole = _whole(best, seen, keys, len(frames), rate)
+    R, places = whole.R[whole.placed], whole.centres()[whole.placed]
+    return CameraMotion(
+        frames=frames[whole.placed],
+        R_first_camera=R[0] @ R.swapaxes(1, 2),
+        places=(places - places[0]) @ R[0].T,
+        focal=focal * whole.focal,
+        focal_told=not known and zoom < _FOCAL_TOLD,
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Where points are seen in pictures that are numbered from 0."""
+
+    picture: Int[np.ndarray, " rows"]
+    point: Int[np.ndarray, " rows"]
+    places: Float[np.ndarray, "rows 2"]
+
+    def scene(self, pictures: int, points: int) -> Scene:
+        """Pictures none of which is placed."""
+        return Scene(
+            self.picture, self.point, self.places, np.tile(np.eye(3), (pictures, 1, 1)),
+            np.zeros((pictures, 3)), np.zeros((points, 4)), np.zeros(pictures, bool),
+            np.zeros(points, bool),
+        )  # fmt: skip
+
+    def of(self, keys: Int[np.ndarray, " keys"]) -> "_Seen":
+        """What some pictures see, renumbered."""
+        number = np.full(self.picture.max() + 1, -1)
+        number[keys] = np.arange(len(keys))
+        kept = number[self.picture] >= 0
+        return _Seen(number[self.picture[kept]], self.point[kept], self.places[kept])
+
+
+def _grown(
+    seen: _Seen, keys: Int[np.ndarray, " keys"], *, known: bool
+) -> Iterator[tuple[Scene, int]]:
+    """The key pictures and their points, from every pair with which they may begin.
+
+    Also the first picture of the pair, which does not move.
+    """
+    own, points = seen.of(keys), int(seen.point.max()) + 1
+    table = np.full((len(keys), points, 2), np.nan)
+    table[own.picture, own.point] = own.places
+    for one, other, R, t in _pairs(table):
+        scene = own.scene(len(keys), points)
+        scene.R[other], scene.t[other] = R, t
+        _grow(scene, one, other)
+        scene.refine(_but(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30)
+        yield scene, one
+
+
+def _pairs(
+    table: Float[np.ndarray, "pictures points 2"],
+) -> Iterator[tuple[int, int, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
+    """Pairs of pictures, and R and t from the first one's frame to the second's; the best first.
+
+    Those are best whose points move most beside a rotation, and are many.
+
+    Args:
+        table: where points are seen; NaN where they are not.
+    """
+    rays = np.concatenate((table, np.ones((*table.shape[:2], 1))), 2)
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    seen, step = np.isfinite(table[..., 0]), max(1, len(table) // _TRIED)
+    found: list[tuple[float, int, int]] = []
+    for i in range(0, len(table), step):
+        for j in range(i + 1, len(table), max(1, step // 2)):
+            both = seen[i] & seen[j]
+            if both.sum() < _FEWEST_SHARED:
+                break
+            _, off, _ = turned_onto(rays[i, both], rays[j, both])
+            found.append((float(np.median(off) * np.sqrt(both.sum())), i, j))
+    taken: list[tuple[int, int]] = []
+    for _, i, j in sorted(found, reverse=True):
+        if len(taken) == _PAIRS:
+            return
+        if any(abs(i - a) + abs(j - b) < 2 * step for a, b in taken):
+            continue
+        both = seen[i] & seen[j]
+        one, other = table[i, both], table[j, both]
+        E, mask = cv2.findEssentialMat(one, other, np.eye(3), cv2.RANSAC, 0.999, 2 * NOISE)
+        if E is None or E.shape != (3, 3):
+            continue
+        fit, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3), mask=mask)
+        if fit >= _IN_FRONT * both.sum():
+            taken.append((i, j))
+            yield i, j, R, t[:, 0]
+
+
+def _grow(scene: Scene, one: int, other: int) -> None:
+    """Place all pictures that can be, from two that stand: those between them, then outwards."""
+    scene.placed[[one, other]] = True
+    scene.triangulate()
+    scene.refine(_but(scene, one))
+    left = np.flatnonzero(~scene.placed)
+    outside = (left < one) | (left > other)
+    far = np.minimum(np.abs(left - one), np.abs(left - other))
+    for count, k in enumerate(left[np.lexsort((far, outside))], start=1):
+        placed = np.flatnonzero(scene.placed)
+        near = placed[np.abs(placed - k).argmin()]
+        scene.R[k], scene.t[k] = scene.R[near], scene.t[near]
+        if (scene.known[scene.point] & (scene.picture == k)).sum() < _FEWEST_POINTS:
+            continue
+        scene.placed[k] = True
+        for wider in _WIDER:
+            scene.refine(np.arange(len(scene.placed)) == k, points=False, wider=wider)
+        scene.triangulate()
+        if count % _REFINED_EVERY == 0:
+            scene.refine(_but(scene, one), steps=3)
+            scene.drop_misfits()
+
+
+def _but(scene: Scene, one: int) -> Bool[np.ndarray, " pictures"]:
+    """The placed pictures but one, whose frame is the world's."""
+    return scene.placed & (np.arange(len(scene.placed)) != one)
+
+
+def _share_that_fits(scene: Scene) -> float:
+    """Share of all observations that agree with the path."""
+    rows = np.flatnonzero(scene.usable())
+    return float((scene.errors(rows) < _FITS * NOISE).sum() / len(scene.picture))
+
+
+def _deviations(
+    scene: Scene, moved: Bool[np.ndarray, " pictures"], *, focal: bool
+) -> tuple[float, float]:
+    """Standard deviation of places over the path's extent, and of the focal length's logarithm.
+
+    Those of all but the unit, which no point tells.
+    """
+    H = scene.normal
+    poses = H[:-1, :-1] if focal else H
+    t = scene.t[moved]
+    unit = np.zeros(len(H))
+    unit[: len(poses)].reshape(-1, 6)[:, 3:] = t / np.linalg.norm(t)
+    variance = np.linalg.pinv(H + np.trace(H) * np.outer(unit, unit), hermitian=True).diagonal()
+    places = variance[: len(poses)].reshape(-1, 6)[:, 3:].sum(1)
+    extent = (t**2).sum(1).mean()
+    return float(np.sqrt(places.mean() / extent)), float(np.sqrt(variance[-1]))
+
+
+def _whole(
+    best: Scene, seen: _Seen, keys: Int[np.ndarray, " keys"], pictures: int, rate: float
+) -> Scene:
+    """All pictures, placed by the points that the key pictures tell, on a steady path."""
+    whole = seen.scene(pictures, len(best.X))
+    whole.X, whole.known, whole.focal = best.X, best.known, best.focal
+    stand = np.flatnonzero(best.placed)
+    near = stand[np.abs(np.arange(pictures)[:, None] - keys[stand]).argmin(1)]
+    whole.R, whole.t = best.R[near], best.t[near]
+    count = np.bincount(seen.picture[best.known[seen.point]], minlength=pictures)
+    whole.placed = count >= _FEWEST_POINTS
+    rows = np.flatnonzero(whole.usable())
+    w = np.abs(whole.X[whole.point[rows], 3])
+    far = float(np.median(whole.in_cameras(rows)[:, 2] / np.maximum(w, 1e-9)))
+    for wider in _WIDER:
+        whole.refine(whole.placed, points=False, wider=wider, steady=_ACCELERATION * far / rate**2)
+    return whole
