@@ -33,7 +33,7 @@ _MOST_ZOOM = 0.1
 
 
 @dataclass
-class Scene:
+class SeenBackground:
     """Pictures, points of the background, and where they are seen."""
 
     picture: Int[np.ndarray, " seen"]
@@ -144,9 +144,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What `Scene.refine` lowers."""
+    """What `SeenBackground.refine` lowers."""
 
-    scene: Scene
+    scene: SeenBackground
     rows: Int[np.ndarray, " rows"]
     moved: Bool[np.ndarray, " pictures"]
     points: bool
@@ -192,9 +192,10 @@ class _Problem:
             columns = sparse.hstack((columns, zoom), format="csr")
         H, g = columns.T @ columns, columns.T @ off.ravel()
         if self.steady is not None:
-            bend = sparse.diags_array(
-                [1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)
-            )
+            row = np.arange(count - 2).repeat(3)
+            column = row + np.tile([0, 1, 2], count - 2)
+            values = np.tile([1.0, -2.0, 1.0], count - 2)
+            bend = sparse.csr_array((values, (row, column)), shape=(count - 2, count))
             shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in it.R[self.moved]]
             bent = sparse.kron(bend, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
             H, g = H + bent.T @ bent, g + bent.T @ self.bends().ravel()

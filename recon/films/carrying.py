@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from recon.films.bundle import NOISE, Scene
+from recon.films.bundle import NOISE, SeenBackground
 from recon.films.turning import CameraMotion, turned_onto
 
 _EVERY, _MOST_KEYS, _FEWEST_KEYS = 3, 150, 5
@@ -64,7 +64,7 @@ def find_path(
     frames, picture = np.unique(frame, return_inverse=True)
     every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
     keys = np.arange(0, len(frames), every)
-    best: Scene | None = None
+    best: SeenBackground | None = None
     first = 0
     seen = _Seen(picture, point, pixels / focal)
     if len(keys) >= _FEWEST_KEYS:
@@ -97,9 +97,9 @@ class _Seen:
     point: Int[np.ndarray, " rows"]
     places: Float[np.ndarray, "rows 2"]
 
-    def scene(self, pictures: int, points: int) -> Scene:
+    def scene(self, pictures: int, points: int) -> SeenBackground:
         """Pictures none of which is placed."""
-        return Scene(
+        return SeenBackground(
             self.picture, self.point, self.places, np.tile(np.eye(3), (pictures, 1, 1)),
             np.zeros((pictures, 3)), np.zeros((points, 4)), np.zeros(pictures, bool),
             np.zeros(points, bool),
@@ -115,7 +115,7 @@ class _Seen:
 
 def _grown(
     seen: _Seen, keys: Int[np.ndarray, " keys"], *, known: bool
-) -> Iterator[tuple[Scene, int]]:
+) -> Iterator[tuple[SeenBackground, int]]:
     """The key pictures and their points, from every pair with which they may begin.
 
     Also the first picture of the pair, which does not move.
@@ -169,7 +169,7 @@ def _pairs(
             yield i, j, R, t[:, 0]
 
 
-def _grow(scene: Scene, one: int, other: int) -> None:
+def _grow(scene: SeenBackground, one: int, other: int) -> None:
     """Place all pictures that can be, from two that stand: those between them, then outwards."""
     scene.placed[[one, other]] = True
     scene.triangulate()
@@ -192,19 +192,19 @@ def _grow(scene: Scene, one: int, other: int) -> None:
             scene.drop_misfits()
 
 
-def _but(scene: Scene, one: int) -> Bool[np.ndarray, " pictures"]:
+def _but(scene: SeenBackground, one: int) -> Bool[np.ndarray, " pictures"]:
     """The placed pictures but one, whose frame is the world's."""
     return scene.placed & (np.arange(len(scene.placed)) != one)
 
 
-def _share_that_fits(scene: Scene) -> float:
+def _share_that_fits(scene: SeenBackground) -> float:
     """Share of all observations that agree with the path."""
     rows = np.flatnonzero(scene.usable())
     return float((scene.errors(rows) < _FITS * NOISE).sum() / len(scene.picture))
 
 
 def _deviations(
-    scene: Scene, moved: Bool[np.ndarray, " pictures"], *, focal: bool
+    scene: SeenBackground, moved: Bool[np.ndarray, " pictures"], *, focal: bool
 ) -> tuple[float, float]:
     """Standard deviation of places over the path's extent, and of the focal length's logarithm.
 
@@ -222,8 +222,8 @@ def _deviations(
 
 
 def _whole(
-    best: Scene, seen: _Seen, keys: Int[np.ndarray, " keys"], pictures: int, rate: float
-) -> Scene:
+    best: SeenBackground, seen: _Seen, keys: Int[np.ndarray, " keys"], pictures: int, rate: float
+) -> SeenBackground:
     """All pictures, placed by the points that the key pictures tell, on a steady path."""
     whole = seen.scene(pictures, len(best.X))
     whole.X, whole.known, whole.focal = best.X, best.known, best.focal
