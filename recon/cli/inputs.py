@@ -21,6 +21,7 @@ EXPECTED = {
     "film": "a film (.mp4, .mov, .mkv, ...)",
     "file": "a file or folder that recon reads",
     "like": "a recording with named markers (.c3d, .trc)",
+    "set": "a marker set by its name, or a file of markers and landmarks (.toml)",
     "manifest": "a folder of films, or a file with one JSON object per line",
     "mapping": "a TOML file that says which joints or markers are which",
     "masks": "a folder of silhouettes, or an .npz of them",

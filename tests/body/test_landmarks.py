@@ -1,7 +1,6 @@
 """Landmarks lie where their names say; marker labels of the common protocols find them."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,17 +193,6 @@ def test_landmarks_file_is_flat_names_to_numbers():
     assert json.loads(json.dumps(dict(landmarks()))) == landmarks()
     with pytest.raises(TypeError):
         landmarks()["nose"] = 1  # type: ignore[index]
-
-
-def test_the_landmarks_that_the_manual_lists_are_there():
-    text = (Path(__file__).parents[2] / "docs/start/points.md").read_text(encoding="utf-8")
-    middle, sided = text.split("## Landmarks for a mapping")[1].strip().split("\n\n")
-    names = [word.strip(" .\n") for word in middle.partition(":")[2].split(",")]
-    for word in sided.partition(":")[2].split(","):
-        names += [f"{side}_{word.strip(' .').strip()}" for side in ("left", "right")]
-    assert len(names) > 100
-    for name in (" ".join(name.split()) for name in names):
-        landmark(name)
 
 
 def test_real_recordings_match(data):

@@ -59,7 +59,7 @@ def test_a_fit_without_checks_loads_none(tmp_path):
     )  # fmt: skip
     said, loaded = ran.stdout.splitlines()
     assert said == "()"
-    needed = ("certainty", "doubts", "examination", "findings")
+    needed = ("certainty", "examination", "findings")
     loaded = [name.removeprefix("recon.diagnosis.") for name in loaded.split()]
     assert sorted(loaded) == sorted(needed)
 

@@ -57,8 +57,8 @@ def test_a_ground_is_where_the_lowest_markers_are_as_high_as_those_of_feet(
     unseen = dataclasses.replace(markers, visible=np.zeros_like(markers.visible))
     assert not fit.ground_is_zero(unseen)
     known = full_body_markers(markers, single)
-    assert fit._energies(markers, known, single).under is not None
-    assert fit._energies(lifted(markers, 1.0), known, single).under is None
+    assert fit.subject_energies(markers, known, single).under is not None
+    assert fit.subject_energies(lifted(markers, 1.0), known, single).under is None
 
 
 def test_calibration_frames_are_apart_and_count_as_thirty_a_second(
@@ -74,7 +74,7 @@ def test_calibration_frames_are_apart_and_count_as_thirty_a_second(
     monkeypatch.setattr(fit, "calibrated", taken)
     known = full_body_markers(markers, single)
     for rate in (markers.fps, 4 * markers.fps):
-        subject = fit._energies(dataclasses.replace(markers, fps=rate), known, single)
+        subject = fit.subject_energies(dataclasses.replace(markers, fps=rate), known, single)
         with pytest.raises(InterruptedError):
             fit._calibrated_to_frames(subject.frames(torch.arange(5)), known.bones)
     for one in poses:
