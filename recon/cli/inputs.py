@@ -20,6 +20,8 @@ EXPECTED = {
     "corpus": "a folder that `recon convert --all` wrote",
     "film": "a film (.mp4, .mov, .mkv, ...)",
     "file": "a file or folder that recon reads",
+    "bones": "a table of bones (.toml)",
+    "character": "a rigged character (.glb, .gltf, .vrm)",
     "like": "a recording with named markers (.c3d, .trc)",
     "set": "a marker set by its name, or a file of markers and landmarks (.toml)",
     "manifest": "a folder of films, or a file with one JSON object per line",
