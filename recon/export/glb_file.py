@@ -157,10 +157,7 @@ class GltfFile:
         # data of other files goes into this one
         for one in (*document["buffers"], *document.get("images", ())):
             if "uri" in one and not str(one["uri"]).startswith("data:"):
-                media = _MEDIA.get(
-                    Path(str(one["uri"])).suffix.lower(), "application/octet-stream"
-                )
-                one["uri"] = _data_uri(_data_of(one, self.path), media)
+                one["uri"] = _data_uri(_data_of(one, self.path), str(one["uri"]))
         grows = not document["buffers"] or "uri" not in document["buffers"][0]
         data = bytearray(self.binary or b"") if grows else bytearray()
         buffer = 0 if grows else len(document["buffers"])

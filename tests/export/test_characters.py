@@ -145,11 +145,14 @@ def test_a_gltf_beside_its_data_becomes_one_file(motion, body, tmp_path):
     document, data = read_glb_of(made)
     (tmp_path / "my data.bin").write_bytes(data)
     document["buffers"][0]["uri"] = "my%20data.bin"
+    document["images"] = [{"uri": "skin.png"}]
+    (tmp_path / "skin.png").write_bytes(b"\x89PNG")
     (tmp_path / "c.gltf").write_text(json.dumps(document))
     read = Character.read(tmp_path / "c.gltf")
     write_character(tmp_path / "out.glb", motion.window(0, 9), body, tmp_path / "c.gltf")
     after, _ = read_glb_of(tmp_path / "out.glb")
     assert all(one["uri"].startswith("data:") for one in after["buffers"])
+    assert after["images"][0]["uri"].startswith("data:image/png;base64,")
     again = Character.read(tmp_path / "out.glb")
     np.testing.assert_array_equal(read.world, again.world)
     document["buffers"][0]["uri"] = "../secret.bin"
