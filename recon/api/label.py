@@ -105,11 +105,11 @@ def label(
 ) -> LabelledMarkers:
     """Name the markers of a recording as in another trial of the same person, or of a set.
 
-    Trajectories are cut where they jump, and named by their distances from each other and by
-    their places seen from others: in the named trial, and on its body in other poses; or, of a
-    set, on bodies of many shapes, and then on the one that fits. Names the recording has are
-    ignored. Doubtful points stay open (*1, *2, ...). Nothing is random. A trial that is named like
-    itself gets exchanged names and ghosts put right; a warning counts them.
+    Trajectories are cut where they jump. A body with the markers, that of the named trial or, of a
+    set, one of several statures, is fitted to single frames and followed from there; each frame
+    adds to how likely a trajectory is to be each marker. Names the recording has are ignored.
+    Doubtful points stay open (*1, *2, ...). Nothing is random. A trial that is named like itself
+    gets exchanged names and ghosts put right; a warning counts them.
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.

@@ -122,6 +122,11 @@ class Character:
         return np.stack((aside, up, np.cross(aside, up)))
 
     @cached_property
+    def world_turns(self) -> Float[Tensor, "nodes 3 3"]:
+        """Rotation of every node to the scene, as the file has it."""
+        return _rotations(self.world)
+
+    @cached_property
     def turns(self) -> Float[Tensor, "nodes 3 3"]:
         """Rotation of every node in the rest pose to our axes of the body."""
         return torch.from_numpy(self.frame) @ _rotations(self.reference)

@@ -9,6 +9,7 @@ from torch import Tensor
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.arrays import runs
 from recon.core.fingers import SIDES
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
@@ -203,16 +204,10 @@ def _unit(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp(min=1e-9)
 
 
-def _stretches(stands: Bool[Tensor, " time"]) -> list[tuple[int, int]]:
-    """First frames of stretches of true values, and the frames after their ends."""
-    edges = torch.nn.functional.pad(stands.int(), (1, 1)).diff().nonzero()[:, 0].tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
 def _with_some(near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]) -> Bool[Tensor, " time"]:
     """Stretches of true values without those in which another is never true."""
     kept = torch.zeros_like(near)
-    for first, stop in _stretches(near):
+    for first, stop in runs(near.numpy()):
         kept[first:stop] = bool(slow[first:stop].any())
     return kept
 
@@ -230,7 +225,7 @@ def _while_standing(
     They are zero on the average of every stand. With `fades` they go to zero between.
     """
     found, frames = steps.new_zeros(len(stands), 2), len(stands)
-    stretches = _stretches(stands)
+    stretches = runs(stands.numpy())
     for first, stop in stretches:
         path = torch.nn.functional.pad(steps[first : stop - 1], (0, 0, 1, 0)).cumsum(0)
         found[first:stop] = path - path.mean(0)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError, ReconError
 from recon.export.bone_tree import Tree
@@ -60,16 +61,10 @@ def local_matrix(node: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"]:
     if "matrix" in node:
         return _numbers(node["matrix"], 16, path).reshape(4, 4).T
     made = np.eye(4)
-    x, y, z, w = _numbers(node.get("rotation", (0, 0, 0, 1)), 4, path)
-    size = x * x + y * y + z * z + w * w
-    if size < 1e-12:
+    quaternion = _numbers(node.get("rotation", (0, 0, 0, 1)), 4, path)
+    if quaternion @ quaternion < 1e-12:
         raise FormatError(f"{path}: a node has the rotation zero")
-    n = 2 / size
-    turn = np.array([
-        [1 - n * (y * y + z * z), n * (x * y - z * w), n * (x * z + y * w)],
-        [n * (x * y + z * w), 1 - n * (x * x + z * z), n * (y * z - x * w)],
-        [n * (x * z - y * w), n * (y * z + x * w), 1 - n * (x * x + y * y)],
-    ])  # fmt: skip
+    turn = Rotation.from_quat(quaternion).as_matrix()
     made[:3, :3] = turn * _numbers(node.get("scale", (1, 1, 1)), 3, path)
     made[:3, 3] = _numbers(node.get("translation", (0, 0, 0)), 3, path)
     return made

@@ -154,7 +154,7 @@ def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 
     """Rotation of a node's parent in every frame; nodes between animated ones are at rest."""
     character = rig.character
     path = character.tree.path(node)[1:]
-    rest = torch.from_numpy(_turned(character.world))
+    rest = character.world_turns
     if not path:
         return torch.eye(4, dtype=torch.float64).expand(len(posed[node]), 4, 4)
     driven = next((k for k in path if k in posed), None)
@@ -162,11 +162,6 @@ def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 
         return so3.rigid(rest[path[0]], torch.zeros(3).double()).expand(len(posed[node]), 4, 4)
     between = rest[driven].mT @ rest[path[0]]
     return so3.rigid(posed[driven][:, :3, :3] @ between, posed[driven][:, :3, 3])
-
-
-def _turned(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[np.ndarray, "nodes 3 3"]:
-    sizes = np.linalg.norm(matrices[:, :3, :3], axis=1, keepdims=True)
-    return matrices[:, :3, :3] / np.maximum(sizes, 1e-300)
 
 
 def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:

@@ -12,10 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
+
+from recon.core import rotations as so3
 
 NOISE = 0.001
 """Radians by which points agree."""
@@ -183,7 +186,8 @@ class _Problem:
         D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
         D *= it.focal * root / z[:, None]
         # a picture turns about its own place, then moves
-        poses = np.concatenate((-D @ _cross(there), D * it.X[p, 3][:, None, None]), 2)
+        cross = so3.hat(torch.from_numpy(there)).numpy()
+        poses = np.concatenate((-D @ cross, D * it.X[p, 3][:, None, None]), 2)
         count = int(self.moved.sum())
         number = np.cumsum(self.moved) - 1
         columns = _blocks(poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count)
@@ -192,10 +196,11 @@ class _Problem:
             columns = sparse.hstack((columns, zoom), format="csr")
         H, g = columns.T @ columns, columns.T @ off.ravel()
         if self.steady is not None:
-            row = np.arange(count - 2).repeat(3)
-            column = row + np.tile([0, 1, 2], count - 2)
-            values = np.tile([1.0, -2.0, 1.0], count - 2)
-            bend = sparse.csr_array((values, (row, column)), shape=(count - 2, count))
+            inner = max(count - 2, 0)
+            row = np.arange(inner).repeat(3)
+            column = row + np.tile([0, 1, 2], inner)
+            values = np.tile([1.0, -2.0, 1.0], inner)
+            bend = sparse.csr_array((values, (row, column)), shape=(inner, count))
             shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in it.R[self.moved]]
             bent = sparse.kron(bend, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
             H, g = H + bent.T @ bent, g + bent.T @ self.bends().ravel()
@@ -257,13 +262,6 @@ def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: in
     columns = np.broadcast_to(n * number[:, None, None] + np.arange(n), values.shape)
     ends = np.arange(0, values.size + 1, n)
     return sparse.csr_array((values.ravel(), columns.ravel(), ends), (2 * rows, n * count))
-
-
-def _cross(v: Float[np.ndarray, "rows 3"]) -> Float[np.ndarray, "rows 3 3"]:
-    """Matrices of the cross product with vectors."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - out.swapaxes(1, 2)
 
 
 def _perpendicular(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:

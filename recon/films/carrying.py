@@ -64,15 +64,11 @@ def find_path(
     frames, picture = np.unique(frame, return_inverse=True)
     every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
     keys = np.arange(0, len(frames), every)
-    best: SeenBackground | None = None
-    first = 0
     seen = _Seen(picture, point, pixels / focal)
-    if len(keys) >= _FEWEST_KEYS:
-        for scene, one in _grown(seen, keys, known=known):
-            if best is None or _share_that_fits(scene) > _share_that_fits(best):
-                best, first = scene, one
-    if best is None:
+    grown = list(_grown(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
+    if not grown:
         return "no two of its pictures share points enough at different distances"
+    best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
         return "points of its background do not agree on a path"
     place, zoom = _deviations(best, _but(best, first), focal=not known)

@@ -9,6 +9,7 @@ import errno
 import json
 import socket
 import warnings
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -88,9 +89,9 @@ class Link(AbstractContextManager[Any]):
             self._socket.close()
             raise ReconError(f"{address}: nothing can be sent there ({error})") from error
 
+    @abstractmethod
     def send(self, estimate: LiveEstimate | None) -> None:
         """Send an estimate, with those before it that became final with it; None is none yet."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Close the socket; nothing can be sent afterwards."""
