@@ -43,9 +43,10 @@ _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""
 _MOSTLY = 0.5
 """Share of a marker's frames."""
-_BESIDE = 0.048
-"""Metres from usual places to guessed markers, on average: up to 0.047 where they were right, from
-0.05 on where they were not."""
+_BESIDE = 0.046
+"""Metres from usual places to guessed markers, on average: 0.02 to 0.042 where they were right."""
+_ASTRAY = 0.012
+"""Mean residual of guessed markers in metres: at most 0.008 where they were right."""
 _TRIAL_FRAMES = 40
 _BETTER = 0.6
 """Share of the residual that other labels must leave."""
@@ -143,12 +144,14 @@ def _refuse_unusual_places(recording: MarkerRecording, markers: MarkerSet, fit: 
     """Refuse markers that were guessed to be others, and so lie far beside their places."""
     seen = torch.from_numpy(recording.visible).any(0)
     beside = float((fit.offsets - markers.nominal)[seen].norm(dim=-1).mean())
-    if beside > _BESIDE:
+    astray = mean_residual(fit, recording)
+    if beside > _BESIDE or astray > _ASTRAY:
         raise ReconError(
             f"{recording.name}: its points have no names, and on the body that fits best they lie "
-            f"{100 * beside:.1f} cm beside usual places of markers, so it is not to be believed: "
-            "give a recording of the same person and set that has names, or the table of the "
-            "set, with --mapping"
+            f"{100 * beside:.1f} cm beside usual places of markers and {1000 * astray:.0f} mm "
+            "from where these move, so it is not to be believed: check unit and axis (--unit, "
+            "--up), or give a recording of the same person and set that has names, or the table "
+            "of the set, with --mapping"
         )
 
 

@@ -42,20 +42,18 @@ def placed_markers(
         FileNotFoundError: when there is no such file.
         ReconError: as in `full_body_markers`; or when no body is found among the points.
     """
-    table = mapping is None or Path(mapping).suffix.lower() in _TABLES
-    given = {} if mapping is None or not table else load_marker_map(mapping)
     names = [recording.marker_names[k] for k in np.flatnonzero(recording.visible.any(0))]
+    table = mapping if mapping is None or Path(mapping).suffix.lower() in _TABLES else None
+    given = () if table is None else load_marker_map(table)
     if not are_nameless(names) or set(given) & set(names):
         return recording, full_body_markers(recording, body, mapping)
-    if table:
-        markers = markers_of_set(USUAL if mapping is None else mapping, body)
-        bodies, like = bodies_of_set(markers, body), "usual places" if mapping is None else mapping
+    like = "usual places" if mapping is None else str(mapping)
+    if mapping is None or table is not None:
+        bodies = bodies_of_set(markers_of_set(USUAL if table is None else table, body), body)
     else:
-        bodies, like = [body_like(marker_recording(mapping), body)], mapping
-    naming = named_tracks(recording, recording.visible, bodies, str(like))
-    named = _named_only(naming, str(like))
-    found = full_body_markers(named, body, mapping if table else None)
-    return named, replace(found, guessed=mapping is None)
+        bodies = [body_like(marker_recording(mapping), body)]
+    named = _named_only(named_tracks(recording, recording.visible, bodies, like), like)
+    return named, replace(full_body_markers(named, body, table), guessed=mapping is None)
 
 
 def marker_recording(
