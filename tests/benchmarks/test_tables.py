@@ -102,7 +102,9 @@ def test_a_row_of_another_length_is_refused() -> None:
 
 
 def test_old_results_say_that_they_are_old() -> None:
-    old = Table([("x", None)], [["one"]], [{"command": "python -m benchmarks.c", "recon": "0.1.0"}])
+    old = Table(
+        [("x", None)], [["one"]], [{"command": "python -m benchmarks.c", "recon": "0.1.0"}]
+    )
     assert "version 0.1.0" in old.markdown()
     assert shown(None, 2) == "–"
 
