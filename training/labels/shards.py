@@ -1,4 +1,4 @@
-"""People whose clouds teach the labels of points, and the files of labelled clouds drawn of them."""
+"""People whose clouds teach the labels of points, and files of labelled clouds drawn of them."""
 
 import math
 from collections.abc import Sequence
