@@ -85,9 +85,8 @@ class LabelledMarkers:
                 f"{out}: a C3D file is written as a copy of one, but {self.recording.name} was "
                 "read from none; write .trc or .csv"
             )
-        said = self.report() if report is None else report
         output = Output(Path(out), OutputKind.FILE)
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
             if kind == ".c3d" and self.source is not None:
                 write_renamed_c3d(staged, self.source, self.recording.marker_names, self.columns)
             else:
