@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.first_guess import FirstGuess, guessed
-from observations.noise import weights_of
+from observations.noise import error_repetition, weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
@@ -30,6 +30,7 @@ from recon.fitting.stages import (
     with_shape_terms,
     without_root,
 )
+from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction, solve
 from recon.method.sensor import Sensor, frame_is_level, views_of
 from recon.method.stages import Stage, Stages, Watch
@@ -124,6 +125,8 @@ class ClipProblem:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
+    repetition: float = 1.0
+    """Frames of a view that tell as much as one would without correlations in time."""
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
@@ -139,10 +142,10 @@ class ClipProblem:
 
     def _solved_in_recording(self, *, ground_known: bool) -> ClipFit:
         """The motion in the frame of the recording, which is the world or has no ground."""
-        start = self.guess.motion
+        job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            start = self.on_known_ground()
-        result = self.fit(self.options, self.scene(start), start, self.moved)
+            job, start = self.on_known_ground()
+        result = job.fit(job.options, job.scene(start), start, job.moved)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
 
@@ -260,23 +263,25 @@ class ClipProblem:
         body = self.body.to(device=self.options.device)
         found = run(
             self.observations, self.stages(options, moved, body), body, scene=scene, start=start,
-            weights=weights_of(self.noises), watch=self.watch,
+            weights=[one / self.repetition for one in weights_of(self.noises)], watch=self.watch,
         )  # fmt: skip
         return found.on_device_of(self.body)
 
-    def on_known_ground(self) -> Motion:
+    def on_known_ground(self) -> "tuple[ClipProblem, Motion]":
         """A first motion under the pose prior, scaled about the camera to stand on the ground.
 
         What a camera sees does not change when everything is farther and larger by one factor.
         """
-        free = self.pose_prior_motion()
+        job, free = self.after_pose_prior()
         view = views_of(self.observations)[0]
         eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
         factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
         factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
         pelvis = self.body.rest_joints(free.shape)[:, 0]
         place = free.translation + (pelvis - eye)[:, None]
-        return free.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
+        return job, free.replace(
+            translation=place * factor[:, None, None] - (pelvis - eye)[:, None]
+        )
 
     @property
     def ground_seen(self) -> bool:
@@ -289,10 +294,22 @@ class ClipProblem:
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
 
-    def pose_prior_motion(self) -> Motion:
-        """A first motion under the pose prior, which needs no ground."""
+    def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
+        """A first motion under the pose prior, which needs no ground.
+
+        And the problem in which one view, whose noise nobody gave, weighs less where its errors
+        about this motion repeat from frame to frame; otherwise feet follow them and slip.
+        """
         start = self.guess.motion
-        return self.fit(self.pose_prior_options, self.scene(start), start, frozenset()).motion
+        first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
+        if not self.one_view or self.options.noise_of(0) is not None:
+            return self, first.motion
+        (view,) = views_of(self.observations)
+        with torch.no_grad():
+            away = view.residuals(first.estimate)
+        own, rate = self.noises[0].own, REFERENCE_FPS / view.fps
+        found = error_repetition(away.values * away.weights[..., None], away.seen, own, rate)
+        return replace(self, repetition=found), first.motion
 
     def with_camera_scale(self) -> "ClipProblem":
         """The problem with the camera's path scaled to metres by the feet of a first motion."""
@@ -300,7 +317,7 @@ class ClipProblem:
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
         (view,) = views
-        motion = self.pose_prior_motion()
+        _, motion = self.after_pose_prior()
         feet = self.body.pose(motion).joints[..., list(_BALLS), :]
         there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
@@ -320,19 +337,19 @@ class ClipProblem:
         # imported here: in most clips the ground is known
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 
-        start = self.guess.motion
+        job, start = self, self.guess.motion
         # z is up and only the height of the ground is unknown
         if frame_is_level(self.observations):
-            start, unknown = self.pose_prior_motion(), HEIGHT
+            (job, start), unknown = self.after_pose_prior(), HEIGHT
             ground = ground_below(start, self.body)
         elif self.ground_seen:
             ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
         else:
-            start, unknown = self.pose_prior_motion(), GROUND
+            (job, start), unknown = self.after_pose_prior(), GROUND
             ground = upright_ground(start, self.body)
         if not self.options.knows_gravity:
             unknown = frozenset()
-        return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
+        return job.fit(job.options, job.scene(start, ground), start, job.moved | unknown)
 
     def first_seconds(self) -> "ClipProblem":
         """The first seconds of the clip, as long as a window of a long recording."""
