@@ -25,8 +25,8 @@ _TOLERANCE = np.radians(1.2)
 _MOST_TILTED = np.radians(50.0)
 """Angle between the vertical and the image's own up axis up to which it is looked for."""
 _ROLL, _PITCH, _PITCH_SPREAD = np.radians(20.0), np.radians(8.0), np.radians(30.0)
-"""Standard deviation of a camera's roll; mean and standard deviation of the angle by which it looks
-down. Lines that tell a camera far from these are mostly those of furniture or textures."""
+"""Standard deviation of a camera's roll; mean and standard deviation of the angle by which it
+looks down. Lines that tell a camera far from these are mostly those of furniture or textures."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
 """Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
 _PAIRS = 300
@@ -39,8 +39,8 @@ _BEYOND_CHANCE = 0.12
 """Explained share beyond that of segments turned at random, from which on lines tell anything."""
 _RANDOM_TURNS = 5
 _RIVAL, _APART = 0.8, np.radians(10.0)
-"""Share beyond chance that another vertical, at least this angle away, may explain of what the best
-one explains beyond chance; else lines tell no single vertical."""
+"""Share beyond chance that another vertical, at least this angle away, may explain of what the
+best one explains beyond chance; else lines tell no single vertical."""
 _STEP, _PEAK = 0.12, 0.92
 """Logarithm of a change of the focal length by which the explained share must fall, to this share
 of its greatest value, for lines to tell the focal length."""
@@ -169,7 +169,7 @@ def _best_vertical(
 
 
 def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
-    """Normal density, one at its mean, of the roll and pitch of cameras with these up directions."""
+    """Normal density of the roll and pitch of cameras with these up directions; one at its mean."""
     roll, down = np.arctan2(ups[:, 0], -ups[:, 1]), np.arcsin(np.clip(-ups[:, 2], -1, 1))
     return np.exp(-0.5 * ((roll / _ROLL) ** 2 + ((down - _PITCH) / _PITCH_SPREAD) ** 2))
 

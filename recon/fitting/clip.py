@@ -9,15 +9,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.first_guess import FirstGuess, guessed
-from observations.noise import error_repetition, weights_of
+from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
-from recon.core.skeleton import joint_index
+from recon.core.scene import GROUND, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
@@ -30,17 +28,13 @@ from recon.fitting.stages import (
     with_shape_terms,
     without_root,
 )
-from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction, solve
-from recon.method.sensor import Sensor, frame_is_level, views_of
+from recon.method.sensor import Sensor, views_of
 from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
-_BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
-_MOST = 1.5
-"""Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
 KEYPOINT_OFFSET_DEVIATION = 0.005
 """Standard deviation between people of where a detector places a joint, metres, for one frame.
 The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames are correlated."""
@@ -130,21 +124,27 @@ class ClipProblem:
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
+        if self.options.grounded and all(one.ground_known for one in self.observations):
+            return self._in_own_frame(ground_known=True)
+        # imported here: in most clips the ground is known
+        from recon.fitting.first_motions import with_camera_scale, with_ground
+
+        job = with_camera_scale(self)
         if not self.options.grounded:
-            return self.with_camera_scale()._solved_in_recording(ground_known=False)
-        if all(one.ground_known for one in self.observations):
-            return self._solved_in_recording(ground_known=True)
-        job = self.with_camera_scale()
-        result = job.with_ground()
+            return job._in_own_frame(ground_known=False)
+        result = with_ground(job)
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
         return job._clip_fit(result, T, ground_known=False)
 
-    def _solved_in_recording(self, *, ground_known: bool) -> ClipFit:
+    def _in_own_frame(self, *, ground_known: bool) -> ClipFit:
         """The motion in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            job, start = self.on_known_ground()
+            # imported here: one view of a known camera alone needs it
+            from recon.fitting.first_motions import on_known_ground
+
+            job, start = on_known_ground(self)
         result = job.fit(job.options, job.scene(start), start, job.moved)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
@@ -267,22 +267,6 @@ class ClipProblem:
         )  # fmt: skip
         return found.on_device_of(self.body)
 
-    def on_known_ground(self) -> "tuple[ClipProblem, Motion]":
-        """A first motion under the pose prior, scaled about the camera to stand on the ground.
-
-        What a camera sees does not change when everything is farther and larger by one factor.
-        """
-        job, free = self.after_pose_prior()
-        view = views_of(self.observations)[0]
-        eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
-        factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
-        factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
-        pelvis = self.body.rest_joints(free.shape)[:, 0]
-        place = free.translation + (pelvis - eye)[:, None]
-        return job, free.replace(
-            translation=place * factor[:, None, None] - (pelvis - eye)[:, None]
-        )
-
     @property
     def ground_seen(self) -> bool:
         """Whether the recording's z = 0 was laid on a plane that is given or seen."""
@@ -293,63 +277,6 @@ class ClipProblem:
         """The observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
-
-    def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
-        """A first motion under the pose prior, which needs no ground.
-
-        And the problem in which one view, whose noise nobody gave, weighs less where its errors
-        about this motion repeat from frame to frame; otherwise feet follow them and slip.
-        """
-        start = self.guess.motion
-        first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
-        if not self.one_view or self.options.noise_of(0) is not None:
-            return self, first.motion
-        (view,) = views_of(self.observations)
-        with torch.no_grad():
-            away = view.residuals(first.estimate)
-        own, rate = self.noises[0].own, REFERENCE_FPS / view.fps
-        found = error_repetition(away.values * away.weights[..., None], away.seen, own, rate)
-        return replace(self, repetition=found), first.motion
-
-    def with_camera_scale(self) -> "ClipProblem":
-        """The problem with the camera's path scaled to metres by the feet of a first motion."""
-        views = views_of(self.observations)
-        if len(self.observations) > 1 or not views or views[0].unit_known:
-            return self
-        (view,) = views
-        _, motion = self.after_pose_prior()
-        feet = self.body.pose(motion).joints[..., list(_BALLS), :]
-        there, _ = view.at_own_times(feet, motion)
-        if there.shape[-3] < view.moments:
-            return self
-        # imported here: only moving cameras need it
-        from observations.camera_paths import with_path_in_metres
-
-        seen = view.camera.to_camera(there).detach().double().numpy()
-        found = with_path_in_metres(view, seen)
-        moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
-        if motion.frames == view.moments:
-            motion = motion.replace(translation=motion.translation + moved)
-        return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
-
-    def with_ground(self) -> Reconstruction:
-        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
-        # imported here: in most clips the ground is known
-        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
-
-        job, start = self, self.guess.motion
-        # z is up and only the height of the ground is unknown
-        if frame_is_level(self.observations):
-            (job, start), unknown = self.after_pose_prior(), HEIGHT
-            ground = ground_below(start, self.body)
-        elif self.ground_seen:
-            ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
-        else:
-            (job, start), unknown = self.after_pose_prior(), GROUND
-            ground = upright_ground(start, self.body)
-        if not self.options.knows_gravity:
-            unknown = frozenset()
-        return job.fit(job.options, job.scene(start, ground), start, job.moved | unknown)
 
     def first_seconds(self) -> "ClipProblem":
         """The first seconds of the clip, as long as a window of a long recording."""
