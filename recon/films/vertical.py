@@ -169,7 +169,7 @@ def _best_vertical(
 
 
 def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
-    """Normal density of the roll and pitch of cameras with these up directions; one at its mean."""
+    """Normal density of roll and pitch of cameras with these up directions; one at its mean."""
     roll, down = np.arctan2(ups[:, 0], -ups[:, 1]), np.arcsin(np.clip(-ups[:, 2], -1, 1))
     return np.exp(-0.5 * ((roll / _ROLL) ** 2 + ((down - _PITCH) / _PITCH_SPREAD) ** 2))
 
