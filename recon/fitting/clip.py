@@ -236,6 +236,11 @@ class ClipProblem:
             if self.scale_unknown:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
+            if self.one_view:
+                from recon.fitting.still_feet import with_still_feet  # one view alone needs it
+
+                (one,) = self.noises
+                stages = with_still_feet(stages, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)
             return stages if self.guess.distance_known else without_root(stages)
