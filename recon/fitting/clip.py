@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.core.scene import GROUND, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
+from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
@@ -29,7 +29,7 @@ from recon.fitting.stages import (
     without_root,
 )
 from recon.method.reconstruction import Reconstruction, solve
-from recon.method.sensor import Sensor, views_of
+from recon.method.sensor import Sensor, frame_is_level, views_of
 from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
@@ -126,13 +126,10 @@ class ClipProblem:
         """The motion, and the ground where it is not known."""
         if self.options.grounded and all(one.ground_known for one in self.observations):
             return self._in_own_frame(ground_known=True)
-        # imported here: in most clips the ground is known
-        from recon.fitting.first_motions import with_camera_scale, with_ground
-
-        job = with_camera_scale(self)
+        job = self._with_camera_scale()
         if not self.options.grounded:
             return job._in_own_frame(ground_known=False)
-        result = with_ground(job)
+        result = job._with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
         return job._clip_fit(result, T, ground_known=False)
@@ -141,13 +138,59 @@ class ClipProblem:
         """The motion in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            # imported here: one view of a known camera alone needs it
-            from recon.fitting.first_motions import on_known_ground
+            from recon.fitting.first_motions import scaled_onto_ground  # one view alone needs it
 
-            job, start = on_known_ground(self)
+            job, free = self.after_pose_prior()
+            start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
         result = job.fit(job.options, job.scene(start), start, job.moved)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
+
+    def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
+        """The problem after a fit under the pose prior, which needs no ground, and its motion.
+
+        One view whose noise nobody gave weighs less where its residuals about this motion repeat
+        from frame to frame: feet would follow them and slip.
+        """
+        start = self.guess.motion
+        first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
+        if not self.one_view or self.options.noise_of(0) is not None:
+            return self, first.motion
+        from recon.fitting.first_motions import repetition_in_view  # one view alone needs it
+
+        (view,) = views_of(self.observations)
+        found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
+        return replace(self, repetition=found), first.motion
+
+    def _with_camera_scale(self) -> "ClipProblem":
+        """The problem with the camera's path scaled to metres by the feet of a first motion."""
+        views = views_of(self.observations)
+        if len(self.observations) > 1 or not views or views[0].unit_known:
+            return self
+        from recon.fitting.first_motions import scaled_to_feet  # moving cameras alone need it
+
+        _, motion = self.after_pose_prior()
+        if (found := scaled_to_feet(cast(Any, views[0]), motion, self.body)) is None:
+            return self
+        view, motion = found
+        return replace(self, observations=(view,), guess=replace(self.guess, motion=motion))
+
+    def _with_ground(self) -> Reconstruction:
+        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
+        # imported here: in most clips the ground is known
+        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
+
+        job, start, level = self, self.guess.motion, frame_is_level(self.observations)
+        if self.ground_seen and not level:
+            ground = UnknownGround.create(pelvis_path(start, self.body))
+        else:
+            job, start = self.after_pose_prior()
+            ground = (ground_below if level else upright_ground)(start, self.body)
+        moved = self.moved
+        if self.options.knows_gravity:
+            # where z is up only the height of the ground is unknown
+            moved |= HEIGHT if level else GROUND
+        return job.fit(job.options, job.scene(start, ground), start, moved)
 
     def _clip_fit(
         self, result: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool

@@ -81,7 +81,7 @@ class StillFeet(TensorStruct):
     ) -> None:
         """Add the Hessian; see `SupportEnergy.add_curvature`."""
         held = joints.new_zeros(len(joints) - 1, 22, 3)
-        held[:, FEET] = weight * self._weights(estimate.motion)[clip][..., None]
+        held[:, FEET] = weight * self._weights(estimate.motion)[clip, ..., None].to(joints)
         add_differences(joints, (-1.0, 1.0), held.flatten(1))
 
     def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:

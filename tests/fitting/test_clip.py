@@ -15,7 +15,6 @@ from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import fit_clip, posed
-from recon.fitting.first_motions import after_pose_prior
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.formats.observations import CameraArrays, KeypointsFile
@@ -185,7 +184,7 @@ def test_a_view_whose_errors_last_weighs_less_unless_its_noise_is_told():
 
     def repetition(one: Keypoints2D, options: FitOptions) -> float:
         problem = posed(*guessed([one], bundled(), None, None), options, bundled())
-        return after_pose_prior(problem)[0].repetition
+        return problem.after_pose_prior()[0].repetition
 
     assert repetition(fresh, POSE) < 1.5
     assert repetition(lasting, POSE) > 3
