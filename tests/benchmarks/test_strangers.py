@@ -117,7 +117,7 @@ def test_kinds_are_told_by_words() -> None:
 
 def row(window: str, method: str, error: float | None, **more: object) -> dict[str, object]:
     return {
-        "person": "35", "kind": "walk", "window": window, "frames": 60, "method": method,
+        "window": window, "frames": 60, "method": method,
         "protocol": "noisy joints", "error": error, "slip": 0.02,
         "slip_truth": 0.04, "network": None, "labels": (8, 10, 30, 40), **more,
     }  # fmt: skip
