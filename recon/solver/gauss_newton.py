@@ -26,6 +26,9 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
+_FASTEST = 0.1
+"""Factor by which gains are taken to shrink from step to step at best; they fall faster where
+steps are Newton's, and no faster where kernels are robust."""
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
@@ -70,8 +73,8 @@ class GaussNewton:
 
     max_iterations: int = 50
     tolerance: float = 1e-4
-    """A problem has converged when a step lowers its objective by no more than this share of it,
-    or when a step that does not is not expected to."""
+    """A problem has converged when the next step is expected to lower its objective by no more
+    than this share of it: gains shrink by the factor by which the last one did, or by ten."""
     scale: float = 0.0
     """Objective, in its own unit, below which decreases are taken relative to this instead."""
     damping: float = 1e-3
@@ -156,6 +159,8 @@ class _Run:
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
     """Terms at every iterate."""
     evaluations: int = 0
+    gain: float = 0.0
+    """By how much the last step lowered the objective."""
     end: Termination | None = None
 
     def begin(self, terms: Float[Tensor, " terms"]) -> None:
@@ -189,13 +194,19 @@ class _Run:
         if gain >= 0:  # false for nan
             self.trace.append(terms)
             self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
-            self.end = Termination.CONVERGED if gain <= few else None
+            ahead = gain * self.shrinking(gain) if len(terms) > 0 else gain
+            self.end = Termination.CONVERGED if ahead <= few else None
+            self.gain = gain
             return True
         if promise <= few:
             self.end = Termination.CONVERGED
         else:
             self._raise_damping(options)
         return False
+
+    def shrinking(self, gain: float) -> float:
+        """By which factor the next gain is expected to be smaller than this one, or 1."""
+        return max(min(gain / self.gain, 1.0), _FASTEST) if self.gain > 0 else 1.0
 
     def _raise_damping(self, options: GaussNewton) -> None:
         self.damping = max(_RAISE * self.damping, _MIN_DAMPING)
