@@ -201,12 +201,10 @@ def _moments_of_exchange(
 
     They then move less if their sides are exchanged.
     """
-    if not pairs:
-        return np.zeros(len(points.visible), dtype=bool)
-    rows, moment = np.array(pairs), np.arange(len(points.visible))[:, None]
+    rows, moment = np.array(pairs, int).reshape(-1, 2), np.arange(len(points.visible))[:, None]
     seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
     last = np.maximum.accumulate(np.where(seen, moment, -1))
-    last = np.concatenate((np.full((1, len(pairs)), -1), last[:-1]))
+    last = np.concatenate((np.full_like(last[:1], -1), last[:-1]))
     known = seen & (last >= 0) & ((moment - last) / points.fps <= _FASTEST)
     before = np.take_along_axis(x, last.clip(min=0)[..., None, None], axis=0)
     same, other = (

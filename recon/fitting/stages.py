@@ -64,10 +64,9 @@ def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
     """The stages for one image, which tells the distance of a body by the size of its bones.
 
-    Placing a rest body there would trade its stretched limbs against distance. And a prior that
-    knows of no ground has its minimum at another distance than the ground tells (8 cm too low a
-    body, in a test): its stages are minimised by first order, which keeps the distance that they
-    begin with.
+    Placing a rest body there would trade its stretched limbs against distance. A prior that knows
+    of no ground has its minimum at another distance than the ground tells (8 cm too low a body, in
+    a test): its stages are minimised by first order, which keeps the distance at the start.
     """
     return tuple(
         stage if stage.prior.knows_gravity else replace(stage, second_order=None)

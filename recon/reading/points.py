@@ -188,13 +188,10 @@ def _check_size(
     """Refuse points whose spread no body has, naming the unit that would fit."""
     frames = np.flatnonzero(visible.sum(1) >= 4)
     frames = frames[:: max(len(frames) // _MOMENTS, 1)]
-    if len(frames) == 0:
-        return
-    measured, own = (
-        _spread(np.where(visible[frames, :, None], points, np.nan))
-        for points in (positions[frames], rest.numpy())
-    )
-    if SIZE[0] <= (ratio := float(np.median(measured / own))) <= SIZE[1]:
+    seen = visible[frames, :, None]
+    sizes = [_spread(np.where(seen, p, np.nan)) for p in (positions[frames], rest.numpy())]
+    ratio = float(np.median(sizes[0] / sizes[1])) if len(frames) > 0 else 1.0
+    if SIZE[0] <= ratio <= SIZE[1]:
         return
     fitting = [name for name, metres in METRES.items() if SIZE[0] <= ratio * metres <= SIZE[1]]
     hint = f"; give --unit {' or '.join(fitting)}" if fitting and not unit_given else ""
@@ -204,13 +201,8 @@ def _check_size(
     )
 
 
-def _spread(
-    points: Float[np.ndarray, "frames points 3"],
-) -> Float[np.ndarray, " frames"]:
-    """Median distance from the middle, with NaN where nothing was seen.
-
-    Neither noise nor a few wild points change it much.
-    """
+def _spread(points: np.ndarray) -> Float[np.ndarray, " frames"]:
+    """Median distance of (frames, points, 3) from their middle; a few may be wild or NaN."""
     middle = finite_median(points.swapaxes(-1, -2))
     return finite_median(np.linalg.norm(points - middle[:, None], axis=-1)) + 1e-9
 

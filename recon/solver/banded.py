@@ -164,9 +164,7 @@ class Factor:
             failures.append(failed.flatten())
             self._within.append(factor)
             if i < len(beside):
-                both = torch.cat((beside[i], side), -1)
-                # solved from the right, many columns take half the time in single precision
-                both = torch.linalg.solve_triangular(factor.mT, both.mT, upper=True, left=False).mT
+                both = _lower_solution(factor, torch.cat((beside[i], side), -1))
                 self._across.append(both[:, : len(factor)])
                 self._gathered.append(both[:, len(factor) :])
             else:
@@ -258,7 +256,8 @@ class Factor:
 def _lower_solution(
     lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
 ) -> Float[Tensor, "*some size columns"]:
-    return torch.linalg.solve_triangular(lower, right, upper=False)
+    # from the right, many columns take half the time in single precision
+    return torch.linalg.solve_triangular(lower.mT, right.mT, upper=True, left=False).mT
 
 
 def _upper_solution(

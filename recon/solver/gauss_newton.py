@@ -27,8 +27,7 @@ X = TypeVar("X")
 
 _RAISE, _LOWER = 10.0, 0.1
 _FASTEST = 0.1
-"""Factor by which gains are taken to shrink from step to step at best; they fall faster where
-steps are Newton's, and no faster where kernels are robust."""
+"""Factor by which gains are taken to shrink from step to step at best."""
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
@@ -159,8 +158,7 @@ class _Run:
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
     """Terms at every iterate."""
     evaluations: int = 0
-    gain: float = 0.0
-    """By how much the last step lowered the objective."""
+    gain: float = 0.0  # by how much the last step lowered the objective
     end: Termination | None = None
 
     def begin(self, terms: Float[Tensor, " terms"]) -> None:
@@ -194,8 +192,8 @@ class _Run:
         if gain >= 0:  # false for nan
             self.trace.append(terms)
             self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
-            ahead = gain * self.shrinking(gain) if len(terms) > 0 else gain
-            self.end = Termination.CONVERGED if ahead <= few else None
+            less = max(gain / self.gain, _FASTEST) if self.gain > gain and len(terms) > 0 else 1.0
+            self.end = Termination.CONVERGED if gain * less <= few else None
             self.gain = gain
             return True
         if promise <= few:
@@ -203,10 +201,6 @@ class _Run:
         else:
             self._raise_damping(options)
         return False
-
-    def shrinking(self, gain: float) -> float:
-        """By which factor the next gain is expected to be smaller than this one, or 1."""
-        return max(min(gain / self.gain, 1.0), _FASTEST) if self.gain > 0 else 1.0
 
     def _raise_damping(self, options: GaussNewton) -> None:
         self.damping = max(_RAISE * self.damping, _MIN_DAMPING)
