@@ -25,8 +25,7 @@ class FirstGuess:
     Stage 1 places the rest body better. Where only a direction is known it must be left out, as
     it would explain bent limbs by a larger distance.
     """
-    aligned: bool = False
-    """Whether trunk and limbs point where the data show them, so that nothing need be placed."""
+    aligned: bool = False  # whether trunk and limbs point where the data show them
     posed: bool = False
     """Whether the motion was already fitted, so that placing it again would make it worse."""
 
