@@ -37,10 +37,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "completion": ("complete", "CORPUS", "--parts", "cycles", "--weights", "nc", "open"),
     "retarget": ("retarget", "CORPUS", "--licence", "nc", "--weights", "open", "nc"),
     "speed": ("speed", "CORPUS"),
-    "free_recordings": ("free_recordings", "DATA", "CORPUS"),
     "forces": ("forces", "OBSERVATIONS"),
 }  # fmt: skip
-"""Modules below benchmarks and their arguments. CORPUS, OBSERVATIONS and DATA are folders of data,
+"""Modules below benchmarks and their arguments. CORPUS and OBSERVATIONS are folders of data,
 other names in capitals are files or folders of runs below --out."""
 
 
@@ -54,9 +53,8 @@ def main() -> None:
     data = Path(os.environ.get("RECON_DATA", ""))
     if not (data / "mocap").is_dir():
         sys.exit("set RECON_DATA to the folder of real recordings (with mocap/, observations/)")
-    places = {"CORPUS": out / "corpus", "OBSERVATIONS": data / "observations", "DATA": data}
-    run("recon", "convert", "--all", str(data / "mocap"), str(places["CORPUS"]))
-    run("benchmarks.free_recordings", str(data), str(places["CORPUS"]))
+    places = {"CORPUS": out / "corpus", "OBSERVATIONS": data / "observations"}
+    run("training.conversion", str(data), str(places["CORPUS"]))
     for name in given.only:
         module, *arguments = (placed(word, places, out) for word in COMMANDS[name])
         run(f"benchmarks.{module}", *arguments, "--out", str(out))

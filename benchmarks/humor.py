@@ -92,8 +92,7 @@ def main() -> None:
     files = clip_files(given.corpus)
     clips = {n.rsplit("@", 1)[0] for own in found.values() for n in own.names}
     tables = {name: means(own, COLUMNS.get(name, RECIPE)) for name, own in found.items()}
-    tables |= {"by-subject": by_subject(found), "compared": compared(found),
-               "windows": counted(next(iter(found.values())))}  # fmt: skip
+    tables |= {"compared": compared(found), "windows": counted(next(iter(found.values())))}
     if MAIN.keys() <= found.keys():
         tables["kinds"] = kinds(found, {clip: described_action(files[clip]) for clip in clips})
     tell_of(given, 0, tables, [files[clip] for clip in clips])
@@ -118,22 +117,6 @@ def means(found: BenchTable, metrics: Metrics) -> Table:
         cells = [spread(every[k], factor) for k, (_, factor, _) in metrics.items()]
         rows.append([method, *cells, number(found.feet[method], 100)])
     return Table([*columns_of("method", metrics), ("feet right, balanced %", 1)], rows)
-
-
-def by_subject(found: Mapping[str, BenchTable]) -> Table:
-    """The main metric of each person; those apart stand after the mean."""
-    first = next(iter(found.values()))
-    apart = sorted(set(first.subjects) - set(first.counted))
-    rows: list[list[Cell]] = []
-    for name in (name for name in MAIN if name in found):
-        for method in found[name].values:
-            own = found[name].by_subject(method, MAIN[name])
-            mean = found[name].mean(method, MAIN[name])
-            cells = [number(own[who], 100) for who in first.counted]
-            cells.append(None if mean is None else number(mean.mean, 100))
-            rows.append([f"{name}: {method}", *cells, *(number(own[who], 100) for who in apart)])
-    heads = [*first.counted, "mean", *(f"{who}, apart" for who in apart)]
-    return Table([("cm (joints; hidden points)", None), *((head, 2) for head in heads)], rows)
 
 
 def compared(found: Mapping[str, BenchTable]) -> Table:

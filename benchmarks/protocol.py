@@ -85,7 +85,8 @@ class Table:
         lines.append(["---", *["--:"] * (len(self.columns) - 1)])
         lines += [[shown(c, d) for c, d in zip(row, digits, strict=True)] for row in self.rows]
         parts = ["\n".join(f"| {' | '.join(line)} |" for line in lines), self.note]
-        parts.append("\n".join(_source(own) for own in self.about))
+        if self.about:
+            parts.append(f"*{'; '.join(dict.fromkeys(map(_source, self.about)))}.*")
         return "\n\n".join(part for part in parts if part)
 
 
@@ -108,10 +109,11 @@ def _lines(value: Any) -> str:
 
 
 def _source(about: Mapping[str, Any]) -> str:
-    command = about["command"]
+    """Benchmark, commit and date; the result file has the whole command."""
+    module = about["command"].split()[2].removeprefix("benchmarks.")
     if about.get("commit") is None:
-        return f"*Measured with version {about['recon']} (`{command}`).*"
-    return f"*`{command}`, commit {about['commit'][:9]}, {about['date']}.*"
+        return f"`{module}`, version {about['recon']}"
+    return f"`{module}`, commit {about['commit'][:9]}, {about['date']}"
 
 
 def number(value: float | None, factor: float = 1.0) -> float | None:

@@ -7,8 +7,8 @@ HUMOS are as released, the others as in docs/physics.md. Slip is measured while 
 soles are within 1.5 cm of the ground, for all methods.
 
 `sum` is a sum of errors, each divided by that of the copy (which has 5; less is better):
-penetrate, float, 100 % minus dynamic stability, BoS distance, slip. Float and BoS distance of
-flight mean nothing: read it over the clips without flight.
+penetrate, float, 100 % minus dynamic stability, BoS distance, slip. Clips with flight, of which
+float and BoS distance mean nothing, are left out.
 """
 
 import tomllib
@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from benchmarks.protocol import Cell, Metrics, Table, columns_of, number, over_windows, tell_of
+from benchmarks.protocol import Metrics, Table, columns_of, number, over_windows, tell_of
 from recon import BodyModel, Motion
 from recon.benchmark.dataset import Part, Splits, clip_files
 from recon.body.motion_files import with_equal_pelvis_path, with_shape
@@ -68,8 +68,6 @@ class Job:
     motion: Motion
     """The motion on its own body, on the ground, 20 Hz."""
     target: Float[Tensor, " shape"]
-    real: bool
-    """The target has the proportions of a recorded person."""
     flies: bool
     """The source leaves the ground by more than 5 cm in some frame, as runs and jumps do."""
 
@@ -87,7 +85,7 @@ def main() -> None:
     methods = METHODS | {f"{own} weights": network(own) for own in given.weights}
     samples = {name: [measured(method, job, body) for job in jobs]
                for name, method in methods.items()}  # fmt: skip
-    tell_of(given, SEED, tables(samples, jobs, splits.apart))
+    tell_of(given, SEED, {"retargeting": table(samples, jobs, splits.apart)})
 
 
 def network(weights: str) -> Retargeter:
@@ -124,7 +122,6 @@ def load_jobs(
                 subject=splits.subject(clip),
                 motion=motion,
                 target=torch.tensor(shape, dtype=motion.shape.dtype),
-                real=isinstance(target, str),
                 flies=bool((lowest(motion, body) > NO_GROUND).any()),
             )
         )
@@ -167,30 +164,15 @@ def soles_down(motion: Motion, body: BodyModel) -> Bool[Tensor, "time 2"]:
     return torch.stack(heights, -1) < ON_GROUND
 
 
-def tables(
-    samples: Mapping[str, Sequence[PhysicsSamples]], jobs: Sequence[Job], apart: Collection[str]
-) -> dict[str, Table]:
-    """Methods over all clips and those without flight; truth and copies by kind of body."""
-    still = [job.subject not in apart and not job.flies for job in jobs]
-    groups = {
-        "retargeting": still,
-        "retargeting-flight": [job.subject not in apart for job in jobs],
-        "bodies of people": [a and job.real for a, job in zip(still, jobs, strict=True)],
-        "bodies drawn": [a and not job.real for a, job in zip(still, jobs, strict=True)],
-        **{who: [job.subject == who for job in jobs] for who in apart},
-    }
-    found = {name: pooled(samples, kept) for name, kept in groups.items() if any(kept)}
-    columns = columns_of("", COLUMNS)
-    made = {
-        name: Table(columns, [[method, *_cells(row)] for method, row in found[name].items()])
-        for name in ("retargeting", "retargeting-flight") if name in found
-    }  # fmt: skip
+def table(samples: Mapping[str, Sequence[PhysicsSamples]], jobs: Sequence[Job],
+          apart: Collection[str]) -> Table:  # fmt: skip
+    """Methods over the clips without flight, of people who are not apart."""
+    kept = [job.subject not in apart and not job.flies for job in jobs]
     rows = [
-        [f"{method}: {name}", *_cells(found[name][method])]
-        for name in found if name not in made
-        for method in found[name] if method not in (COPY, PHYSICS)
-    ]  # fmt: skip
-    return {**made, "retargeting-bodies": Table(columns, rows)}
+        [method, *(number(row.get(key), factor) for key, (_, factor, _) in COLUMNS.items())]
+        for method, row in pooled(samples, kept).items()
+    ]
+    return Table(columns_of("", COLUMNS), rows)
 
 
 def pooled(
@@ -213,10 +195,6 @@ def errors(row: Row) -> list[float | None]:
     stable = row["dynamic_stability"]
     names = ("penetrate", "float", "bos_distance", "slip_in_contact")
     return [*(row[name] for name in names), None if stable is None else 1 - stable]
-
-
-def _cells(row: Row) -> list[Cell]:
-    return [number(row.get(key), factor) for key, (_, factor, _) in COLUMNS.items()]
 
 
 if __name__ == "__main__":

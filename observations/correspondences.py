@@ -97,7 +97,7 @@ _OF_BLAZEPOSE: Mapping[str, BodyPlace] = _sided(
 """Places that BlazePose means by these names: wrists 1 to 2 cm nearer to the hand, ankles 2 to
 3 cm above the joint, heels 2 cm farther forward and outwards. Rendered films of people of the
 validation part and films of a real person agree on these to 1.6 cm
-(`python -m benchmarks.films places`); where they do not, the usual places are taken."""
+(e067421b: `benchmarks/films/places.py`); where they do not, the usual places are taken."""
 _OF_LAYOUT: Mapping[str, Mapping[str, BodyPlace]] = {
     "mediapipe33": {**PLACES, **_OF_BLAZEPOSE},
     "smpl22": {name: BodyPlace((name,)) for name in JOINTS},

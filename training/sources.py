@@ -39,7 +39,7 @@ COMMON = "one common skeleton"
 """Words of a note that say that the bones are nobody's own."""
 _COMMON = {"cmu_daz", "cmu_windows", "cmu_deepmimic"}
 """Later collections on a common skeleton; what their root does does not fit its legs."""
-_LIST = Path(__file__).parents[1] / "benchmarks" / "free_recordings.toml"
+_LIST = Path(__file__).with_name("free_recordings.toml")
 """Marker recordings of single people that are learned from."""
 MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 

@@ -3,16 +3,14 @@
     python -m benchmarks.films real OBSERVATIONS --out FOLDER
     python -m benchmarks.films real OBSERVATIONS --cases nothing --detections FOLDER
     python -m benchmarks.films rendered CORPUS --films FOLDER --out FOLDER
-    python -m benchmarks.films places OBSERVATIONS CORPUS --films FOLDER --out FOLDER
 
 `real` is `benchmarks.films.real`: real films beside the fit of others' detections. `rendered` is
-`benchmarks.films.rendered`: rendered people, whose motion is known. `places` is
-`benchmarks.films.places`: where on the body the detector's points lie.
+`benchmarks.films.rendered`: rendered people, whose motion is known.
 """
 
 import argparse
 
-from benchmarks.films import places, real, rendered
+from benchmarks.films import real, rendered
 from benchmarks.protocol import parser
 
 
@@ -22,7 +20,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parts = arguments.add_subparsers(required=True)
-    for part, data in ((real, "observations"), (rendered, "corpus"), (places, "observations")):
+    for part, data in ((real, "observations"), (rendered, "corpus")):
         name = part.__name__.rpartition(".")[2]
         each = parts.add_parser(name, parents=[parser(None, data)], add_help=False)
         part.add_arguments(each)

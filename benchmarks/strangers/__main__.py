@@ -73,8 +73,7 @@ def measured(
         windows = chosen(fold, corpus, body, frames, count, kind)
         if windows is not None:
             rows += [asdict(row) for row in fits(windows, protocols, priors, body)]
-    found = {"people": fold.people, "excluded": fold.splits.excluded, "drift": priors.drift,
-             "rows": rows}  # fmt: skip
+    found = {"people": fold.people, "excluded": fold.splits.excluded, "rows": rows}
     # as JSON gives it back, so that what is shown now is what is shown later
     text = json.dumps({"identity": identity, "found": found}, indent=1)
     write_text(kept, text)

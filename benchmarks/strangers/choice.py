@@ -1,4 +1,4 @@
-"""The windows of a fold's people that are fitted, and the kind of motion that each shows."""
+"""The windows of a fold's people that are fitted, spread over kinds of motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,6 @@ class Chosen:
     """Windows of one fold, all of one length."""
 
     windows: TrueWindows
-    kinds: tuple[str, ...]
     flat: tuple[bool, ...]
     """Whether the ground of each is z = 0 everywhere; elsewhere contacts are not known."""
 
@@ -63,7 +62,6 @@ def chosen(
     windows = load_windows(corpus, splits, "validation", body, frames=frames)
     return Chosen(
         windows=windows,
-        kinds=tuple(own[clip] for clip in windows.clips),
         flat=tuple(is_flat(files[clip]) for clip in windows.clips),
     )
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.protocol import DASH, Cell, Table, number, spread
+from benchmarks.protocol import Cell, Table, spread
 from benchmarks.strangers.fits import HUMOR, POSE
 from recon.benchmark.table import DRAWS, LEVEL, MeanWithInterval
 
@@ -128,28 +128,7 @@ def tables(found: Mapping[str, Any], note: str) -> dict[str, Table]:
     folds = [[_name(name, found[name]), *_cells([own])] for name, own in rows.items()]
     if len(rows) > 1:
         folds.append([f"**all {len(rows)}**", *_cells(list(rows.values()))])
-    errors = ("windows", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
-              "contacts %: pose prior, HuMoR, its network alone",
-              "drift of ten own steps")  # fmt: skip
-    people = [_errors(name, fold) for name, fold in found.items()]
-    columns = [(head, 1 if head.startswith("drift") else 0) for head in errors]
-    return {
-        "strangers": Table([("fold", None), *COLUMNS], folds, note=note),
-        "strangers-people": Table([("cm: pose prior, HuMoR", None), *columns], people, note=note),
-        "strangers-kinds": Table([("kind of motion", None), *COLUMNS], _by_kind(rows), note=note),
-    }
-
-
-def _by_kind(folds: Mapping[str, Rows]) -> list[list[Cell]]:
-    """Ratios of errors for every kind of motion, over the windows of all folds."""
-    rows = [row for own in folds.values() for row in own]
-    made: list[list[Cell]] = []
-    for kind in sorted({row["kind"] for row in rows}):
-        own = [row for row in rows if row["kind"] == kind]
-        windows = {(row["window"], row["frames"]) for row in own}
-        persons = sorted({row["person"] for row in own})
-        made.append([f"{kind}, {len(windows)} windows of {', '.join(persons)}", *_cells([own])])
-    return made
+    return {"strangers": Table([("fold", None), *COLUMNS], folds, note=note)}
 
 
 def _name(name: str, fold: Mapping[str, Any]) -> str:
@@ -174,22 +153,3 @@ def _compared(sums: Sequence[Sums | None], statistic: Statistic, factor: float =
     if len(sums) == 1:
         return spread(estimated(present[0], statistic), factor)
     return spread(over_people(present, statistic), factor)
-
-
-def _errors(name: str, fold: Mapping[str, Any]) -> list[Cell]:
-    """Errors themselves, of both priors."""
-    rows = fold["rows"]
-    windows = {(row["window"], row["frames"]) for row in rows}
-    counts = [counted(rows, _CONTACTS) for counted in (contacts, network)]
-    totals = [own.sum(0) for own in counts if own is not None]
-    shares = [*(total[4:] for total in totals), *(total[:4] for total in totals[1:])]
-    said = ", ".join(f"{100 * float(balanced(share)):.1f}" for share in shares)
-    pairs = [_pair(rows, protocol) for protocol in PROTOCOLS]
-    return [_name(name, fold), len(windows), *pairs, said or DASH, number(fold["drift"], 100)]
-
-
-def _pair(rows: Rows, protocol: str) -> str:
-    own = [row for row in rows if row["protocol"] == protocol and row["error"] is not None]
-    errors = ([row["error"] for row in own if row["method"] == m] for m in (POSE, HUMOR))
-    means = [100 * float(np.mean(one)) for one in errors if one]
-    return ", ".join(f"{mean:.2f}" for mean in means) if len(means) == 2 else DASH

@@ -51,8 +51,6 @@ class Seen:
 class Row:
     """One window by one method."""
 
-    person: str
-    kind: str
     window: str
     frames: int
     protocol: str
@@ -162,8 +160,6 @@ def _rows(
         flat = chosen.flat[k]
         said = None if own.network is None else own.network[k] > 0.5
         yield Row(
-            person=windows.subjects[k],
-            kind=chosen.kinds[k],
             window=windows.names[k],
             frames=chosen.windows.truth.frames,
             protocol=protocol,

@@ -11,7 +11,7 @@ from training.humor.train import HumorTraining, export_weights, train
 from training.humor.variation import VARIED
 from training.pose import PoseTraining
 from training.pose import export_weights as export_poses
-from training.run import CHECKPOINT, read_state, trained_state
+from training.run import CHECKPOINT, read_state
 from training.settings import identity_of_run, refuse_other_run
 
 SAVED_EVERY = 60.0
@@ -36,9 +36,6 @@ class FoldPriors:
 
     humor: Humor
     density: PoseDensity
-    drift: float | None
-    """Mean error of the joints after ten own steps on the held-out people, metres; None where all
-    of their clips are on uneven ground, of which HuMoR says nothing."""
     checksums: dict[str, str]
     """Checksums of their weights, by the name of the prior."""
 
@@ -86,12 +83,9 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
     poses = own / "pose.safetensors"
     export_poses(PoseTraining(corpus, out=poses, splits=settings.splits), poses)
-    checked = any(True for _ in settings.stretches_that_teach("validation", "steps"))
-    state = trained_state(settings.out / CHECKPOINT)
     return FoldPriors(
         humor=Humor.load(weights),
         density=PosePrior.load(poses).density,
-        drift=state["rows"][-1]["drift_cm"] / 100 if checked else None,
         checksums={path.stem: file_checksum(path) for path in (weights, poses)},
     )
 

@@ -28,6 +28,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
+from recon.method.windows import interpolated_poses
 from recon.solver.viterbi import cheapest_path
 
 RATE = 10.0
@@ -187,7 +188,9 @@ class _Tracker:
         found = held.refined_to_surface(
             posed[rows], self.solver, targets[rows], _STEP_SCALES, ties
         )
-        return _interpolated_poses(found, moments.number, count)
+        return interpolated_poses(
+            found.translation, found.rotations, moments.number, torch.arange(count)
+        )
 
     def _targets(self, moments: _PosedFrames, signs: tuple[int, int, int]) -> BoneTargets:
         """The points with their places on bones under one hypothesis of the labels."""
@@ -302,19 +305,3 @@ def _costs_of_changes(
     speed = moved / seconds[:, None, None]
     cost = _CHANGE_COST * ((spin / _SPIN).square() + (speed / _SPREAD).square())
     return cost.clamp(max=_MAX_CHANGE_COST)
-
-
-def _interpolated_poses(
-    found: BonePoses, number: Int[Tensor, " rows"], count: int
-) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
-    """Interpolate translations and rotations between some frames; constant beyond the ends."""
-    place = torch.arange(count)
-    after = torch.searchsorted(number, place).clamp(max=len(number) - 1)
-    before = (after - (number[after] > place).long()).clamp(min=0)
-    span = (number[after] - number[before]).clamp(min=1)
-    share = ((place - number[before]) / span).clamp(0, 1).to(found.translation)
-    translation = found.translation[before].lerp(found.translation[after], share[:, None])
-    rotations = so3.interpolate(
-        found.rotations[before], found.rotations[after], share[:, None].expand(count, 22)
-    )
-    return translation, rotations

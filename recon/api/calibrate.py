@@ -76,8 +76,7 @@ class CameraRig:
         """
         if Path(out).suffix.lower() != ".toml":
             raise ObservationError(f"{out}: a calibration is written as .toml; name it so")
-        said = self.report() if report is None else report
-        with writing_file(Path(out), said, overwrite=overwrite) as staged:
+        with writing_file(Path(out), report or self.report(), overwrite=overwrite) as staged:
             tables = (camera_table(name, one) for name, one in self.cameras.items())
             staged.write_text("\n".join(tables))
         return (Path(out),)

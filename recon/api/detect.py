@@ -74,8 +74,7 @@ class DetectedPeople:
         Raises:
             FileExistsError: when either is there and recon did not write it, unless `overwrite`.
         """
-        said = self.report() if report is None else report
-        with writing_file(Path(path), said, overwrite=overwrite) as staged:
+        with writing_file(Path(path), report or self.report(), overwrite=overwrite) as staged:
             save_arrays(staged, detection_arrays(self.detections))
 
     def __repr__(self) -> str:

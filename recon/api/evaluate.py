@@ -73,8 +73,7 @@ class Evaluation(dict[str, float | None]):
         Raises:
             FileExistsError: when it is there and recon did not write it, unless `overwrite`.
         """
-        about = self.report() if report is None else report
-        write_report(Path(path), {**self, **about}, overwrite=overwrite)
+        write_report(Path(path), {**self, **(report or self.report())}, overwrite=overwrite)
 
     def __repr__(self) -> str:
         """The most important metrics in at most ten lines."""

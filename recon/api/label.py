@@ -2,16 +2,17 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from recon.api.results import Tables, closing_fields
+from recon.body.marker_labels import is_nameless
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.units import Unit, Up
@@ -86,9 +87,8 @@ class LabelledMarkers:
                 f"{out}: a C3D file is written as a copy of one, but {self.recording.name} was "
                 "read from none; write .trc or .csv"
             )
-        said = self.report() if report is None else report
         output = Output(Path(out), OutputKind.FILE)
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
             if kind == ".c3d" and self.source is not None:
                 write_renamed_c3d(staged, self.source, self.recording.marker_names, self.columns)
             else:
@@ -109,7 +109,8 @@ def label(
     set, one of several statures, is fitted to single frames and followed from there; each frame
     adds to how likely a trajectory is to be each marker. Names the recording has are ignored.
     Doubtful points stay open (*1, *2, ...). Nothing is random. A trial that is named like itself
-    gets exchanged names and ghosts put right; a warning counts them.
+    gets exchanged names and ghosts put right; a warning counts them. In a trial that has names,
+    points that are no markers (joint centres, angles and other outputs of a model) keep theirs.
 
     Args:
         recording: a file (.c3d, .trc, ...) of markers without names, of one person.
@@ -127,7 +128,8 @@ def label(
     seen = _read(recording, unit, up)
     with one_thread(), torch.no_grad():
         bodies, like_what = _bodies(like, set, unit, up)
-        naming = Naming(seen, tracks_of(seen.positions, seen.visible, seen.fps), bodies)
+        markers = seen.visible & ~_outputs(seen.marker_names, bodies[0].markers.labels)
+        naming = Naming(seen, tracks_of(seen.positions, markers, seen.fps), bodies)
         naming.run()
     if len(np.unique(naming.marker[naming.marker >= 0])) < _FEWEST_NAMES:
         raise ReconError(
@@ -155,7 +157,8 @@ def _bodies(
             )
         return bodies_of_set(markers, body), f"the set {set}"
     trial = _read(like, unit, up)
-    named = [name for name in trial.marker_names if name[:1] not in ("*", "")]
+    known = () if markers is None else markers.labels
+    named = [name for name in trial.marker_names if name in known or not is_nameless(name)]
     if len(named) < _FEWEST_NAMES:
         raise ReconError(
             f"{trial.name}: expected a trial with {_FEWEST_NAMES} named markers or more to name "
@@ -173,10 +176,18 @@ def _read(
     return read
 
 
+def _outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
+    """Points of a trial that has names which are no markers; none of a trial without names."""
+    known = np.isin(names, markers)
+    if known.sum() < _FEWEST_NAMES:
+        return np.zeros(len(names), bool)
+    return ~known & ~np.array([is_nameless(name) for name in names])
+
+
 def _labelled(
     seen: MarkerRecording, naming: Naming, like: str, source: Path | None
 ) -> LabelledMarkers:
-    """The recording in columns of names, then of tracks that stayed open."""
+    """The recording in columns of names, of tracks that stayed open, and of a model's outputs."""
     names, track = naming.bodies[0].markers.labels, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()
@@ -191,6 +202,9 @@ def _labelled(
     labels = [*names, *(f"*{k + 1}" for k in range(len(ends)))]
     columns = np.full((len(track), len(labels)), -1)
     columns[frames, column[numbers]] = points
+    kept = np.flatnonzero(_outputs(seen.marker_names, names))
+    columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
+    labels += [seen.marker_names[k] for k in kept.tolist()]
     seldom = np.where(columns >= 0, columns, np.nan)  # in the order of the file
     shown = (columns >= 0).any(0)
     order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]

@@ -73,9 +73,8 @@ class DepthRig:
         Raises:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
-        said = self.report() if report is None else report
         output = Output(Path(out), OutputKind.FOLDER)
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
             for name, file in self.files.items():
                 save_observation(staged / f"{name}.npz", file)
         return tuple(Path(out) / f"{name}.npz" for name in self.files)

@@ -205,8 +205,7 @@ class MotionResult(ABC):
         from recon.formats.motions import save_motion
         from recon.formats.writing import writing_file
 
-        said = self.report() if report is None else report
-        with writing_file(Path(path), said, overwrite=overwrite) as staged:
+        with writing_file(Path(path), report or self.report(), overwrite=overwrite) as staged:
             save_motion(staged, self.file)
 
     def save_table(
@@ -232,8 +231,7 @@ class MotionResult(ABC):
         from recon.formats.joint_table import write_joint_table
         from recon.formats.writing import writing_file
 
-        said = self.report() if report is None else report
-        with writing_file(Path(path), said, overwrite=overwrite) as staged:
+        with writing_file(Path(path), report or self.report(), overwrite=overwrite) as staged:
             write_joint_table(staged, self.file, self.joints)
 
     def _headline(self) -> str:

@@ -98,8 +98,7 @@ class Simulated:
             )
         scans = self.kind == "scans" and path.suffix != ".npz"
         output = Output(path, OutputKind.FOLDER if scans or several else OutputKind.FILE)
-        said = self.report() if report is None else report
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
             for name, file in self.files.items():
                 if scans:
                     assert isinstance(file, PointsFile)

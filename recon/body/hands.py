@@ -108,7 +108,7 @@ class HandModel:
                 if k == 3:
                     continue
                 before = turn
-                for number in _angles_of(3 * finger + k):
+                for number in [k for k, one in enumerate(JOINT_OF_ANGLE) if one == 3 * finger + k]:
                     axis = self.axes[side, number]
                     axes.append(turn @ axis)
                     pivots.append(at)
@@ -131,10 +131,6 @@ class PosedHand:
     """Joint that every angle turns."""
     ways: Float[Tensor, "time 20 3"]
     """Direction of every bone."""
-
-
-def _angles_of(joint: int) -> list[int]:
-    return [k for k, one in enumerate(JOINT_OF_ANGLE) if one == joint]
 
 
 def _axes(

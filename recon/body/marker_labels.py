@@ -23,6 +23,10 @@ FEWEST_MARKERS = 10
 """Markers of known places without which no recording is put on a body."""
 _SIDES = {"left": ("l", "left"), "right": ("r", "right")}
 _IGNORED = re.compile(r"[\s._\-]+")
+_NAMELESS = re.compile(
+    r"\*?\d*|[uc]_\d+|(un(label+ed|named|known|identified)|new|trajectory|marker|point|track)\W*\d*",
+    re.IGNORECASE,
+)
 
 
 def normalised_label(label: str) -> str:
@@ -58,12 +62,17 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     return matched, tuple(unknown)
 
 
+def is_nameless(label: str) -> bool:
+    """Whether a label says nothing: *12, U_1, unlabeled-12, Trajectory 3, or none at all."""
+    return _NAMELESS.fullmatch(label.rsplit(":", 1)[-1].strip()) is not None
+
+
 def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
     """Normalised labels without the prefix that all share up to a separator; None without one.
 
-    Points without a name, *12 or C_12, do not count.
+    Points without a name do not count.
     """
-    named = [label for label in labels if not label.startswith("*")]
+    named = [label for label in labels if not is_nameless(label)]
     same = takewhile(lambda column: len(set(column)) == 1, zip(*named, strict=False))
     beginning = "".join(column[0] for column in same)
     cut = max((beginning.rfind(mark) for mark in "_.-: "), default=-1) + 1

@@ -194,7 +194,10 @@ def detections_of_rows(
         )
     lengths = sorted({len(row[1]) for row in rows})
     if len(lengths) == 2 and _HANDS_AT.get(lengths[1]) == lengths[0]:
-        rows = [(frame, _as_long(points, lengths[1]), who) for frame, points, who in rows]
+        rows = [
+            (frame, np.pad(points, ((0, lengths[1] - len(points)), (0, 0))), who)
+            for frame, points, who in rows
+        ]
     elif len(lengths) > 1:
         raise FormatError(
             f"{name}: expected one number of keypoints for all people, got "
@@ -224,10 +227,6 @@ def detections_of_rows(
         hands=hands,
         decisions=(*decisions, decision),
     )
-
-
-def _as_long(points: np.ndarray, length: int) -> np.ndarray:
-    return np.pad(points, ((0, length - len(points)), (0, 0)))
 
 
 def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:

@@ -121,25 +121,6 @@ class ViewCorrection:
         return shifted(replace(images, pose=pose), self.view, self.late)
 
 
-def registered(
-    images: Images,
-    view: int,
-    noise: Float[np.ndarray, " views"],
-    parts: tuple[Part, ...] = PARTS,
-) -> ViewCorrection | None:
-    """The correction with which a fixed camera agrees with the other views.
-
-    None where they do not agree with each other, and where too little is seen.
-
-    Args:
-        images: three views or more of one clock.
-        view: which of them is corrected.
-        noise: standard deviation of a pixel coordinate in every view.
-        parts: what is corrected.
-    """
-    return ViewAlignment.of(images, view, noise, parts).solved()
-
-
 _View = tuple[float, Float[np.ndarray, "4 4"]]
 """Frames by which a view is late, and its T_camera_world."""
 

@@ -127,7 +127,7 @@ class Limb:
         moves = end.diff(dim=0) + lowest_steps(away, away[..., 1])
         shift = _while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
         high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
-        near = _eased(stands, fps)
+        near = envelope(stands.double(), fps)
         if not self.is_arm:
             near = near.maximum(1 - _smooth((self.contacts.height - _NEAR) / _LOW))
         high = (high * near).maximum((ground - depth - end[:, 1]).clamp(min=0.0))
@@ -210,11 +210,6 @@ def _with_some(near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]) -> Bool
     for first, stop in runs(near.numpy()):
         kept[first:stop] = bool(slow[first:stop].any())
     return kept
-
-
-def _eased(stands: Bool[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
-    """1 where a contact is, and less the farther it is."""
-    return envelope(stands.double(), fps)
 
 
 def _while_standing(

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.depth import CLOUD_NOISE, PointCloud
+from observations.depth import CLOUD_NOISE
 from observations.noise import weights_of
 from observations.surfels import fixed_scale_kernel
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
@@ -241,7 +241,7 @@ def complete(
     prior = cycle_prior(options.prior, options.weights, body)
     seen, rows = _with_marker_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(o.cloud and _largest_point_count(o.cloud) >= DENSE for o in seen)
+    dense = any(o.cloud and int(o.cloud.present.sum(-1).max()) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
 
 
@@ -334,10 +334,6 @@ def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
     """Every `step`-th frame; clouds are thinned and get a robust kernel of fixed scale."""
     few = sensor.coarse(body, step)
     return few.derived(kernel=fixed_scale_kernel) if few.cloud else few
-
-
-def _largest_point_count(cloud: PointCloud) -> int:
-    return int(cloud.present.sum(-1).max())
 
 
 def cycle_noise(sensor: Sensor, given: float | None) -> Noise:

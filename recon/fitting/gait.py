@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from observations.joints3d import Joints3D
 from observations.noise import weights_of
@@ -135,7 +133,7 @@ def joints_of_cycles(
     for one in cycles:
         phase = (motion.times - one.cycle.start) / one.cycle.duration
         inside = (phase > 0) & (phase < 1) & (motion.times <= one.motion.times[-1])
-        weight = _blending_weights(phase[inside])
+        weight = torch.sin(torch.pi * phase[inside]).square().float()
         share[inside] += weight
         joints = body.pose(one.motion.at(motion.times[inside], motion.fps)).joints
         total[inside] += weight[:, None, None] * joints
@@ -151,7 +149,3 @@ def joints_of_cycles(
         motion.start_time,
         std=deviation[None, :, None].expand(every),
     )
-
-
-def _blending_weights(phase: Float[Tensor, " moments"]) -> Float[Tensor, " moments"]:
-    return torch.sin(torch.pi * phase).square().float()

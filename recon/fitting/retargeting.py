@@ -122,7 +122,7 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     """
     body = prior.body
     motion, shape = _checked_arguments(motion, shape, body)
-    start = _start_position(motion, body)
+    start = motion.translation[0] + body.rest_joints(motion.shape)[0]
 
     def retargeted(window: Motion) -> Motion:
         return _settled_proposal(_network_proposal(window, shape, prior, start), window, body)
@@ -205,11 +205,6 @@ def _in_windows(motion: Motion, function: Callable[[Motion], Motion]) -> Motion:
     windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
     return joined_windows([function(part) for part in parts])
-
-
-def _start_position(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
-    """The place of the pelvis in the first frame."""
-    return motion.translation[0] + body.rest_joints(motion.shape)[0]
 
 
 def _checked_arguments(

@@ -113,7 +113,14 @@ def read_depth_images(
         saturated.append(bool((image == _SATURATED).any()))
         depth = np.where(image == _SATURATED, 0, image) * depth_scale
         seen = (depth > 0) & ~at_edge(depth)
-        return depth, seen if shapes is None else seen & _read_mask(shapes[k], depth.shape)
+        if shapes is None:
+            return depth, seen
+        mask = read_mask(shapes[k])
+        if mask.shape != depth.shape:
+            raise FormatError(
+                f"{shapes[k]}: expected a mask of the depth's size {depth.shape}, got {mask.shape}"
+            )
+        return depth, seen & mask
 
     order = (0, len(paths) // 2, len(paths) - 1, *range(len(paths)))
     known = (float(np.median(depth[seen])) for depth, seen in map(seen_depth, order) if seen.any())
@@ -206,10 +213,7 @@ def _read_depth_image(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "h
     return image
 
 
-def _read_mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
+    """True where an image, whose transparency does not count, is not black."""
     image = read_png(path)
-    if image.ndim == 3:
-        image = image[..., :3].max(-1)
-    if image.shape != size:
-        raise FormatError(f"{path}: expected a mask of the depth's size {size}, got {image.shape}")
-    return image > 0
+    return (image if image.ndim == 2 else image[..., :3].max(-1)) > 0

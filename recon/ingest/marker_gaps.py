@@ -13,11 +13,11 @@ from torch import Tensor
 
 from observations.start.rigid import TORSO
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.ingest.marker_poses import Poses
+from recon.method import windows
 from recon.mocap.recording import MarkerRecording
 
 _TORSO_MARKERS = 3
@@ -134,17 +134,9 @@ def interpolated_poses(
     motion: Motion, known_frames: Int[Tensor, " known"], wanted_frames: Int[Tensor, " wanted"]
 ) -> Motion:
     """Poses interpolated between known frames; beyond them those of the nearest known frame."""
-    after = torch.searchsorted(known_frames, wanted_frames).clamp(max=len(known_frames) - 1)
-    before = (after - (known_frames[after] > wanted_frames).long()).clamp(min=0)
-    gap = (known_frames[after] - known_frames[before]).clamp(min=1)
-    fraction = ((wanted_frames - known_frames[before]) / gap).clamp(0, 1)
-    a, b = motion.rotations[before], motion.rotations[after]
-    return Motion.create(
-        translation=motion.translation[before].lerp(motion.translation[after], fraction[:, None]),
-        rotations=so3.interpolate(a, b, fraction[:, None].expand(a.shape[:2])),
-        shape=motion.shape,
-        fps=motion.fps,
-    )
+    poses = motion.translation, motion.rotations
+    between = windows.interpolated_poses(*poses, known_frames, wanted_frames)
+    return Motion.create(*between, motion.shape, motion.fps)
 
 
 def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | Poses) -> Motion:

@@ -22,6 +22,7 @@ from recon.body.marker_labels import (
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.hands import right_handed
+from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
@@ -287,10 +288,4 @@ def _bare_parts(
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
     """Offset of a marker's centre from the skin, along the rest body's normal, metres."""
-    corners = body.template[body.faces]
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = torch.zeros_like(body.template)
-    for corner in range(3):
-        total.index_add_(0, body.faces[:, corner], normals)
-    chosen = total[list(vertices)]
-    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)
+    return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]

@@ -1,11 +1,9 @@
 """Tracking by a network that proposes motions: every moment from a window that ends soon after."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from observations.moments import (
@@ -18,11 +16,10 @@ from observations.moments import (
 )
 from recon.api.preview import in_space, likeliest, with_shape
 from recon.body.contacts import contact_probabilities, rest_heights
-from recon.body.model import BodyModel
 from recon.diagnosis.findings import Finding
 from recon.live.beginning import KnownShape
-from recon.live.moments import Moment, StreamSensors
-from recon.live.tracking import LiveEstimate
+from recon.live.moments import Moment
+from recon.live.tracking import LiveEstimate, TrackedPerson
 from recon.method.looks import Look
 
 _BEFORE_S = 1.0
@@ -32,18 +29,13 @@ _LEARNED = 300
 
 
 @dataclass
-class PreviewTracking:
+class PreviewTracking(TrackedPerson):
     """The state of a stream while a person is visible, as `recon.live.tracking.Tracking`.
 
     Nothing is fitted: each moment is what the network proposes for it when `lag` moments after it
     have been seen.
     """
 
-    sensors: StreamSensors
-    lag: int
-    noise: tuple[float | None, ...]
-    person: KnownShape
-    body: BodyModel
     look: Look
     seen: tuple[Tracker, ...] = ()
     """The data of the window."""
@@ -59,10 +51,6 @@ class PreviewTracking:
     """Mean shape of these windows."""
     doubted: bool | None = None
     """Whether the last window was far from what the network knows; None before the first."""
-
-    @cached_property
-    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
         """Add consecutive moments; returns the estimates that become final.
@@ -125,7 +113,7 @@ class PreviewTracking:
                 rotations=motion.rotations[row - first],
                 joints=joints[row - first],
                 shape=motion.shape,
-                observed=self._observed(row),
+                observed=torch.from_numpy(self.joints_seen(self.seen, row)),
                 contacts=contacts[row - first],
             )
             for row in rows
@@ -152,13 +140,6 @@ class PreviewTracking:
             self.shape = before + (proposed - before) / self.windows
         assert self.shape is not None
         return self.shape
-
-    def _observed(self, row: int) -> Bool[Tensor, " 22"]:
-        """Joints that an observation locates at a moment of the window."""
-        found = np.zeros(22, dtype=bool)
-        for one, shown in zip(self.seen, self._located_joints, strict=True):
-            found |= one.shown[row].numpy() @ shown
-        return torch.from_numpy(found)
 
     def _forget(self, count: int) -> None:
         """Drop moments that the network is no longer shown."""

@@ -1,5 +1,6 @@
 """Tracking of one person: frames collected for a first motion, then smoothed one by one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -74,14 +75,31 @@ _LEARNED = 300
 
 
 @dataclass
-class Tracking:
-    """The state of a stream while a person is visible."""
+class TrackedPerson:
+    """What is known of a person in a stream before anything of a window is."""
 
     sensors: StreamSensors
     lag: int
     noise: tuple[float | None, ...]
     person: KnownShape
     body: BodyModel
+
+    @cached_property
+    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
+        return [one.located_joints(self.body) for one in self.sensors.trackers]
+
+    def joints_seen(self, seen: Sequence[Tracker], row: int) -> Bool[np.ndarray, " 22"]:
+        """Joints that an observation locates in a frame of the window."""
+        found = np.zeros(22, dtype=bool)
+        for one, shown in zip(seen, self._located_joints, strict=True):
+            found |= one.shown[row].numpy() @ shown
+        return found
+
+
+@dataclass
+class Tracking(TrackedPerson):
+    """The state of a stream while a person is visible."""
+
     poses: PosePrior
     prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
@@ -94,10 +112,6 @@ class Tracking:
     """Frames of the window, from the first on, that were given out."""
     since_seen: int = 0
     """Moments since points were seen, once there is a motion."""
-
-    @cached_property
-    def _located_joints(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     @property
     def _now(self) -> SmoothedWindow:
@@ -131,7 +145,7 @@ class Tracking:
             self.gathered[row] = moment
             return True
         row = self.smoothed.active - 1 - back
-        if row < 0 or self._observed(row).any():
+        if row < 0 or self.joints_seen(self.smoothed.seen, row).any():
             return False
         seen = tuple(
             with_moment(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
@@ -266,15 +280,8 @@ class Tracking:
                 rotations=rotations[own][k],
                 joints=places[own][k],
                 shape=objective.shape,
-                observed=torch.from_numpy(self._observed(row - held)),
+                observed=torch.from_numpy(self.joints_seen(now.seen, row - held)),
                 contacts=None if contacts is None else contacts[k],
             )
             for k, row in enumerate(rows)
         ]
-
-    def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
-        """Joints that an observation locates, in an active frame."""
-        found = np.zeros(22, dtype=bool)
-        for one, shown in zip(self._now.seen, self._located_joints, strict=True):
-            found |= one.shown[active].numpy() @ shown
-        return found

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.core import rotations as so3
@@ -115,4 +115,20 @@ def _crossfaded(before: Motion, after: Motion) -> Motion:
             before.rotations, after.rotations, weight[:, None].expand(-1, 22)
         ),
         valid=before.valid & after.valid,
+    )
+
+
+def interpolated_poses(
+    translation: Float[Tensor, "known 3"],
+    rotations: Float[Tensor, "known 22 3 3"],
+    known: Int[Tensor, " known"],
+    wanted: Int[Tensor, " wanted"],
+) -> tuple[Float[Tensor, "wanted 3"], Float[Tensor, "wanted 22 3 3"]]:
+    """Poses between those of some frames, by number; beyond them those of the nearest one."""
+    after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
+    before = (after - (known[after] > wanted).long()).clamp(min=0)
+    gap = (known[after] - known[before]).clamp(min=1)
+    share = ((wanted - known[before]) / gap).clamp(0, 1).to(translation)[:, None]
+    return translation[before].lerp(translation[after], share), so3.interpolate(
+        rotations[before], rotations[after], share.expand(-1, rotations.shape[1])
     )

@@ -109,8 +109,7 @@ class People:
             FileExistsError: when something is there that recon did not write, unless `overwrite`.
         """
         output = Output(Path(folder), OutputKind.FOLDER)
-        said = self.report() if report is None else report
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
+        with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
             for name, one in zip(self._names(), self.results, strict=True):
                 save_motion(staged / name, one.file)
 

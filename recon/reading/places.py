@@ -12,7 +12,7 @@ from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
 from recon.detections.tables import holds_detections
-from recon.formats.depth_images import read_png
+from recon.formats.depth_images import read_mask
 from recon.formats.json_files import frame_numbers
 from recon.formats.observations import KeypointsFile
 from recon.formats.opening import files_of
@@ -237,12 +237,7 @@ class Silhouettes:
         found = self.images.get(frame)
         if isinstance(found, PackedMask):
             return found.unpacked()
-        if found is None:
-            return None
-        image = read_png(found)
-        if image.ndim == 3:
-            image = image[..., :3].max(-1)
-        return image != 0
+        return None if found is None else read_mask(found)
 
 
 def load_silhouettes(path: str | Path) -> Silhouettes:

@@ -3,15 +3,11 @@
 import numpy as np
 import torch
 
-from benchmarks.films.places import LAYOUT, Sighting, offsets
 from benchmarks.films.real import at_frames, exchanged_sides
 from benchmarks.films.rendered import CAMERAS
 from benchmarks.films.rendering import Actor, Set, render
-from observations.correspondences import BodyPoints
-from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
-from recon.simulation.images import orbiting
 from tests.laws import a_motion
 
 BODY = BodyModel.load()
@@ -32,25 +28,6 @@ def test_frames_with_left_for_right_are_counted() -> None:
         true[0, [1, 4, 7, 10]],
     )
     assert exchanged_sides(found, true) == 0.25
-
-
-def test_a_planted_place_of_a_point_is_found() -> None:
-    motion = a_motion(BODY, clips=1, frames=12).to(dtype=torch.float32)[0]
-    motion = motion.replace(fps=30.0, start_time=0.0)
-    points, posed = BodyPoints.of_layout(LAYOUT, BODY), BODY.pose(motion)
-    planted = torch.tensor([0.02, -0.01, 0.015])
-    row, middle = points.names.index("left_knee"), posed.joints.flatten(0, 1).mean(0)
-    there = points.of(posed).clone()
-    scale = float(BODY.height(motion.shape)) / 1.70
-    there[:, row] += scale * posed.orientations[:, points.bones[row]] @ planted
-    camera = full_hd_camera().placed(middle + torch.tensor([3.0, 1.0, 0.5]), middle)
-    camera = orbiting(camera, middle, 12, 2.0)
-    pixels, views = camera.project(there).pixels[None], camera[None]
-    seen = Keypoints2D(pixels, torch.ones(1, 12, 33), points, views, 30.0)
-    found = offsets([Sighting(seen, motion, camera, BODY)], points)
-    assert torch.allclose(found[row].float(), planted, atol=1e-3)
-    found[row] = 0
-    assert found.abs().max() < 1e-3
 
 
 def test_a_rendered_person_stands_where_the_camera_projects_them() -> None:

@@ -21,7 +21,7 @@ from benchmarks.retarget import (
     lowest,
     measured,
     soles_down,
-    tables,
+    table,
 )
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
@@ -80,10 +80,7 @@ def test_jobs_are_on_the_ground_at_20_hz_for_their_body(tmp_path: Path) -> None:
         f"[people]\nb = {[1.0] * 16}\n"
     )
     jobs = load_jobs(tmp_path, splits, "test", "open", BODY, table)
-    assert [(job.motion.frames, job.motion.fps, job.real) for job in jobs] == [
-        (39, 20.0, True),
-        (30, 20.0, False),
-    ]
+    assert [(job.motion.frames, job.motion.fps) for job in jobs] == [(39, 20.0), (30, 20.0)]
     torch.testing.assert_close(jobs[0].target, torch.ones(16))
     assert lowest(jobs[0].motion, BODY).quantile(0.25).abs() < 1e-5
     assert not jobs[0].flies
@@ -107,7 +104,7 @@ def test_physics_lowers_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     random = torch.Generator().manual_seed(0)
     shape, motion = 2 * torch.randn(16, generator=random), squatting()
     monkeypatch.setattr("recon.fitting.retargeting.SETTLING_ITERATIONS", 8)
-    job = Job("clip", "one", motion, shape, False, False)
+    job = Job("clip", "one", motion, shape, False)
     before, after = (measured(METHODS[name], job, BODY) for name in (SCALED, PHYSICS))
     slip = [float(s.slip[s.soles_touch].mean()) for s in (before, after)]
     assert slip[1] < 0.3 * slip[0]
@@ -117,25 +114,20 @@ def test_physics_lowers_slip(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_sums_count_copies_and_people_apart_stand_alone() -> None:
     """Subject 16, who walks like a training subject, was among the pooled frames."""
     motion = squatting(9)
-    jobs = [Job(name, name, motion, TALL, False, name == "b") for name in ("a", "b", "c")]
+    jobs = [Job(name, name, motion, TALL, name == "b") for name in ("a", "b", "c")]
     samples = {
         name: [measured(METHODS[name], job, BODY) for job in jobs]
         for name in (TRUTH, COPY, SCALED)
     }
-    made = tables(samples, jobs, apart=("c",))
-    assert list(made) == ["retargeting", "retargeting-flight", "retargeting-bodies"]
-    copy = made["retargeting"].rows[1]
+    copy = table(samples, jobs, apart=("c",)).rows[1]
     assert copy[0] == COPY
     assert isinstance(copy[1], float)
     assert copy[1] > 2  # centimetres below the ground
     assert copy[-1] is None  # nothing floats
-    labels = [row[0] for row in made["retargeting-bodies"].rows]
-    assert labels == [f"{method}: {group}" for group in ("bodies drawn", "c")
-                      for method in (TRUTH, SCALED)]  # fmt: skip
     assert soles_down(motion, BODY).all()
 
 
 def test_a_clip_of_another_length_is_refused() -> None:
-    job = Job("clip", "one", squatting(), TALL, False, False)
+    job = Job("clip", "one", squatting(), TALL, False)
     with pytest.raises(ValueError, match="keeps its times"):
         measured(lambda _, motion, _shape: motion.window(0, 9), job, BODY)

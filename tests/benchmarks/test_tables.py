@@ -92,7 +92,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert TABLE.markdown().splitlines() == [
         "| x | y | z |", "| --- | --: | --: |", "| one | 123.4 | 1.23 [1.00, 2.00] |",
         "| two | – | 3 of 4 |", "", "A note.", "",
-        "*`python -m benchmarks.a`, commit 012345678, today.*",
+        "*`a`, commit 012345678, today.*",
     ]  # fmt: skip
 
 
@@ -102,7 +102,9 @@ def test_a_row_of_another_length_is_refused() -> None:
 
 
 def test_old_results_say_that_they_are_old() -> None:
-    old = Table([("x", None)], [["one"]], [{"command": "c", "recon": "0.1.0"}])
+    old = Table(
+        [("x", None)], [["one"]], [{"command": "python -m benchmarks.c", "recon": "0.1.0"}]
+    )
     assert "version 0.1.0" in old.markdown()
     assert shown(None, 2) == "–"
 

@@ -12,7 +12,7 @@ from recon.core import rotations as so3
 from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.images import Images
-from recon.diagnosis.registration import registered
+from recon.diagnosis.registration import PARTS, ViewAlignment
 from recon.diagnosis.rigs import corrections
 from tests.diagnosis.test_views import checked_clip, screened
 from tests.filmed import bundled, cameras, view, walk
@@ -75,7 +75,7 @@ def test_clock_and_pose_of_a_view_are_found_together(late: float, degrees: float
 
 def test_what_is_found_is_as_sure_as_it_says() -> None:
     given = images(rig(0.08, 1.0))
-    one = registered(given, 1, np.array([3.0, 3.0, 3.0]))
+    one = ViewAlignment.of(given, 1, np.array([3.0, 3.0, 3.0]), PARTS).solved()
     assert one is not None
     std = np.sqrt(np.diag(one.covariance))
     assert abs(one.late - 0.08 * FPS) < 4 * std[0]

@@ -8,6 +8,7 @@ import torch
 
 import recon
 from recon.body.landmarks import landmark
+from recon.body.marker_labels import is_nameless
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
@@ -116,6 +117,38 @@ def test_of_two_people_one_is_named_and_the_other_stays_open():
     right = [np.abs(named.positions - own[:, one]).max(-1) < 1e-9 for own in (x, other)]
     assert max(same.sum() for same in right) >= 0.95 * x[..., 0].size
     assert any("no name" in said for said in found.warnings)
+
+
+@pytest.mark.numerics
+def test_outputs_of_a_model_keep_their_names_in_a_trial_named_like_itself():
+    """Joint centres and the like were called *1, *2, ... in the copy."""
+    true = trial(slice(0, 60))
+    outputs = {"LHJC": true.positions[:, [10]] - [0.0, 0.0, 0.08], "LFEO": true.positions[:, [14]]}
+    x = np.concatenate((true.positions, *outputs.values(), true.positions[:, :1] + 0.5), 1)
+    a, b = NAMES_IN_ORDER.index("LKNE"), NAMES_IN_ORDER.index("RKNE")
+    x[20:35, [a, b]] = x[20:35, [b, a]]
+    names = (*NAMES, *outputs, "*7")
+    given = dataclasses.replace(
+        true, marker_names=names, positions=x, visible=np.ones(x.shape[:2], bool)
+    )
+    found = recon.label(given, like=given)
+    assert found.recording.marker_names == (*NAMES, *outputs, "*1")
+    kept = found.recording.select(list(outputs))
+    assert kept.visible.all()
+    assert np.array_equal(kept.positions, np.concatenate([*outputs.values()], 1))
+    mended = found.recording.select(["LKNE"])
+    assert np.array_equal(mended.positions[:, 0], true.positions[:, a])
+    assert any("30 points" in said for said in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("label", "nameless"),
+    [("*12", True), ("U_1", True), ("C_12", True), ("unlabeled-12", True), ("Unlabeled 7", True),
+     ("", True), ("Ann:*3", True), ("Trajectory 3", True), ("12", True), ("New 0001", True),
+     ("C7", False), ("T10", False), ("LASI", False), ("Ann:LTOE", False), ("ULNA", False)],
+)  # fmt: skip
+def test_labels_that_say_nothing(label, nameless):
+    assert is_nameless(label) == nameless
 
 
 def test_trials_without_names_are_refused(tmp_path):

@@ -14,7 +14,6 @@ import pytest
 import torch
 
 import recon
-from benchmarks.live_links import demo_estimates, rebuilt, receive_json, receive_vmc
 from recon import cli
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, joint_index
@@ -24,6 +23,7 @@ from recon.live.links import LiveLink, VmcLink
 from recon.live.tracking import LiveEstimate
 from tests.filmed import bundled, walk
 from tests.live.conftest import FPS, stream
+from tests.live.receivers import demo_estimates, rebuilt, receive_json, receive_vmc
 
 RECEIVERS = {VmcLink: receive_vmc, LiveLink: receive_json}
 

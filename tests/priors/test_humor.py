@@ -11,7 +11,6 @@ from priors.checkpoints import load_checkpoint
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
-from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     canonical_state,
@@ -20,6 +19,7 @@ from priors.humor.state import (
     rest_pelvis,
     states_of,
 )
+from priors.humor.unrolled import FrozenDecoder, roll_out
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, padded_batch

@@ -13,7 +13,6 @@ from priors.humor.generation import (
     sample,
 )
 from priors.humor.mixture import Mixture
-from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     State,
@@ -23,6 +22,7 @@ from priors.humor.state import (
     rest_pelvis,
     states_of,
 )
+from priors.humor.unrolled import FrozenDecoder, roll_out
 from recon.body.model import BodyModel
 from recon.core.motion import padded_batch
 from recon.core.skeleton import CONTACT_JOINTS

@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from priors.humor.networks import HumorNetworks
-from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.state import Frame, State, canonical_state, rest_pelvis, state_after_step
+from priors.humor.unrolled import FrozenDecoder, Rollout, roll_out
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden, made_up_networks
 

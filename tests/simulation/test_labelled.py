@@ -9,16 +9,17 @@ from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.filmed import walk
-from training.labels.people import (
+from training.labels.rooms import all_around, drawn_room, glimpse
+from training.labels.shards import (
     Postures,
+    Source,
+    draw_clouds,
     drawn_shape,
     random_motion,
     turned_over,
     wardrobe,
     with_hair,
 )
-from training.labels.rooms import all_around, drawn_room, glimpse
-from training.labels.shards import Source, draw_clouds
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import pytest
 from recon.batch.collection import SourceClip
 from recon.body.model import BodyModel
 from recon.ingest.maps import alignments_from_rest
-from training.sizes import bone_differences
 from training.sources import (
     HUMANOID_MAP,
     read_humanoid,
@@ -153,11 +152,3 @@ def test_shoulders_drawn_up_by_a_foreign_skeleton_come_down(
     length = np.linalg.norm(upper_arm)
     raised = np.degrees(np.arcsin(upper_arm[2] / length))
     assert raised == pytest.approx(collar, abs=0.1), "arms keep their orientations"
-
-
-def test_people_are_ordered_by_how_unlike_their_bones_are() -> None:
-    person = np.array([0.4, 0.4, 0.3])
-    others = {"far": 1.1 * person, "near": person * [1.01, 1.0, 1.0], "same": person.copy()}
-    found = bone_differences(person, others)
-    assert [name for _, name in found] == ["same", "near", "far"]
-    np.testing.assert_allclose([value for value, _ in found], [0.0, 100 * 0.01 / 3**0.5, 10.0])

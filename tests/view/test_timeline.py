@@ -16,7 +16,7 @@ from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.view.timeline import write_rrd
+from recon.view.files import write_rrd
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 FRAMES = 6
