@@ -13,7 +13,7 @@ LIMITS = (0.01, 0.1)
 
 _THIRD_DIFFERENCE = math.sqrt(1 + 9 + 9 + 1)
 """Standard deviation of x3 - 3 x2 + 3 x1 - x0 for unit white noise."""
-_NORMAL_MEDIAN = 0.67449
+NORMAL_MEDIAN = 0.67449
 """Median of |x| for unit normal x."""
 
 
@@ -45,7 +45,7 @@ def estimate_noise(
         bends = _third_differences(positions[..., shown, :, :], visible[..., shown, :])
     if bends.numel() == 0:
         return limits[1]
-    noise = float(bends.median()) / _NORMAL_MEDIAN / _THIRD_DIFFERENCE
+    noise = float(bends.median()) / NORMAL_MEDIAN / _THIRD_DIFFERENCE
     return min(max(noise, limits[0]), limits[1])
 
 

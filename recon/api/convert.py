@@ -43,7 +43,9 @@ def convert(
         unit: of the file; default: found out.
         up: axis of the file that points up, or down; default: found out.
         hand: handedness of the coordinates of markers; default: found out.
-        mapping: JSON or TOML file that says which of its joints or markers are which.
+        mapping: JSON or TOML file that says which of its joints or markers are which. Of markers
+            without names (*1, U_1, unlabeled-12): a recording of the same person and set that has
+            names, or the table of the set; default: they are looked for at usual places.
         fps: rate of the result, frames per second; default: the recording's.
         body: whose motion it becomes; a SMPL-family file; default: the bundled body.
         keep_frame: leave the motion where the laboratory has it, turned to z up at most, instead

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Int
 
 from recon.api.results import Tables, closing_fields
-from recon.body.marker_labels import is_nameless
+from recon.body.marker_labels import FEWEST_MARKERS, is_nameless
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.units import Unit, Up
@@ -20,16 +20,14 @@ from recon.diagnosis.findings import listed
 from recon.formats.outputs import Output, OutputKind
 from recon.formats.writing import writing
 from recon.ingest.marker_naming import Naming
-from recon.ingest.marker_places import MarkedBody, bodies_of_set, body_of_trial
+from recon.ingest.marker_places import MarkedBody, bodies_of_set
 from recon.ingest.marker_sets import markers_of_set
-from recon.ingest.marker_tracks import tracks_of
+from recon.ingest.marker_unnamed import body_like, marker_recording, named_tracks
 from recon.mocap.c3d_copy import write_renamed_c3d
 from recon.mocap.marker_tables import write_motive, write_trc
-from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.solver.solution import one_thread
 
-_FEWEST_NAMES = 10
 _MANY_OPEN = 0.1
 """Share of the points without a name that is worth a warning."""
 
@@ -125,17 +123,11 @@ def label(
             markers or the other hardly fits it, or neither `like` nor `set` is given.
         FileNotFoundError: when there is no such file.
     """
-    seen = _read(recording, unit, up)
+    seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
         bodies, like_what = _bodies(like, set, unit, up)
-        markers = seen.visible & ~_outputs(seen.marker_names, bodies[0].markers.labels)
-        naming = Naming(seen, tracks_of(seen.positions, markers, seen.fps), bodies)
-        naming.run()
-    if len(np.unique(naming.marker[naming.marker >= 0])) < _FEWEST_NAMES:
-        raise ReconError(
-            f"{seen.name}: its points fit the markers of {like_what} nowhere; expected one person "
-            "with these markers, upright at some time; check the unit (--unit) and axis (--up)"
-        )
+    markers = seen.visible & ~_outputs(seen.marker_names, bodies[0].markers.labels)
+    naming = named_tracks(seen, markers, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled(seen, naming, like_what, source)
 
@@ -156,30 +148,14 @@ def _bodies(
                 "--like; or where there is none, the set that the markers are of, with --set"
             )
         return bodies_of_set(markers, body), f"the set {set}"
-    trial = _read(like, unit, up)
-    known = () if markers is None else markers.labels
-    named = [name for name in trial.marker_names if name in known or not is_nameless(name)]
-    if len(named) < _FEWEST_NAMES:
-        raise ReconError(
-            f"{trial.name}: expected a trial with {_FEWEST_NAMES} named markers or more to name "
-            f"others by, got {len(named)}: give one whose markers have names with --like"
-        )
-    return [body_of_trial(trial.select(named), body, markers)], trial.name
-
-
-def _read(
-    given: str | Path | SkeletonRecording | MarkerRecording, unit: Unit | None, up: Up | None
-) -> MarkerRecording:
-    read = read_recording(given, unit=unit, up=up) if isinstance(given, str | Path) else given
-    if isinstance(read, SkeletonRecording):
-        raise ReconError(f"{read.name}: expected markers, got the joints of a skeleton")
-    return read
+    trial = marker_recording(like, unit, up)
+    return [body_like(trial, body, markers)], trial.name
 
 
 def _outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
     """Points of a trial that has names which are no markers; none of a trial without names."""
     known = np.isin(names, markers)
-    if known.sum() < _FEWEST_NAMES:
+    if known.sum() < FEWEST_MARKERS:
         return np.zeros(len(names), bool)
     return ~known & ~np.array([is_nameless(name) for name in names])
 

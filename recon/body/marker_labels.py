@@ -67,6 +67,12 @@ def is_nameless(label: str) -> bool:
     return _NAMELESS.fullmatch(label.rsplit(":", 1)[-1].strip()) is not None
 
 
+def are_nameless(labels: Sequence[str]) -> bool:
+    """Whether most labels of a recording say nothing, and too few are known to place a body."""
+    bare = sum(is_nameless(label) for label in labels)
+    return 2 * bare > len(labels) and len(match_markers(labels)[0]) < FEWEST_MARKERS
+
+
 def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
     """Normalised labels without the prefix that all share up to a separator; None without one.
 

@@ -83,7 +83,7 @@ def vertex_areas(
 
 
 def farthest_points(
-    points: Float[Tensor, "points dims"], seeds: Int[Tensor, " seeds"], count: int
+    points: Float[Tensor, "points 3"], seeds: Int[Tensor, " seeds"], count: int
 ) -> Int[Tensor, " count"]:
     """The seeds and, one by one, the point farthest from all chosen so far."""
     distance = torch.cdist(points, points[seeds]).amin(-1)

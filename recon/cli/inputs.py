@@ -25,7 +25,7 @@ EXPECTED = {
     "like": "a recording with named markers (.c3d, .trc)",
     "set": "a marker set by its name, or a file of markers and landmarks (.toml)",
     "manifest": "a folder of films, or a file with one JSON object per line",
-    "mapping": "a TOML file that says which joints or markers are which",
+    "mapping": "a TOML file that says which joints or markers are which, or a named trial",
     "masks": "a folder of silhouettes, or an .npz of them",
     "motion": _MOTION,
     "obs": _OBSERVATION,

@@ -128,7 +128,12 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
         return
     import numpy as np
 
-    from recon.body.marker_labels import FEWEST_MARKERS, mapping_to_write, match_markers
+    from recon.body.marker_labels import (
+        FEWEST_MARKERS,
+        are_nameless,
+        mapping_to_write,
+        match_markers,
+    )
     from recon.core.errors import FormatError
     from recon.keypoints3d.labels import STUDY, are_keypoints
     from recon.mocap.reader import read_recording
@@ -140,6 +145,8 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
         shown = np.flatnonzero(recording.visible.sum(0))
         labels = [recording.marker_names[k] for k in shown]
         if are_keypoints(labels) or any(label.endswith(STUDY) for label in labels):
+            continue
+        if are_nameless(labels):
             continue
         known, unknown = match_markers(labels)
         if len(known) < FEWEST_MARKERS:

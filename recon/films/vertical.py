@@ -5,7 +5,7 @@ directions at right angles (Coughlan and Yuille, "Manhattan World", 1999). A seg
 and the centre of the camera span a plane with a unit normal n; the segment may show a line of
 direction d only where n·d = 0. Pairs of segments propose vertical directions, for every focal
 length of a grid. The best one explains, with two horizontal directions, the largest share of the
-length of all segments.
+length of all segments, where cameras that are rolled or look far up or down count for less.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ _TOLERANCE = np.radians(1.2)
 """Standard deviation of the angle between the plane of a segment and the direction it shows."""
 _MOST_TILTED = np.radians(50.0)
 """Angle between the vertical and the image's own up axis up to which it is looked for."""
-_MOST_ROLLED, _MOST_RAISED = np.radians(25.0), np.radians(16.0)
-"""Largest roll of a camera, and largest angle by which it looks upwards. Cameras that film people
-mostly look level or down; lines that tell otherwise are those of furniture or textures."""
+_ROLL, _PITCH, _PITCH_SPREAD = np.radians(20.0), np.radians(8.0), np.radians(30.0)
+"""Standard deviation of a camera's roll; mean and standard deviation of the angle by which it
+looks down. Lines that tell a camera far from these are mostly those of furniture or textures."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
 """Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
 _PAIRS = 300
@@ -38,6 +38,9 @@ _LEAST_VERTICAL = 0.05
 _BEYOND_CHANCE = 0.12
 """Explained share beyond that of segments turned at random, from which on lines tell anything."""
 _RANDOM_TURNS = 5
+_RIVAL, _APART = 0.8, np.radians(10.0)
+"""Share beyond chance that another vertical, at least this angle away, may explain of what the
+best one explains beyond chance; else lines tell no single vertical."""
 _STEP, _PEAK = 0.12, 0.92
 """Logarithm of a change of the focal length by which the explained share must fall, to this share
 of its greatest value, for lines to tell the focal length."""
@@ -65,7 +68,8 @@ def find_vertical(
     """The vertical in images of one still camera; None where lines do not determine it.
 
     They do not where there are few, where they explain little more than lines turned at random,
-    and where images disagree because the camera turns.
+    where another vertical explains nearly as many, and where images disagree because the camera
+    turns.
 
     Args:
         images: ends of the straight segments of each image, pixels from the principal point; of
@@ -81,14 +85,15 @@ def find_vertical(
     chance = np.random.default_rng(0)
     lengths = np.full(1, focal) if known else longer * _FOCAL_LENGTHS
     proposals = [_best_vertical(segments, one, chance) for one in lengths]
-    shares = np.array([share for _, share in proposals])
+    shares = np.array([share for _, share, _ in proposals])
     best = int(shares.argmax())
     told = not known and _is_peak(np.log(lengths), shares, best)
     if not known and not told:
-        up, share = _best_vertical(segments, focal, chance)
+        up, share, rival = _best_vertical(segments, focal, chance)
     else:
-        (up, share), focal = proposals[best], float(lengths[best])
-    if share < _share_by_chance(segments, lengths[::4], chance) + _BEYOND_CHANCE:
+        (up, share, rival), focal = proposals[best], float(lengths[best])
+    by_chance = _share_by_chance(segments, lengths[::4], chance)
+    if share < by_chance + _BEYOND_CHANCE or rival - by_chance > _RIVAL * (share - by_chance):
         return None
     own = [_explained(one, focal, up[None])[0] for one in images if len(one) > 0]
     if min(own) < _EVERY_IMAGE * np.mean(own):
@@ -140,29 +145,33 @@ def _share_by_chance(
 
 def _best_vertical(
     segments: Float[np.ndarray, "segments 2 2"], focal: float, chance: np.random.Generator
-) -> tuple[Float[np.ndarray, "3"], float]:
-    """The vertical that explains most among those of random pairs, and the share it explains."""
+) -> tuple[Float[np.ndarray, "3"], float, float]:
+    """The vertical that explains most among those of random pairs, and the share it explains.
+
+    Also the largest share that one in another direction explains. Shares are multiplied by how
+    likely cameras are held so.
+    """
     length, normals = _lengths(segments), _normals(segments, focal)
     steep = np.flatnonzero(_steep(segments))
     if len(steep) == 0:
-        return np.array([0.0, -1.0, 0.0]), 0.0
+        return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
     first, second = chance.choice(steep, (2, _PAIRS), p=length[steep] / length[steep].sum())
     across = np.cross(normals[first], normals[second])
     size = np.linalg.norm(across, axis=-1, keepdims=True)
     ups = (across / np.maximum(size, 1e-9) * -np.sign(across[:, 1:2]))[size[:, 0] > 1e-2]
-    ups = ups[_plausible(ups)]
+    ups = ups[-ups[:, 1] > np.cos(_MOST_TILTED)]
     if len(ups) == 0:
-        return np.array([0.0, -1.0, 0.0]), 0.0
-    share = _explained(segments, focal, ups)
+        return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
+    share = _explained(segments, focal, ups) * _likelihood(ups)
     best = int(share.argmax())
-    return ups[best], float(share[best])
+    rival = share[ups @ ups[best] < np.cos(_APART)].max(initial=0.0)
+    return ups[best], float(share[best]), float(rival)
 
 
-def _plausible(ups: Float[np.ndarray, "ups 3"]) -> np.ndarray:
-    """Mask of up directions of cameras as people hold them: hardly tilted or rolled."""
-    rolled = np.abs(np.arctan2(ups[:, 0], -ups[:, 1]))
-    tilted = -ups[:, 1] > np.cos(_MOST_TILTED)
-    return tilted & (rolled < _MOST_ROLLED) & (ups[:, 2] < np.sin(_MOST_RAISED))
+def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
+    """Normal density of roll and pitch of cameras with these up directions; one at its mean."""
+    roll, down = np.arctan2(ups[:, 0], -ups[:, 1]), np.arcsin(np.clip(-ups[:, 2], -1, 1))
+    return np.exp(-0.5 * ((roll / _ROLL) ** 2 + ((down - _PITCH) / _PITCH_SPREAD) ** 2))
 
 
 def _explained(

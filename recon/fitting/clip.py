@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -13,11 +13,9 @@ from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
-from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
-from recon.core.skeleton import joint_index
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
@@ -36,11 +34,8 @@ from recon.method.sensor import Sensor, frame_is_level, views_of
 from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
-_BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
-_MOST = 1.5
-"""Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
 KEYPOINT_OFFSET_DEVIATION = 0.005
 """Standard deviation between people of where a detector places a joint, metres, for one frame.
 The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames are correlated."""
@@ -125,27 +120,78 @@ class ClipProblem:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
+    repetition: float = 1.0
+    """Frames of a view that tell as much as one would without correlations in time."""
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
+        if self.options.grounded and all(one.ground_known for one in self.observations):
+            return self._in_own_frame(ground_known=True)
+        job = self._with_camera_scale()
         if not self.options.grounded:
-            return self.with_camera_scale()._solved_in_recording(ground_known=False)
-        if all(one.ground_known for one in self.observations):
-            return self._solved_in_recording(ground_known=True)
-        job = self.with_camera_scale()
-        result = job.with_ground()
+            return job._in_own_frame(ground_known=False)
+        result = job._with_ground()
         assert result.estimate.scene.ground is not None
         T = result.estimate.scene.ground.T_world_recording.detach()
         return job._clip_fit(result, T, ground_known=False)
 
-    def _solved_in_recording(self, *, ground_known: bool) -> ClipFit:
+    def _in_own_frame(self, *, ground_known: bool) -> ClipFit:
         """The motion in the frame of the recording, which is the world or has no ground."""
-        start = self.guess.motion
+        job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            start = self.on_known_ground()
-        result = self.fit(self.options, self.scene(start), start, self.moved)
+            from recon.fitting.first_motions import scaled_onto_ground  # one view alone needs it
+
+            job, free = self.after_pose_prior()
+            start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
+        result = job.fit(job.options, job.scene(start), start, job.moved)
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         return self._clip_fit(result, T, ground_known=ground_known)
+
+    def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
+        """The problem after a fit under the pose prior, which needs no ground, and its motion.
+
+        One view whose noise nobody gave weighs less where its residuals about this motion repeat
+        from frame to frame: feet would follow them and slip.
+        """
+        start = self.guess.motion
+        first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
+        if not self.one_view or self.options.noise_of(0) is not None:
+            return self, first.motion
+        from recon.fitting.first_motions import repetition_in_view  # one view alone needs it
+
+        (view,) = views_of(self.observations)
+        found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
+        return replace(self, repetition=found), first.motion
+
+    def _with_camera_scale(self) -> "ClipProblem":
+        """The problem with the camera's path scaled to metres by the feet of a first motion."""
+        views = views_of(self.observations)
+        if len(self.observations) > 1 or not views or views[0].unit_known:
+            return self
+        from recon.fitting.first_motions import scaled_to_feet  # moving cameras alone need it
+
+        _, motion = self.after_pose_prior()
+        if (found := scaled_to_feet(cast(Any, views[0]), motion, self.body)) is None:
+            return self
+        view, motion = found
+        return replace(self, observations=(view,), guess=replace(self.guess, motion=motion))
+
+    def _with_ground(self) -> Reconstruction:
+        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
+        # imported here: in most clips the ground is known
+        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
+
+        job, start, level = self, self.guess.motion, frame_is_level(self.observations)
+        if self.ground_seen and not level:
+            ground = UnknownGround.create(pelvis_path(start, self.body))
+        else:
+            job, start = self.after_pose_prior()
+            ground = (ground_below if level else upright_ground)(start, self.body)
+        moved = self.moved
+        if self.options.knows_gravity:
+            # where z is up only the height of the ground is unknown
+            moved |= HEIGHT if level else GROUND
+        return job.fit(job.options, job.scene(start, ground), start, moved)
 
     def _clip_fit(
         self, result: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
@@ -234,6 +280,11 @@ class ClipProblem:
             if self.scale_unknown:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
+            if self.one_view:
+                from recon.fitting.still_feet import with_still_feet  # one view alone needs it
+
+                (one,) = self.noises
+                stages = with_still_feet(stages, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)
             if not self.guess.distance_known:
@@ -263,23 +314,9 @@ class ClipProblem:
         body = self.body.to(device=self.options.device)
         found = run(
             self.observations, self.stages(options, moved, body), body, scene=scene, start=start,
-            weights=weights_of(self.noises), watch=self.watch,
+            weights=[one / self.repetition for one in weights_of(self.noises)], watch=self.watch,
         )  # fmt: skip
         return found.on_device_of(self.body)
-
-    def on_known_ground(self) -> Motion:
-        """A first motion under the pose prior, scaled about the camera to stand on the ground.
-
-        What a camera sees does not change when everything is farther and larger by one factor.
-        """
-        free = self.pose_prior_motion()
-        view = views_of(self.observations)[0]
-        eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
-        factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
-        factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
-        pelvis = self.body.rest_joints(free.shape)[:, 0]
-        place = free.translation + (pelvis - eye)[:, None]
-        return free.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
 
     @property
     def ground_seen(self) -> bool:
@@ -291,51 +328,6 @@ class ClipProblem:
         """The observations with the scene's fitted unknowns inserted as known."""
         scene = result.estimate.scene.detach()
         return tuple(one.settled(scene) for one in self.observations)
-
-    def pose_prior_motion(self) -> Motion:
-        """A first motion under the pose prior, which needs no ground."""
-        start = self.guess.motion
-        return self.fit(self.pose_prior_options, self.scene(start), start, frozenset()).motion
-
-    def with_camera_scale(self) -> "ClipProblem":
-        """The problem with the camera's path scaled to metres by the feet of a first motion."""
-        views = views_of(self.observations)
-        if len(self.observations) > 1 or not views or views[0].unit_known:
-            return self
-        (view,) = views
-        motion = self.pose_prior_motion()
-        feet = self.body.pose(motion).joints[..., list(_BALLS), :]
-        there, _ = view.at_own_times(feet, motion)
-        if there.shape[-3] < view.moments:
-            return self
-        # imported here: only moving cameras need it
-        from observations.camera_paths import with_path_in_metres
-
-        seen = view.camera.to_camera(there).detach().double().numpy()
-        found = with_path_in_metres(view, seen)
-        moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
-        if motion.frames == view.moments:
-            motion = motion.replace(translation=motion.translation + moved)
-        return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
-
-    def with_ground(self) -> Reconstruction:
-        """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
-        # imported here: in most clips the ground is known
-        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
-
-        start = self.guess.motion
-        # z is up and only the height of the ground is unknown
-        if frame_is_level(self.observations):
-            start, unknown = self.pose_prior_motion(), HEIGHT
-            ground = ground_below(start, self.body)
-        elif self.ground_seen:
-            ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
-        else:
-            start, unknown = self.pose_prior_motion(), GROUND
-            ground = upright_ground(start, self.body)
-        if not self.options.knows_gravity:
-            unknown = frozenset()
-        return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
 
     def first_seconds(self) -> "ClipProblem":
         """The first seconds of the clip, as long as a window of a long recording."""

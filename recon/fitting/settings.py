@@ -42,7 +42,8 @@ class ReadOptions:
     are taken as occluded."""
     mapping: Path | None = None
     """File (.json, .toml; label = landmark) that says where markers of a .c3d or .trc file sit,
-    for labels that are not known or mean another place."""
+    for labels that are not known or mean another place; of markers without names, the table of
+    their set, or a recording of the same person and set that has names."""
     camera: Path | None = None
     """Calibration of the cameras that detections and depth images come from; default, for
     detections of one view: a phone's, whose focal length the fit corrects."""

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Bool
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
+from recon.core.errors import ReconError
 from recon.core.units import Hand
 from recon.diagnosis.findings import Finding, listed
 from recon.ingest.conversion import Conversion, on_ground
@@ -30,10 +32,10 @@ from recon.ingest.marker_frames import jump_findings
 from recon.ingest.marker_gaps import gap_findings, trimmed_recording
 from recon.ingest.marker_sets import (
     MarkerSet,
-    full_body_markers,
     keypoint_finding,
     right_handed_markers,
 )
+from recon.ingest.marker_unnamed import placed_markers
 from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
@@ -41,6 +43,10 @@ _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""
 _MOSTLY = 0.5
 """Share of a marker's frames."""
+_BESIDE = 0.046
+"""Metres from usual places to guessed markers, on average: 0.02 to 0.042 where they were right."""
+_ASTRAY = 0.012
+"""Mean residual of guessed markers in metres: at most 0.008 where they were right."""
 _TRIAL_FRAMES = 40
 _BETTER = 0.6
 """Share of the residual that other labels must leave."""
@@ -64,6 +70,7 @@ def convert_markers(
         recording: in metres, z up.
         body: whose motion it becomes; marker names are points of the bundled body's mesh.
         mapping: JSON or TOML file, marker label = landmark or vertex; None uses the known labels.
+            Of points without names it is as in `placed_markers`.
         keep_frame: whether the motion stays where the laboratory has it instead of standing on
             z = 0.
         hand: handedness of the axes; None tells it from the body.
@@ -73,7 +80,7 @@ def convert_markers(
         ValueError: when the markers are not known, or cover neither legs nor trunk.
     """
     with one_thread():
-        markers = full_body_markers(recording, body, mapping)
+        recording, markers = placed_markers(recording, body, mapping)
         recording = right_handed_markers(recording, markers, hand)
         return _conversion_of_fit(
             fitted_markers(recording, body, markers), markers, body, keep_frame
@@ -105,7 +112,8 @@ def fitted_markers(
     fitted again: they are virtual points, or not what their labels say.
 
     Raises:
-        ValueError: when no frame shows enough markers to place a body.
+        ValueError: when no frame shows enough markers to place a body, or points without names lie
+            at no usual places.
     """
     chosen, repairs = steady_labels(recording.select(markers.labels))
     chosen, cut = trimmed_recording(chosen, markers.bones)
@@ -123,11 +131,28 @@ def fitted_markers(
         positions = np.where(visible[..., None], chosen.positions, 0.0)
         chosen = dataclasses.replace(chosen, positions=positions, visible=visible)
         fit = fit_markers(chosen, markers, body)
+    if markers.guessed:
+        _refuse_unusual_places(chosen, markers, fit)
     left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
     kind = "keypoints" if markers.inside else "markers"
     used = f"{len(markers.labels) - len(lost)} {kind} used{left}"
     said = (*recording.decisions, *markers.decisions, used, *cut)
     return FittedMarkers(chosen, fit, tuple(repairs), _left_out_finding(lost), said)
+
+
+def _refuse_unusual_places(recording: MarkerRecording, markers: MarkerSet, fit: MarkerFit) -> None:
+    """Refuse markers that were guessed to be others, and so lie far beside their places."""
+    seen = torch.from_numpy(recording.visible).any(0)
+    beside = float((fit.offsets - markers.nominal)[seen].norm(dim=-1).mean())
+    astray = mean_residual(fit, recording)
+    if beside > _BESIDE or astray > _ASTRAY:
+        raise ReconError(
+            f"{recording.name}: its points have no names, and on the body that fits best they lie "
+            f"{100 * beside:.1f} cm beside usual places of markers and {1000 * astray:.0f} mm "
+            "from where these move, so it is not to be believed: check unit and axis (--unit, "
+            "--up), or give a recording of the same person and set that has names, or the table "
+            "of the set, with --mapping"
+        )
 
 
 def _far_markers(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:

@@ -21,7 +21,8 @@ from recon.diagnosis.findings import listed
 from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
 from recon.ingest.marker_findings import marker_distances
 from recon.ingest.marker_fit import ground_is_zero
-from recon.ingest.marker_sets import full_body_markers, right_handed_markers
+from recon.ingest.marker_sets import right_handed_markers
+from recon.ingest.marker_unnamed import placed_markers
 from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
@@ -41,7 +42,8 @@ def seen_markers(
     Args:
         recording: in metres, z up.
         body: on whose surface they sit.
-        mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels.
+        mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels. Of
+            points without names it is as in `placed_markers`.
         robust: distance in metres beyond which a marker counts ever less; None is least squares.
         hand: handedness of the axes; None tells it from the body.
 
@@ -50,7 +52,7 @@ def seen_markers(
         ValueError: when the markers are not known, or cover neither legs nor trunk.
     """
     with one_thread():
-        markers = full_body_markers(recording, body, mapping)
+        recording, markers = placed_markers(recording, body, mapping)
         recording = right_handed_markers(recording, markers, hand)
         found = fitted_markers(recording, body, markers)
     shown, fit = found.recording, found.fit

@@ -102,6 +102,8 @@ class MarkerSet:
     """Parts of the body on which there is none: trunk, pelvis, left shank or foot, ..."""
     decisions: tuple[str, ...] = ()
     """What was chosen among the points, one sentence each."""
+    guessed: bool = False
+    """Whether they were found at usual places, by no label, and may be other markers."""
 
 
 def full_body_markers(

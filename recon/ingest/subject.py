@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -11,7 +12,6 @@ from torch import Tensor
 from observations.joints3d import Joints3D
 from recon.body.levelling import standing_flat
 from recon.body.model import BodyModel
-from recon.body.parts import farthest_points
 from recon.body.soles import Soles
 from recon.core import rotations as so3
 from recon.core.scene import Scene
@@ -255,8 +255,13 @@ def _diverse_frames(
     )
     centre = positions.mean(1, keepdim=True)
     places = ((positions - centre) @ root).flatten(1)
-    usual = (places - places.mean(0)).norm(dim=-1).argmin()[None]
-    index = farthest_points(places, usual, min(FRAMES, len(places))).sort().values
+    count = min(FRAMES, len(places))
+    chosen = [int((places - places.mean(0)).norm(dim=-1).argmin())]
+    distance = (places - places[chosen[0]]).norm(dim=-1)
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = distance.minimum((places - places[chosen[-1]]).norm(dim=-1))
+    index = torch.from_numpy(np.sort(np.array(chosen)))
     flat = torch.tensor([1.0, 1.0, 0.0])
     return MappedFrames(
         positions=(positions - centre * flat)[index],

@@ -87,7 +87,8 @@ def load_observation(
             where it is registered as the entry point `recon.observations`.
         seed: of the draw of points from clouds.
         mapping: JSON or TOML file that says where markers (.c3d, .trc) sit, label = landmark, for
-            labels that are not known or mean another place.
+            labels that are not known or mean another place; of markers without names, the table
+            of their set, or a recording of the same person and set that has names.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -53,12 +53,21 @@ def angle(up: np.ndarray, pitch: float, roll: float) -> float:
     return float(np.degrees(np.arccos(np.clip(up @ true, -1, 1))))
 
 
-@pytest.mark.parametrize(("pitch", "roll"), [(20, 0), (-15, 8), (30, -20)])
+@pytest.mark.parametrize(("pitch", "roll"), [(20, 0), (-15, 8), (30, -20), (-25, 0)])
 def test_lines_of_a_room_tell_vertical_and_focal_length(pitch: float, roll: float):
     found = vertical_in([room(pitch, roll)], PHONE, known=False)
     assert found is not None
     assert angle(found.up, pitch, roll) < 1.5
     assert found.focal == pytest.approx(FOCAL, rel=0.06)
+
+
+def test_lines_of_two_verticals_tell_neither():
+    """Half of the lines are of a room, half of furniture that stands askew."""
+    middle = np.array(SIZE[::-1]) / 2
+    one, other = (straight_segments(room(10, roll)) - middle for roll in (-15, 15))
+    for known in (False, True):
+        assert find_vertical([one], max(SIZE), FOCAL, known=known) is not None
+        assert find_vertical([np.concatenate((one, other))], max(SIZE), FOCAL, known=known) is None
 
 
 def test_known_focal_length_is_kept():

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from observations.depth import PointCloud
+from observations.first_guess import guessed
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.surfels import Surfels
@@ -13,7 +14,7 @@ from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
-from recon.fitting.clip import fit_clip
+from recon.fitting.clip import fit_clip, posed
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.formats.observations import CameraArrays, KeypointsFile
@@ -170,6 +171,25 @@ def test_noise_may_be_told_in_pixels_and_metres():
     assert isinstance(joints, Joints3D)
     assert found.noises[0].own == 0.05
     assert found.noises[1].own == 7.0
+
+
+def test_a_view_whose_errors_last_weighs_less_unless_its_noise_is_told():
+    """Detectors err alike for some frames; believed in each, feet would follow them and slip."""
+    new, seen = torch.Generator().manual_seed(0), one_view(walk(48))
+    white = 8 * torch.randn(seen.pixels.shape, generator=new)
+    errors = white.clone()
+    for k in range(1, seen.moments):
+        errors[:, k] = 0.8 * errors[:, k - 1] + 0.6 * white[:, k]
+    fresh, lasting = (seen.derived(pixels=seen.pixels + one) for one in (white, errors))
+    told = FitOptions(prior="pose", noise=(3.0,))
+
+    def repetition(one: Keypoints2D, options: FitOptions) -> float:
+        problem = posed(*guessed([one], bundled(), None, None), options, bundled())
+        return problem.after_pose_prior()[0].repetition
+
+    assert repetition(fresh, POSE) < 1.5
+    assert repetition(lasting, POSE) > 3
+    assert repetition(lasting, told) == 1.0
 
 
 def test_nobody_in_the_first_frames():

@@ -7,8 +7,10 @@ import pytest
 import torch
 
 import recon
+from observations.markers3d import Markers3D
+from recon.api.made import MadeMotion
 from recon.body.landmarks import landmark
-from recon.body.marker_labels import is_nameless
+from recon.body.marker_labels import is_nameless, marker_sets
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording
@@ -88,6 +90,38 @@ def test_a_set_s_table_names_markers_of_somebody_unknown():
         recon.label(unnamed, set="vicon")
 
 
+def joints_within_3_cm(found: MadeMotion, named: MadeMotion) -> float:
+    """Share of the frames in which the joints of two conversions are 3 cm apart or less."""
+    away = np.linalg.norm(np.asarray(found.joints) - np.asarray(named.joints), axis=-1)
+    return float((away.mean(-1) < 0.03).mean())
+
+
+@pytest.mark.numerics
+def test_markers_without_names_are_fitted_with_or_without_a_named_trial(tmp_path):
+    """They were refused, with a mapping to write by hand."""
+    true = trial(slice(60, 120))
+    random, x, seen = np.random.default_rng(0), true.positions.copy(), true.visible.copy()
+    for first in range(0, 60, 20):
+        order = random.permutation(len(NAMES))
+        x[first : first + 20] = x[first : first + 20, order]
+    seen[20:30, 3] = False
+    unnamed = dataclasses.replace(
+        true, marker_names=tuple(f"U_{k}" for k in range(len(NAMES))), positions=x, visible=seen
+    )
+    named = recon.convert(true)
+    free = recon.convert(unnamed)
+    assert joints_within_3_cm(free, named) >= 0.9
+    assert any("points without names" in said for said in free.about["decisions"])
+    write_trc(tmp_path / "named.trc", trial(slice(0, 60)))
+    like = recon.convert(unnamed, mapping=tmp_path / "named.trc")
+    assert joints_within_3_cm(like, named) >= 0.9
+    write_trc(tmp_path / "unnamed.trc", unnamed)
+    sensor = recon.load_observation(tmp_path / "unnamed.trc")
+    assert isinstance(sensor, Markers3D)
+    assert sensor.labels is not None
+    assert set(sensor.labels) <= set(marker_sets()["cmu"])
+
+
 def without_names(x: np.ndarray) -> MarkerRecording:
     """A recording of unnamed points that are always seen."""
     names = tuple(f"*{k}" for k in range(x.shape[1]))
@@ -105,6 +139,8 @@ def test_points_that_are_no_upright_person_get_no_names(what):
     }[what]
     with pytest.raises(recon.ReconError, match="nowhere"):
         recon.label(without_names(cloud), like=trial(slice(0, 60)))
+    with pytest.raises(recon.ReconError, match=r"nowhere|not to be believed"):
+        recon.convert(without_names(cloud))
 
 
 @pytest.mark.numerics

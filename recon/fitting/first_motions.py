@@ -1,0 +1,112 @@
+"""What a first motion tells, under the pose prior, that the fit of one view needs to know.
+
+How long errors of keypoints last, how large a person on a known ground is, and the unit of a
+camera's path. The pose prior needs no ground.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.camera_paths import with_path_in_metres
+from observations.keypoints2d import Keypoints2D
+from observations.noise import NORMAL_MEDIAN
+from recon.body.model import BodyModel
+from recon.body.soles import sole_heights
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+from recon.method.protocols import REFERENCE_FPS, Estimate
+
+_BALLS = [joint_index("left_foot"), joint_index("right_foot")]
+_MOST = 1.5
+"""Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
+_MIN_CORRELATION = 0.1
+"""Correlations in time below this, and all of longer lags, are taken for none."""
+_MAX_REPETITION = 16.0
+"""Longer errors are those of the model, such as a wrong lens, rather than of a detector."""
+_FOLLOWED = 3.0
+"""Excess of the errors' repetition over that of residuals, as a fitted motion follows errors that
+last; chosen on simulated errors of BlazePose's size and duration, validation people."""
+_OUTLIER_STDS = 3.0
+
+
+def error_repetition(
+    errors: Float[Tensor, "*batch time points dims"],
+    visible: Bool[Tensor, "*batch time points"],
+    noise: float,
+    rate: float = 1.0,
+) -> float:
+    """Number of frames that tell as much as one would if its errors were new in every frame.
+
+    The mean of N frames of errors with standard deviation s and correlations ρ_k at lags of k
+    frames has the variance s² (1 + 2 Σ ρ_k) / N, that of white noise σ² / N. The quotient of these
+    follows, from 1 to 16: one plus three times the excess of the residuals over one, as a motion
+    follows a part of the errors. `estimate_noise` does not see errors that last, because bodies
+    move as slowly: detectors of keypoints err by 1 to 2 cm for a sixth of a second. Constant
+    errors of a point are left out.
+
+    Args:
+        errors: residuals of every coordinate, measured minus fitted.
+        visible: which count.
+        noise: σ, the standard deviation of white noise.
+        rate: frames that the energy counts for each of the data, such as 0.5 of data at 60 Hz.
+    """
+    shown = visible[..., None].to(errors)
+    count = shown.sum(-3, keepdim=True).clamp(min=1)
+    away = (errors - (errors * shown).sum(-3, keepdim=True) / count) * shown
+    if not bool(visible.any()):
+        return 1.0
+    limit = _OUTLIER_STDS * away.abs()[visible].median() / NORMAL_MEDIAN
+    away = away.clamp(-limit, limit)
+    variance = float(away.square().sum() / (shown.sum() * away.shape[-1]))
+    if not variance > 0:
+        return 1.0
+    repeated = 1.0
+    for lag in range(1, away.shape[-3] // 2):
+        both = shown[..., lag:, :, :] * shown[..., :-lag, :, :]
+        product = away[..., lag:, :, :] * away[..., :-lag, :, :]
+        correlation = float(product.sum() / (both.sum() * away.shape[-1]).clamp(min=1)) / variance
+        if correlation < _MIN_CORRELATION:
+            break
+        repeated += 2 * correlation
+    excess = variance / noise**2 * repeated * rate - 1
+    return min(1 + _FOLLOWED * max(excess, 0.0), _MAX_REPETITION)
+
+
+def repetition_in_view(view: Keypoints2D, estimate: Estimate, noise: float) -> float:
+    """`error_repetition` of a view's residuals about a fitted motion; noise in pixels."""
+    with torch.no_grad():
+        left = view.residuals(estimate)
+    errors = left.values * left.weights[..., None]
+    return error_repetition(errors, left.seen, noise, REFERENCE_FPS / view.fps)
+
+
+def scaled_onto_ground(motion: Motion, view: Keypoints2D, body: BodyModel) -> Motion:
+    """The motion scaled about the camera until it stands on the ground z = 0.
+
+    What a camera sees does not change when everything is farther and larger by one factor.
+    """
+    eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
+    factor = eye[:, 2] / (eye[:, 2] - sole_heights(motion, body))
+    factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
+    pelvis = body.rest_joints(motion.shape)[:, 0]
+    place = motion.translation + (pelvis - eye)[:, None]
+    return motion.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
+
+
+def scaled_to_feet(
+    view: Keypoints2D, motion: Motion, body: BodyModel
+) -> tuple[Keypoints2D, Motion] | None:
+    """The view with its camera's path in metres, by standing feet, and the motion moved with it.
+
+    None where the motion does not cover the view.
+    """
+    feet = body.pose(motion).joints[..., _BALLS, :]
+    there, _ = view.at_own_times(feet, motion)
+    if there.shape[-3] < view.moments:
+        return None
+    found = with_path_in_metres(view, view.camera.to_camera(there).detach().double().numpy())
+    moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
+    if motion.frames == view.moments:
+        motion = motion.replace(translation=motion.translation + moved)
+    return found, motion

@@ -1,0 +1,109 @@
+"""Feet that stay where they are in the image of one view stay in space.
+
+One view does not see whether a foot moves along its ray. A camera above the ground looks down at
+feet, so that a foot on the ground moves in the image when it moves in space; what stands still in
+the image stands, unless it moves along the ray by chance. The networks of the motion prior may
+take such a foot for one that is not in contact, and let it slide towards the camera.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.keypoints2d import Keypoints2D
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.stages import Stage
+from recon.method.terms import Term
+from recon.solver.banded import add_differences
+
+_SPEED = 0.15
+"""Standard deviation of the speed across the ray of a foot that stands, m/s; mostly errors of
+detectors."""
+_SPAN = 5 / 30
+"""Seconds over which this speed is measured."""
+_LEAST = 0.3
+"""Probability below which a foot is not held at all."""
+
+
+@dataclass(frozen=True)
+class StillFeet(TensorStruct):
+    """Energy ½ Σ h |p_t - p_(t-1)|² of ankles and toes, h from 0 to 1; metres² at 30 Hz."""
+
+    held: Float[Tensor, "*batch steps 4"]
+    """h = exp(-½ (v / 0.15 m/s)²) for the speed v of a foot across its ray, between moments."""
+    fps: float
+    start_time: float
+
+    @classmethod
+    def of(cls, view: Keypoints2D, body: BodyModel, pixel_size: float) -> "StillFeet":
+        """Of one view of a person.
+
+        Args:
+            view: whose camera stands or moves as it says.
+            body: whose feet.
+            pixel_size: width of a pixel at the person, metres.
+        """
+        focal = view.camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
+        depth = (pixel_size * focal)[..., None].expand(view.confidence.shape)
+        places = view.camera.unproject(view.pixels, depth)
+        eye = view.camera.T_world_camera[..., None, :3, 3]
+        half, last = round(_SPAN * view.fps / 2), view.moments - 1
+        step = torch.arange(last, device=places.device)
+        before, after = (step - half).clamp(min=0), (step + 1 + half).clamp(max=last)
+        rays = torch.nn.functional.normalize((places - eye)[..., after, :, :], dim=-1)
+        moved = places[..., after, :, :] - places[..., before, :, :]
+        moved = moved - (moved * rays).sum(-1, keepdim=True) * rays
+        speed = moved.norm(dim=-1) * (view.fps / (after - before))[:, None]
+        # the mean of the keypoints that tell of a joint
+        seen = (view.shown[..., after, :] & view.shown[..., before, :]).to(places)
+        tells = torch.from_numpy(view.located_joints(body)[:, FEET]).to(places)
+        count = seen @ tells
+        speed = (speed * seen) @ tells / count.clamp(min=1)
+        held = (-0.5 * (speed / _SPEED).square()).exp()
+        return cls(held.where((held > _LEAST) & (count > 0), 0.0), view.fps, view.start_time)
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """The energy, at 30 Hz."""
+        motion = estimate.motion
+        step = estimate.body.joints[..., FEET, :].diff(dim=-3).square().sum(-1)
+        return 0.5 * (self._weights(motion) * step).sum((-1, -2))
+
+    def add_curvature(
+        self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
+    ) -> None:
+        """Add the Hessian; see `SupportEnergy.add_curvature`."""
+        held = joints.new_zeros(len(joints) - 1, 22, 3)
+        held[:, FEET] = weight * self._weights(estimate.motion)[clip, ..., None].to(joints)
+        add_differences(joints, (-1.0, 1.0), held.flatten(1))
+
+    def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
+        """Weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
+        time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
+        row = ((time - self.start_time) * self.fps).round().long()
+        held = self.held[..., row.clamp(0, self.held.shape[-2] - 1).to(self.held.device), :]
+        exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None]
+        return (held * (motion.fps / REFERENCE_FPS)).where(exists, 0.0)
+
+
+def with_still_feet(
+    stages: Sequence[Stage[Any]], body: BodyModel, pixel_size: float
+) -> tuple[Stage[Any], ...]:
+    """The stages; feet that are still in the image are held as surely as certain contacts are."""
+
+    def held(stage: Stage[Any]) -> Stage[Any]:
+        contact = next((one for one in stage.terms if one.name == "contact velocity"), None)
+        view = stage.terms[0].energy
+        if contact is None or stage.name != "contacts" or not isinstance(view, Keypoints2D):
+            return stage
+        still = StillFeet.of(view, body, pixel_size)
+        return replace(stage, terms=(*stage.terms, Term("still feet", still, contact.weight)))
+
+    return tuple(map(held, stages))

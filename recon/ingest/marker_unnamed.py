@@ -1,0 +1,134 @@
+"""Finds the markers of a recording whose points have no names, as optical systems export them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+
+from recon.body.marker_labels import FEWEST_MARKERS, are_nameless, is_nameless, load_marker_map
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.units import Unit, Up
+from recon.ingest.marker_naming import Naming
+from recon.ingest.marker_places import MarkedBody, bodies_of_set, body_of_trial
+from recon.ingest.marker_sets import MarkerSet, full_body_markers, markers_of_set
+from recon.ingest.marker_tracks import tracks_of
+from recon.mocap.reader import read_recording
+from recon.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.solver.solution import one_thread
+
+USUAL = "cmu"
+"""The set whose places a body is looked for by, where nobody says which it is."""
+_TABLES = (".toml", ".json")
+
+
+def placed_markers(
+    recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
+) -> tuple[MarkerRecording, MarkerSet]:
+    """A recording and its markers whose places on the body are known by their labels, or found.
+
+    In a recording without names, the body is found among the points and followed. A track gets
+    the place of a marker, which the fit then moves over the skin; doubtful ones are left out.
+
+    Args:
+        recording: in metres, z up.
+        body: on whose mesh markers sit.
+        mapping: as in `full_body_markers`; for points without names, the table of their set, or a
+            recording of the same person and markers that has names. None takes usual places.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ReconError: as in `full_body_markers`; or when no body is found among the points.
+    """
+    names = [recording.marker_names[k] for k in np.flatnonzero(recording.visible.any(0))]
+    table = mapping if mapping is None or Path(mapping).suffix.lower() in _TABLES else None
+    given = () if table is None else load_marker_map(table)
+    if not are_nameless(names) or set(given) & set(names):
+        return recording, full_body_markers(recording, body, mapping)
+    like = "usual places" if mapping is None else str(mapping)
+    if mapping is None or table is not None:
+        bodies = bodies_of_set(markers_of_set(USUAL if table is None else table, body), body)
+    else:
+        bodies = [body_like(marker_recording(mapping), body)]
+    named = _named_only(named_tracks(recording, recording.visible, bodies, like), like)
+    return named, replace(full_body_markers(named, body, table), guessed=mapping is None)
+
+
+def marker_recording(
+    given: str | Path | SkeletonRecording | MarkerRecording,
+    unit: Unit | None = None,
+    up: Up | None = None,
+) -> MarkerRecording:
+    """A recording of markers, read if it is a file.
+
+    Raises:
+        ReconError: when it holds the joints of a skeleton, or cannot be read.
+        FileNotFoundError: when there is no such file.
+    """
+    read = read_recording(given, unit=unit, up=up) if isinstance(given, str | Path) else given
+    if isinstance(read, SkeletonRecording):
+        raise ReconError(f"{read.name}: expected markers, got the joints of a skeleton")
+    return read
+
+
+def body_like(
+    trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
+) -> MarkedBody:
+    """The body with its markers of a trial in which they have names.
+
+    Raises:
+        ReconError: when fewer than ten have one.
+    """
+    known = () if markers is None else markers.labels
+    named = [name for name in trial.marker_names if name in known or not is_nameless(name)]
+    if len(named) < FEWEST_MARKERS:
+        raise ReconError(
+            f"{trial.name}: expected a trial with {FEWEST_MARKERS} named markers or more to name "
+            f"others by, got {len(named)}: give one whose markers have names"
+        )
+    return body_of_trial(trial.select(named), body, markers)
+
+
+def named_tracks(
+    seen: MarkerRecording,
+    visible: Bool[np.ndarray, "time points"],
+    bodies: list[MarkedBody],
+    like: str,
+) -> Naming:
+    """The tracks of some points of a recording, named by the body of those given that fits.
+
+    Args:
+        seen: the recording.
+        visible: which of its points may be markers.
+        bodies: with markers.
+        like: where these are from, for messages.
+
+    Raises:
+        ReconError: when none fits.
+    """
+    with one_thread(), torch.no_grad():
+        naming = Naming(seen, tracks_of(seen.positions, visible, seen.fps), bodies)
+        naming.run()
+    if len(np.unique(naming.marker[naming.marker >= 0])) < FEWEST_MARKERS:
+        raise ReconError(
+            f"{seen.name}: its points fit the markers of {like} nowhere; expected one person with "
+            "these markers, upright at some time; check the unit (--unit) and axis (--up)"
+        )
+    return naming
+
+
+def _named_only(naming: Naming, like: str) -> MarkerRecording:
+    """The markers that have a name, and a note on the share of the others."""
+    seen, names = naming.seen, naming.bodies[0].markers.labels
+    x, visible = naming.named(np.arange(seen.frames))
+    share = visible.sum() / seen.visible.sum()
+    said = (
+        f"points without names: {100 * share:.0f} % are markers of a body, found by {like}; the "
+        "others were left out, as they are doubtful"
+    )
+    found = replace(
+        seen, marker_names=names, positions=x, visible=visible, decisions=(*seen.decisions, said)
+    )
+    return found.select([names[k] for k in np.flatnonzero(visible.sum(0))])

@@ -1,0 +1,38 @@
+"""What a first motion tells: how long errors last."""
+
+import pytest
+import torch
+
+from recon.fitting.first_motions import error_repetition
+
+
+def lasting_errors(correlation: float, frames: int = 200) -> torch.Tensor:
+    """Errors of thirty points of a standard deviation of one, each like the one before."""
+    generator = torch.Generator().manual_seed(1)
+    new = torch.randn(frames, 30, 2, generator=generator, dtype=torch.float64)
+    errors = [new[0]]
+    for one in new[1:]:
+        errors.append(correlation * errors[-1] + (1 - correlation**2) ** 0.5 * one)
+    return torch.stack(errors)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.6])
+def test_frames_whose_errors_last_count_as_fewer(correlation):
+    """The mean of an AR(1) process has (1 + ρ) / (1 - ρ) times the variance of white noise."""
+    errors, visible = lasting_errors(correlation), torch.ones(200, 30, dtype=torch.bool)
+    visible[50:60, :5] = False
+    errors[50:60, :5] = 1e6
+    offsets = torch.linspace(-20, 20, 30, dtype=torch.float64)[:, None]  # of points: left out
+    excess = (1 + correlation) / (1 - correlation) - 1
+    found = error_repetition(errors + offsets, visible, 1.0)
+    assert found == pytest.approx(1 + 3 * excess, rel=0.25)
+    half = error_repetition(errors + offsets, visible, 1.0, rate=0.5)
+    assert half == pytest.approx(max(1.0, 1 + 3 * (excess - 1) / 2), rel=0.25)
+
+
+def test_errors_below_the_noise_and_without_frames_change_nothing():
+    visible = torch.ones(200, 30, dtype=torch.bool)
+    assert error_repetition(0.1 * lasting_errors(0.6), visible, 1.0) == 1.0
+    assert error_repetition(lasting_errors(0.6), ~visible, 1.0) == 1.0
+    assert error_repetition(torch.zeros(200, 30, 2), visible, 1.0) == 1.0
+    assert error_repetition(lasting_errors(0.95), visible, 1.0) == 16.0
