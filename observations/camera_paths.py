@@ -14,7 +14,7 @@ from torch import Tensor
 
 from observations.keypoints2d import Keypoints2D
 from observations.start.images import bone_distance
-from observations.start.rigid import rigid_start
+from observations.start.rigid import limbs_towards, rigid_start
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
@@ -172,11 +172,11 @@ def can_triangulate(views: Sequence[Keypoints2D]) -> bool:
 
 
 def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
-    """The rest pose aligned with the triangulated torso in every frame."""
+    """The rest pose aligned with the triangulated torso, limbs turned towards their points."""
     first = views[0]
     positions, visible = triangulate(views)
-    shape = positions.new_zeros(body.shape_size)
-    return rigid_start(
-        body, first.points.at_rest(body, shape), first.points.bones, positions, visible,
-        fps=first.fps, start_time=first.start_time,
-    )  # fmt: skip
+    rest, bones = first.at_rest(body).to(positions), first.bones(body)
+    start = rigid_start(
+        body, rest, bones, positions, visible, fps=first.fps, start_time=first.start_time
+    )
+    return limbs_towards(start, body, rest, bones, positions, visible)

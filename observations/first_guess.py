@@ -25,6 +25,7 @@ class FirstGuess:
     Stage 1 places the rest body better. Where only a direction is known it must be left out, as
     it would explain bent limbs by a larger distance.
     """
+    aligned: bool = False  # whether trunk and limbs point where the data show them
     posed: bool = False
     """Whether the motion was already fitted, so that placing it again would make it worse."""
 
@@ -42,14 +43,14 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if not named and not views and not clouds:
         return FirstGuess(observations[0].start(body), True)
     if named:
-        return FirstGuess(named[0].start(body), True)
+        return FirstGuess(named[0].start(body), True, aligned=True)
     if len(views) > 1:
         # points seen by several cameras are triangulated: their rays meet
         from observations.camera_paths import can_triangulate, on_first_clock, views_start
 
         alike = on_first_clock(views)
         if len(alike) > 1 and can_triangulate(alike):
-            return FirstGuess(views_start(body, alike), True)
+            return FirstGuess(views_start(body, alike), True, aligned=True)
     if clouds:
         posed = clouds[0].start(body)
         return FirstGuess(_with_poses_of(posed, views[0].start(body)) if views else posed, True)

@@ -44,7 +44,7 @@ def as_streamed(given: Any) -> Tracker:
         )
     if not one.ground_known:
         raise ObservationError(
-            "a stream needs to know the ground: z = 0 of the recording, ground_known=True"
+            "a stream needs a known ground: z = 0 of the recording is the floor, ground_known=True"
         )
     return one.to(dtype=torch.float32, device="cpu")
 

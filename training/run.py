@@ -38,8 +38,8 @@ def logged_to(path: Path, mode: Literal["a", "w"]) -> Iterator[None]:
 
 
 @contextmanager
-def in_folder(settings: TrainingSettings) -> Iterator[None]:
-    """A context in which a run has its folder and its log, which begins with its settings."""
+def logged_in_folder(settings: TrainingSettings) -> Iterator[None]:
+    """Make the folder of a run, and write its log there, which begins with its settings."""
     settings.out.mkdir(parents=True, exist_ok=True)
     with logged_to(settings.out / "train.log", "a"):
         LOG.info("settings: %s", settings)

@@ -209,7 +209,9 @@ def states_of(motion: Motion, body: BodyModel) -> State:
 
 
 def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> State:
-    """States along a motion and its joints, axes (clips, time); velocities by finite differences.
+    """HuMoR's states of a motion whose joints are known; velocities by finite differences.
+
+    Axes (clips, time).
 
     Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
     the motion's own rate). Every clip has at least two frames.

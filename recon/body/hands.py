@@ -108,7 +108,7 @@ class HandModel:
                 if k == 3:
                     continue
                 before = turn
-                for number in [k for k, one in enumerate(JOINT_OF_ANGLE) if one == 3 * finger + k]:
+                for number in [n for n, one in enumerate(JOINT_OF_ANGLE) if one == 3 * finger + k]:
                     axis = self.axes[side, number]
                     axes.append(turn @ axis)
                     pivots.append(at)

@@ -122,7 +122,7 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
 
 
 def mapping_to_write(labels: Sequence[str]) -> str:
-    """The beginning of a mapping file for unknown labels, for messages."""
+    """Advice, for error messages, to write a mapping file; it shows how the file begins."""
     shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
     more = ", ..." if len(labels) > 3 else ""
     return (

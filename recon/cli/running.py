@@ -34,7 +34,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     how = {key: value for key, value in given.items() if key in known}
     how |= {key: read(how[key]) for key, read in _VALUES.items() if key in how}
     if not written or written[0] in known:
-        _print_facts(function(**how), given)
+        _print_result(function(**how), given)
         return
     from recon.reading.inputs import input_checksums
 
@@ -118,8 +118,12 @@ def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: s
         console.print_last_line(place)
 
 
-def _print_facts(found: Any, given: Mapping[str, Any]) -> None:
-    """Print the facts that a function returned, or what it wrote itself."""
+def _print_result(found: Any, given: Mapping[str, Any]) -> None:
+    """Print what a function returned.
+
+    Functions with the option `json` return the facts of one file; others write files, and return
+    tables, warnings and the place of these.
+    """
     if given.get("json"):
         console.print_json(found)
     elif "json" in given:

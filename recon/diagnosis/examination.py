@@ -148,7 +148,7 @@ class ExaminedClip(CheckedClip):
 
     @property
     def seen(self) -> Bool[Tensor, "time 22"]:
-        """`observed` at the frames of the fitted motion."""
+        """Joints that were observed, in the frames that the fitted motion has."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
     def described_at(self, motion: Motion) -> dict[str, Tensor | None]:

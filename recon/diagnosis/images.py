@@ -16,7 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.diagnosis.findings import stretches
 from recon.diagnosis.quick_fit import quick_stages
-from recon.fitting.stages import without_root
+from recon.fitting.stages import keeping_distance
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -267,7 +267,7 @@ def _costs_of_views(
     noise = seen.noise(start, body)
 
     def method(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return without_root(quick_stages(noise.metres, data))
+        return keeping_distance(quick_stages(noise.metres, data))
 
     found = solve([seen], method, body, start=start, weights=weights_of((noise,)))
     return found.reports[-1].solution.value.double().numpy()

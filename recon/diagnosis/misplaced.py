@@ -201,22 +201,18 @@ def _moments_of_exchange(
 
     They then move less if their sides are exchanged.
     """
-    exchanges = np.zeros(len(points.visible), dtype=bool)
-    if not pairs:
-        return exchanges
-    rows = np.array(pairs)
+    rows, moment = np.array(pairs, int).reshape(-1, 2), np.arange(len(points.visible))[:, None]
     seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
-    last = np.full(len(pairs), -1)
-    for t in range(len(exchanges)):
-        known = seen[t] & (last >= 0) & ((t - last) / points.fps <= _FASTEST)
-        if known.any():
-            before, after = x[last[known], np.flatnonzero(known)], x[t, known]
-            same = np.linalg.norm(after - before, axis=-1).sum(-1)
-            other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
-            saved = np.clip(same - other, -1.0, 1.0).mean() / 2
-            exchanges[t] = saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean()
-        last = np.where(seen[t], t, last)
-    return exchanges
+    last = np.maximum.accumulate(np.where(seen, moment, -1))
+    last = np.concatenate((np.full_like(last[:1], -1), last[:-1]))
+    known = seen & (last >= 0) & ((moment - last) / points.fps <= _FASTEST)
+    before = np.take_along_axis(x, last.clip(min=0)[..., None, None], axis=0)
+    same, other = (
+        np.where(known, np.linalg.norm(after - before, axis=-1).sum(-1), 0.0)
+        for after in (x, x[:, :, ::-1])
+    )
+    saved = np.clip(same - other, -1.0, 1.0).sum(-1) / known.sum(-1).clip(min=1) / 2
+    return (saved > _MIN_SAVED_M) & (other.sum(-1) < _LESS * same.sum(-1))
 
 
 def _odd_exchanges(exchanges: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:

@@ -125,7 +125,7 @@ class NamedPoints:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Observed positions of points, and those that an estimate predicts."""
+    """Observed named points, and their positions on the fitted body."""
 
     points: NamedPoints
     positions: Float[np.ndarray, "moments points 3"]

@@ -79,9 +79,9 @@ _PACE = 15.0
 """Frames per second of quick fits: half as many as a fit works on find the same start."""
 _SHAPE = 1e-4
 """Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
-_ITERATIONS, _ITERATIONS_OF_OTHERS = (12, 40), (12, 12)
-"""Largest numbers of iterations of the two stages, of the version as given and of other ones: a
-right version is found within 5, and a wrong one goes on for long."""
+_ITERATIONS, _ITERATIONS_OF_OTHERS = 40, 12
+"""Largest numbers of iterations for the version as given and for other ones: a right version is
+found within 5, and a wrong one goes on for long."""
 
 
 @dataclass(frozen=True)
@@ -164,14 +164,12 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
 
 
 def quick_stages(
-    noise: float, data: tuple[Term, ...], *, max_iterations: tuple[int, int] = _ITERATIONS
+    noise: float, data: tuple[Term, ...], *, max_iterations: int = _ITERATIONS
 ) -> tuple[Stage[Any], ...]:
-    """Stages of the pose prior with few iterations, for errors of about a centimetre."""
+    """The pose prior's last stage with few iterations, for errors of about a centimetre."""
     prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
-    return tuple(
-        replace(stage, minimiser=LBFGS(max_iterations=count, tolerance_decrease=1e-3))
-        for stage, count in zip(prior.stages(data), max_iterations, strict=True)
-    )
+    minimiser = LBFGS(max_iterations=max_iterations, tolerance_decrease=1e-3)
+    return (replace(prior.stages(data)[-1], minimiser=minimiser),)
 
 
 def middle_seconds(points: TrackedPoints) -> TrackedPoints:

@@ -15,7 +15,7 @@ from recon.core.skeleton import JOINTS
 from recon.export.skeleton import one_clip
 from recon.formats.replacing import save_arrays
 from recon.formats.smpl import load_smpl
-from recon.ingest.transfer import TransferredMotion, align, carried_rotations, transfer
+from recon.ingest.transfer import MotionOnOtherBody, align, carried_rotations, transfer
 
 FPS = 30.0
 """Frames per second that the loader goes on with; it takes frames of other rates apart."""
@@ -123,7 +123,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     return moved.replace(translation=moved.translation - down)
 
 
-def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> TransferredMotion:
+def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> MotionOnOtherBody:
     """Write a motion in AMASS layout on a user's SMPL-family body; z up, metres.
 
     `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); of those beyond the

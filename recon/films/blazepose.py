@@ -130,7 +130,7 @@ class BlazePose:
         points[:, [0, 2, 3, 4, 5]] += self._anchors[kept][:, None]
         to_image = square.to_image(_DETECTOR_SIDE)
         found: list[tuple[Region, float]] = []
-        for members in _same_box(points[:, 0], points[:, 1], scores):
+        for members in _overlapping_boxes(points[:, 0], points[:, 1], scores):
             mean = np.average(points[members, 2:4], axis=0, weights=scores[members])
             hips, rim = _mapped(mean * _DETECTOR_SIDE - 0.5, to_image)
             found.append((Region.of_points(hips, rim), float(scores[members[0]])))
@@ -240,10 +240,13 @@ def _centres(side: int) -> Float[np.ndarray, "cells 2"]:
     return np.stack((x, y), -1).reshape(-1, 2)
 
 
-def _same_box(
+def _overlapping_boxes(
     middles: Float[np.ndarray, "n 2"], sizes: Float[np.ndarray, "n 2"], scores: np.ndarray
 ) -> list[np.ndarray]:
-    """Indices of boxes that overlap the surest that is left, the surest first."""
+    """Groups of boxes that overlap the most confident box not yet in a group.
+
+    Their indices, by descending confidence.
+    """
     low, high, area = middles - sizes / 2, middles + sizes / 2, sizes.prod(1)
     left, groups = np.argsort(-scores), list[np.ndarray]()
     while len(left) > 0:

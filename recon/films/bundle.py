@@ -123,7 +123,7 @@ class SeenBackground:
             wider: multiple of the noise beyond which observations count little.
             steps: most steps.
         """
-        problem = _Problem(
+        problem = _Adjustment(
             self, np.flatnonzero(self.usable() & (moved[self.picture] | points)), moved,
             points, focal, steady, wider * NOISE,
         )  # fmt: skip
@@ -140,14 +140,16 @@ class SeenBackground:
             if gain < _SMALL_GAIN * value:
                 return
 
-    def _after(self, step: Callable[[float], None], damping: float, problem: "_Problem") -> float:
+    def _after(
+        self, step: Callable[[float], None], damping: float, problem: "_Adjustment"
+    ) -> float:
         step(damping)
         return problem.cost()
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """What `SeenBackground.refine` lowers."""
+class _Adjustment:
+    """The sum of squared reprojection errors that `SeenBackground.refine` lowers."""
 
     scene: SeenBackground
     rows: Int[np.ndarray, " rows"]

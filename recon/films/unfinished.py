@@ -26,7 +26,7 @@ class Unfinished:
     """Checksum of what the sights depend on."""
 
     def add(self, sights: list[Sight], before: int, state: TrackerState) -> None:
-        """Write a further part.
+        """Save the next part of the detections, from which an interrupted run goes on.
 
         Args:
             sights: those that no part has.

@@ -20,6 +20,7 @@ from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.fitting.stages import (
     after_placement,
+    keeping_distance,
     prior_stages,
     shape_found_once,
     shape_held,
@@ -286,7 +287,9 @@ class ClipProblem:
                 stages = with_still_feet(stages, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)
-            return stages if self.guess.distance_known else without_root(stages)
+            if not self.guess.distance_known:
+                return keeping_distance(stages)
+            return without_root(stages) if self.guess.aligned else stages
 
         return stages_for
 

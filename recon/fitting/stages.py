@@ -56,17 +56,21 @@ def after_placement(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages from the first one that optimises more than translation and root.
-
-    One image tells the distance of a body by the size of its bones. Placing a rest body there
-    would trade its stretched limbs against distance. And a prior that knows of no ground has its
-    minimum at another distance than the ground tells (8 cm too low a body, in a test): its stages
-    are minimised by first order, which keeps the distance that they begin with.
-    """
+    """The stages from the first one that optimises more than translation and root."""
     first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+    return tuple(stages[first:])
+
+
+def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages for one image, which tells the distance of a body by the size of its bones.
+
+    Placing a rest body there would trade its stretched limbs against distance. A prior that knows
+    of no ground has its minimum at another distance than the ground tells (8 cm too low a body, in
+    a test): its stages are minimised by first order, which keeps the distance at the start.
+    """
     return tuple(
         stage if stage.prior.knows_gravity else replace(stage, second_order=None)
-        for stage in stages[first:]
+        for stage in without_root(stages)
     )
 
 

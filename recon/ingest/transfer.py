@@ -222,7 +222,7 @@ _JUDGED = 20
 
 
 @dataclass(frozen=True)
-class TransferredMotion:
+class MotionOnOtherBody:
     """A motion on another body, and the distance between the two surfaces."""
 
     motion: Motion
@@ -231,7 +231,7 @@ class TransferredMotion:
     over the motion, metres."""
 
 
-def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> TransferredMotion:
+def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> MotionOnOtherBody:
     """Convert a motion of one body to another body, with shape coefficients of that body.
 
     Shape and rest pose are fitted to the first body's surface; then every frame's pose brings
@@ -252,7 +252,7 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> TransferredM
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
     rest = align(body, motion.shape, target)
     moved = _first_guess(motion, body, target, rest)
-    return TransferredMotion(
+    return MotionOnOtherBody(
         moved.to(dtype=dtype), _surface_distances(motion, body, moved, target)
     )
 

@@ -16,6 +16,7 @@ from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
+from recon.core.arrays import finite_median
 from recon.core.coordinates import corrected_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.hands import right_handed
@@ -187,11 +188,10 @@ def _check_size(
     """Refuse points whose spread no body has, naming the unit that would fit."""
     frames = np.flatnonzero(visible.sum(1) >= 4)
     frames = frames[:: max(len(frames) // _MOMENTS, 1)]
-    ratios = [
-        _spread(positions[frame, seen]) / _spread(rest.numpy()[seen])
-        for frame, seen in zip(frames, visible[frames], strict=True)
-    ]
-    if not ratios or SIZE[0] <= (ratio := float(np.median(ratios))) <= SIZE[1]:
+    seen = visible[frames, :, None]
+    sizes = [_spread(np.where(seen, p, np.nan)) for p in (positions[frames], rest.numpy())]
+    ratio = float(np.median(sizes[0] / sizes[1])) if len(frames) > 0 else 1.0
+    if SIZE[0] <= ratio <= SIZE[1]:
         return
     fitting = [name for name, metres in METRES.items() if SIZE[0] <= ratio * metres <= SIZE[1]]
     hint = f"; give --unit {' or '.join(fitting)}" if fitting and not unit_given else ""
@@ -201,9 +201,10 @@ def _check_size(
     )
 
 
-def _spread(points: np.ndarray) -> float:
-    """Median distance from the middle: neither noise nor a few wild points change it much."""
-    return float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1))) + 1e-9
+def _spread(points: np.ndarray) -> Float[np.ndarray, " frames"]:
+    """Median distance of (frames, points, 3) from their middle; a few may be wild or NaN."""
+    middle = finite_median(points.swapaxes(-1, -2))
+    return finite_median(np.linalg.norm(points - middle[:, None], axis=-1)) + 1e-9
 
 
 GOOD = 0.35

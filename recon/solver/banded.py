@@ -256,7 +256,8 @@ class Factor:
 def _lower_solution(
     lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
 ) -> Float[Tensor, "*some size columns"]:
-    return torch.linalg.solve_triangular(lower, right, upper=False)
+    # from the right, many columns take half the time in single precision
+    return torch.linalg.solve_triangular(lower.mT, right.mT, upper=True, left=False).mT
 
 
 def _upper_solution(

@@ -26,6 +26,7 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
+_FASTEST = 0.1  # factor by which gains are taken to shrink from step to step at best
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
@@ -70,8 +71,8 @@ class GaussNewton:
 
     max_iterations: int = 50
     tolerance: float = 1e-4
-    """A problem has converged when a step lowers its objective by no more than this share of it,
-    or when a step that does not is not expected to."""
+    """A problem has converged when the next step is expected to lower its objective by no more
+    than this share of it: gains shrink by the factor by which the last one did, or by ten."""
     scale: float = 0.0
     """Objective, in its own unit, below which decreases are taken relative to this instead."""
     damping: float = 1e-3
@@ -156,6 +157,7 @@ class _Run:
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
     """Terms at every iterate."""
     evaluations: int = 0
+    gain: float = 0.0  # by how much the last step lowered the objective
     end: Termination | None = None
 
     def begin(self, terms: Float[Tensor, " terms"]) -> None:
@@ -189,7 +191,9 @@ class _Run:
         if gain >= 0:  # false for nan
             self.trace.append(terms)
             self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
-            self.end = Termination.CONVERGED if gain <= few else None
+            less = max(gain / self.gain, _FASTEST) if self.gain > gain and len(terms) > 0 else 1.0
+            self.end = Termination.CONVERGED if gain * less <= few else None
+            self.gain = gain
             return True
         if promise <= few:
             self.end = Termination.CONVERGED

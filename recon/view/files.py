@@ -133,7 +133,10 @@ def show_of_files(
             "HuMoR write them, other motions have none"
         )
     if film and side is not None:
-        raise ValueError("--beside draws a motion that is not in the film; give --compare instead")
+        raise ValueError(
+            "--beside sets a motion next to another, which has no place in a film: "
+            "give --compare to draw both over it"
+        )
     figures: list[Figure] = []
     if side is None:
         std, touching = file.joint_std, file.contacts

@@ -135,7 +135,7 @@ def _recorded_page(server: ViserServer, show: Show) -> str:
     if show.cloud is not None:
         layers.append(_add_scan(scene, show.cloud))
     layers += [_add_frustum(scene, view) for view in show.cameras]
-    # nothing is drawn there: the page's films read the time from it
+    # an invisible frame: the films of the page read the time of playback from its position
     clock = scene.add_frame("/clock", show_axes=False)
     serializer = server.get_scene_serializer()
     for frame in range(show.frames):

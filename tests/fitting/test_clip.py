@@ -112,6 +112,7 @@ def test_three_views_give_the_motion_itself(settings):
     seen = [view(truth, c, seed=k) for k, c in enumerate(cameras(truth, 3))]
     found = fit_clip(seen, settings, bundled())
     assert joint_error(found.result.motion.detach()[0], truth) < 0.03
+    assert found.result.reports[0].stage.name == "pose"  # triangulated points place the body
     assert all(1 < noise.own < 8 for noise in found.noises)  # pixels
 
 

@@ -13,7 +13,7 @@ from recon.body.motion_files import load_motion_of
 from recon.core.motion import Motion
 from recon.core.nearest import closest_points
 from recon.core.skeleton import JOINTS
-from recon.ingest.transfer import TransferredMotion, transfer
+from recon.ingest.transfer import MotionOnOtherBody, transfer
 from scripts.build_stand_in import build
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
@@ -38,7 +38,7 @@ def walk() -> Motion:
 
 
 @pytest.fixture(scope="module")
-def found(walk, stand_in) -> TransferredMotion:
+def found(walk, stand_in) -> MotionOnOtherBody:
     return transfer(walk, BodyModel.load(), stand_in)
 
 

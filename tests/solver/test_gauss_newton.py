@@ -211,6 +211,23 @@ def test_without_an_objective_every_step_is_taken_until_little_is_promised() -> 
     assert fixed.iterations.tolist() == [5]
 
 
+class Cautious(Squares):
+    """A Hessian twice too large: steps go half the way, and gains shrink to a quarter."""
+
+    def model(self, x: Tensor, rows: Tensor) -> Quadratic:
+        found = super().model(x, rows)
+        return Quadratic(found.value, found.gradient, [Banded.dense(2 * torch.eye(1).double())])
+
+
+def test_no_step_is_taken_that_is_expected_to_bring_too_little() -> None:
+    """Gains are 37.5, 9.4, 2.3, 0.59, 0.15 and then 0.04; the last one is foreseen."""
+    options = GaussNewton(50, 0.1, scale=1.0, damping=0.0)
+    _, solution = minimise(Cautious(lambda x, _: x), torch.full((1, 1), 10.0).double(), options)
+    gains = -solution.trace[0, :, 0].diff()
+    assert len(gains) == 5
+    assert gains[-1] > 0.1 > gains[-1] / 4
+
+
 def test_a_matrix_that_is_not_positive_definite_is_damped() -> None:
     """Damping scales the diagonal, so a matrix with too strong a border needs a lot of it."""
 

@@ -33,7 +33,7 @@ from training.humor.corpus import Corpus, StateWindows
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
-from training.run import BEST, LOG, Run, in_folder, run_by_options, trained_state
+from training.run import BEST, LOG, Run, logged_in_folder, run_by_options, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humor
 
@@ -154,7 +154,7 @@ def train(settings: HumorTraining) -> Path:
         FileNotFoundError: when there is no corpus or splits file.
         ValueError: when no clip may be learned from, or the folder holds another run.
     """
-    with in_folder(settings):
+    with logged_in_folder(settings):
         body = BodyModel.load()
         learned = held_out = Corpus.load(settings, "train", body)
         if any(True for _ in settings.stretches_that_teach("validation", "steps")):

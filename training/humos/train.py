@@ -22,7 +22,7 @@ from training.humos.losses import (
     physics_losses,
     reconstruction,
 )
-from training.run import CHECKPOINT, LOG, Run, in_folder, trained_state
+from training.run import CHECKPOINT, LOG, Run, logged_in_folder, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import save_humos
 
@@ -187,7 +187,7 @@ def train(settings: HumosTraining) -> Path:
         FileNotFoundError: when there is no corpus or splits file.
         ValueError: when there is no clip to learn from, or the folder holds another run.
     """
-    with in_folder(settings):
+    with logged_in_folder(settings):
         body = BodyModel.load()
         learned = BodyCorpus.load(settings, "train", body, settings.speeds)
         return HumosRun(

@@ -36,7 +36,7 @@ class LabelledClouds(TensorStruct):
     """Whether z is known to point up."""
 
     def save(self, path: Path) -> None:
-        """Write a file in one step."""
+        """Write the clouds to a file, whole or not at all."""
         save_arrays(path, {name: tensor.numpy() for name, tensor in self.tensors().items()})
 
     @classmethod

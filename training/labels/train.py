@@ -21,7 +21,7 @@ from training.labels.clouds import (
     half_hidden,
 )
 from training.labels.shards import make_training_clouds
-from training.run import CHECKPOINT, Run, in_folder, trained_state
+from training.run import CHECKPOINT, Run, logged_in_folder, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
 
@@ -113,7 +113,7 @@ def train(settings: LabelTraining) -> Path:
         FileNotFoundError: when there is no corpus or splits file.
         ValueError: when the folder holds another run.
     """
-    with in_folder(settings):
+    with logged_in_folder(settings):
         learned, checked = make_training_clouds(settings)
         return LabelRun(
             settings, CloudCorpus.load(learned), CloudCorpus.load(checked)

@@ -25,7 +25,7 @@ from recon.body.model import BodyModel, forward_kinematics
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.variation import Variation
 from training.look.seeing import CLEAR, Seeing
-from training.run import BEST, LOG, Run, in_folder, run_by_options, trained_state
+from training.run import BEST, LOG, Run, logged_in_folder, run_by_options, trained_state
 from training.settings import TrainingSettings, settings_to_store
 from training.weights import half_precision, save_checkpoint
 
@@ -260,7 +260,7 @@ def train(settings: LookTraining) -> Path:
         FileNotFoundError: when there is no corpus or splits file.
         ValueError: when no clip may be learned from, or the folder holds another run.
     """
-    with in_folder(settings):
+    with logged_in_folder(settings):
         body = BodyModel.load()
         # also clips on the ground and on furniture, whose poses may be learned but not their steps
         learned = Corpus.load(settings, "train", body, "poses")
