@@ -284,7 +284,8 @@ class ClipProblem:
                 from recon.fitting.still_feet import with_still_feet  # one view alone needs it
 
                 (one,) = self.noises
-                stages = with_still_feet(stages, body, one.metres / one.own)
+                (view,) = views_of([cast(Any, term.energy) for term in data])
+                stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)
             if not self.guess.distance_known:

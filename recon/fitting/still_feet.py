@@ -94,14 +94,13 @@ class StillFeet(TensorStruct):
 
 
 def with_still_feet(
-    stages: Sequence[Stage[Any]], body: BodyModel, pixel_size: float
+    stages: Sequence[Stage[Any]], view: Keypoints2D, body: BodyModel, pixel_size: float
 ) -> tuple[Stage[Any], ...]:
     """The stages; feet that are still in the image are held as surely as certain contacts are."""
 
     def held(stage: Stage[Any]) -> Stage[Any]:
         contact = next((one for one in stage.terms if one.name == "contact velocity"), None)
-        view = stage.terms[0].energy
-        if contact is None or stage.name != "contacts" or not isinstance(view, Keypoints2D):
+        if contact is None or stage.name != "contacts":
             return stage
         still = StillFeet.of(view, body, pixel_size)
         return replace(stage, terms=(*stage.terms, Term("still feet", still, contact.weight)))

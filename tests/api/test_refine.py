@@ -156,7 +156,7 @@ def test_left_handed_coordinates_are_turned_round(tmp_path, cases):
     right = recon.refine(tmp_path / "right.npz", "pose", **how)
     left = recon.fit(tmp_path / "left.npz", "pose", hand="left", **how)
     torch.testing.assert_close(left.joints, right.joints, atol=1e-4, rtol=0)
-    with pytest.raises(recon.ReconError, match="of estimates of other programs"):
+    with pytest.raises(recon.ReconError, match="for estimates of other programs"):
         recon.refine(truth, "pose", hand="left")
 
 

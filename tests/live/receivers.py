@@ -80,7 +80,7 @@ def receive_vmc(pipe: Any) -> None:
     with Server(("127.0.0.1", 0), dispatcher) as server:
         server.timeout = 0.5
         pipe.send(server.server_address[1])
-        until_told(pipe, server.handle_request)
+        until_told(pipe, server.handle_request, packets)
     for came, packet, client in packets:
         arrived = came
         dispatcher.call_handlers_for_packet(packet, client)
@@ -105,12 +105,15 @@ def receive_json(pipe: Any) -> None:
             pose = {bone["Name"]: bone["Location"] + bone["Rotation"] for bone in bones}
             found.append((bones[0]["Time"], arrived, pose))
 
-        until_told(pipe, receive)
+        until_told(pipe, receive, found)
     pipe.send(found)
 
 
-def until_told(pipe: Any, receive: Callable[[], None]) -> None:
-    """Receive packets until word comes by the pipe, and those that are there then."""
+def until_told(pipe: Any, receive: Callable[[], None], received: list[Any]) -> None:
+    """Receive packets into a list until word comes by the pipe, and all that are there then."""
     while not pipe.poll():
         receive()
-    receive()
+    before = -1
+    while len(received) > before:
+        before = len(received)
+        receive()
