@@ -284,7 +284,7 @@ class ClipProblem:
                 from recon.fitting.still_feet import with_still_feet  # one view alone needs it
 
                 (one,) = self.noises
-                (view,) = views_of([cast(Any, term.energy) for term in data])
+                (view,) = views_of([cast(Any, data[0].energy)])  # others tie windows
                 stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)

@@ -4,11 +4,12 @@ import pytest
 import torch
 
 from recon.core.skeleton import FEET
+from recon.fitting import clip as clip_module
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.fitting.still_feet import StillFeet
 from tests import laws
-from tests.filmed import bundled, cameras, view, walk
+from tests.filmed import bundled, cameras, joint_error, view, walk
 
 
 def speeds(frames: int) -> torch.Tensor:
@@ -76,3 +77,19 @@ def test_one_view_holds_them_and_several_do_not():
     assert "still feet" in terms[0]
     assert "still feet" not in terms[1]
     assert all("contact velocity" in names for names in terms)
+
+
+def test_windows_of_a_long_view_that_are_tied_to_others_hold_them_too(monkeypatch):
+    monkeypatch.setattr(clip_module, "LONG", 1.0)
+    there = [*range(60), *range(59, -1, -1), *range(1, 16)]  # forwards, back, and forwards
+    truth = walk(60)
+    truth = truth.replace(
+        translation=truth.translation[there], rotations=truth.rotations[there],
+        valid=truth.valid[[0] * len(there)],
+    )  # fmt: skip
+    found = fit_clip([view(truth, cameras(truth)[0])], FitOptions(), bundled()).result
+    names = {
+        report.stage.name: {term.name for term in report.stage.terms} for report in found.reports
+    }
+    assert {"overlap", "still feet"} <= names["tied: contacts"]
+    assert joint_error(found.motion[0], truth) < 0.15
