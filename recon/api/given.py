@@ -123,7 +123,7 @@ def _one_clip(motion: Motion, name: str) -> Motion:
     motion = motion[0] if batch else motion
     frames = int(motion.valid.sum())
     if frames == 0 or not bool(motion.valid[:frames].all()):
-        raise ReconError(f"{name}: expected a clip without missing frames at its beginning")
+        raise ReconError(f"{name}: expected a clip whose missing frames are all at its end")
     motion = motion.window(0, frames)
     for key, tensor in motion.tensors().items():
         if not bool(torch.isfinite(tensor).all()):

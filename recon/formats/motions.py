@@ -176,7 +176,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
         )
     frames = int(motion.valid.sum())
     if frames == 0 or not bool(motion.valid[:frames].all()):
-        raise FormatError("expected a clip without missing frames at its beginning")
+        raise FormatError("expected a clip whose missing frames are all at its end")
     precision = motion.translation.dtype
     # doubles, since the logarithm loses half of its digits near 180 degrees
     poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
