@@ -87,7 +87,8 @@ class StillFeet(TensorStruct):
     def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
         """Weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
         time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
-        row = ((time - self.start_time) * self.fps).round().long()
+        # rounding may put a frame a little before its moment
+        row = ((time - self.start_time) * self.fps + 1e-3).floor().long()
         held = self.held[..., row.clamp(0, self.held.shape[-2] - 1).to(self.held.device), :]
         exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None]
         return (held * (motion.fps / REFERENCE_FPS)).where(exists, 0.0)
