@@ -126,10 +126,10 @@ def label(
     seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
         bodies, like_what = _bodies(like, set, unit, up)
-    markers = seen.visible & ~_outputs(seen.marker_names, bodies[0].markers.labels)
-    naming = named_tracks(seen, markers, bodies, like_what)
+    outputs = _outputs(seen.marker_names, bodies[0].markers.labels)
+    naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
-    return _labelled(seen, naming, like_what, source)
+    return _labelled(seen, outputs, naming, like_what, source)
 
 
 def _bodies(
@@ -161,7 +161,11 @@ def _outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, "
 
 
 def _labelled(
-    seen: MarkerRecording, naming: Naming, like: str, source: Path | None
+    seen: MarkerRecording,
+    outputs: Bool[np.ndarray, " points"],
+    naming: Naming,
+    like: str,
+    source: Path | None,
 ) -> LabelledMarkers:
     """The recording in columns of names, of tracks that stayed open, and of a model's outputs."""
     names, track = naming.bodies[0].markers.labels, naming.track
@@ -178,7 +182,7 @@ def _labelled(
     labels = [*names, *(f"*{k + 1}" for k in range(len(ends)))]
     columns = np.full((len(track), len(labels)), -1)
     columns[frames, column[numbers]] = points
-    kept = np.flatnonzero(_outputs(seen.marker_names, names))
+    kept = np.flatnonzero(outputs)
     columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
     labels += [seen.marker_names[k] for k in kept.tolist()]
     seldom = np.where(columns >= 0, columns, np.nan)  # in the order of the file
