@@ -40,7 +40,7 @@ def as_streamed(given: Any) -> Tracker:
             raise ObservationError("a stream needs cameras that stand still, got a moving one")
     elif one.std is not None:
         raise ObservationError(
-            "a stream counts all points alike: leave out std, and give recon.Stream the noise"
+            "a stream weights all points equally: leave out std, and give recon.Stream the noise"
         )
     if not one.ground_known:
         raise ObservationError(

@@ -67,8 +67,8 @@ class CorpusSettings:
                 rows = manifest.get(name)
                 if rows is None:
                     raise ValueError(
-                        f"{self.corpus / MANIFEST}: knows no clip {name}; write it anew by "
-                        "python -m training.conversion"
+                        f"{self.corpus / MANIFEST}: lists no clip {name}; write the manifest "
+                        "again by python -m training.conversion"
                     )
             elif lesson != "poses" and not is_flat(path):
                 continue

@@ -241,7 +241,10 @@ def predict(
         ValueError: when a clip is padded or shorter than two frames.
     """
     if not bool(motion.valid.all()):
-        raise ReconError("expected clips that exist to their last frame; predict each alone")
+        raise ReconError(
+            "expected clips without missing frames at their ends; predict clips of unequal length "
+            "one by one"
+        )
     humor = humor.like(motion.translation)
     end = motion.window(max(motion.frames - 2, 0), motion.frames)
     first = states_of(end, humor.body)[:, -1]
@@ -318,7 +321,8 @@ def first_states(
     """
     if not torch.equal(initial.features.cpu(), distinct_features()):
         raise ValueError(
-            "first states need a mixture over independent features; the released one is over all"
+            "expected a mixture over the independent features of a state, from which first states "
+            "can be drawn; that of the released weights is over all features"
         )
     drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)

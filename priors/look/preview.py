@@ -144,10 +144,10 @@ def seen_points(
             "leave the method out to fit them, or give such points alone"
         )
     if not any(bool(one.shown.any()) for one in named):
-        raise ObservationError("the method look: no point is visible at any time; nothing to see")
+        raise ObservationError("the method look: expected visible points, but none is visible")
     start = min(one.start_time for one in named)
     stop = max(one.start_time + (one.moments - 1) / one.fps for one in named)
-    # both ends are included, so that the rate may be a little above 30 Hz
+    # both ends of the clip get a frame, so the rate may be slightly above 30 Hz
     steps = math.ceil((stop - start) * REFERENCE_FPS - 1e-3)
     fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS
     times = start + torch.arange(steps + 1, dtype=torch.float64) / fps

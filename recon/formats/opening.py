@@ -152,7 +152,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in names}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
-            raise FormatError(f"no arrays: {', '.join(foreign)}")
+            raise FormatError(f"{', '.join(foreign)} are not arrays")
         return arrays
     except DAMAGE as error:
         raise FormatError(

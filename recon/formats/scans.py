@@ -355,7 +355,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     CLOUD.check(count, path, "lines")
     try:
         if width < 3 or promised not in (None, count) or 2 * width * count > len(text) + 1:
-            raise ValueError(f"{width} numbers in the first of {count} lines")
+            raise ValueError(f"the first of its {count} lines has {width} numbers")
         found = numbers_in(text, width * count).reshape(count, width)[:, :3]
     except ValueError as error:
         raise FormatError(

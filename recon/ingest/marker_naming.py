@@ -61,7 +61,7 @@ class Naming:
             return
         unknown = found.body.spread
         every = np.arange(len(self.keys))
-        if unknown > _SURE:  # the person's shape and offsets, by the frames about the first
+        if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow(found, at, near)
             self._settle()
@@ -73,7 +73,7 @@ class Naming:
         self._follow(found, at, every)
         self._settle()
         if unknown > _SURE:
-            for _ in range(_ROUNDS):  # tables are right about places, not about offsets
+            for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 body = self._calibrated(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=unknown)
                 self._look_again(body, table)
@@ -87,7 +87,7 @@ class Naming:
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         best: tuple[FoundBody, int] | None = None
-        for effort in (1, 3):  # unusual poses take longer
+        for effort in (1, 3):  # unusual poses need a longer search
             for part in parts:
                 at = int(part[counts[part].argmax()])
                 found = found_body(self._points(at)[0], self.bodies, effort)
@@ -115,7 +115,7 @@ class Naming:
             pose = found.pose
             for k in order.tolist():
                 points, tracks = self._points(k)
-                if k != at:  # first by the tracks that are known, then by all
+                if k != at:  # pose by the tracks named so far, before new ones are named
                     pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
                 said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
                 held = self._assigned(self._mean(tracks) + said)

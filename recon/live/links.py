@@ -105,7 +105,7 @@ class Link(AbstractContextManager[Any]):
             try:
                 self._socket.send(packet)
             except ConnectionRefusedError as error:
-                # that is said of the packet before; this one was not sent yet
+                # the error is about the previous packet; the present one was not sent yet
                 self._tell(error, "nobody listens there yet; packets are sent all the same")
                 self._socket.send(packet)
         except ConnectionRefusedError:
@@ -158,7 +158,7 @@ class VmcLink(Link):
         self._time = head("T", 0.0)
         pose = [0.0] * 7
         self._root = head("Root/Pos", "root", *pose) + _floats([*pose[1:], 1.0])
-        # VRM's names of these bones are Unity's, but for capitals
+        # VRM names these bones as Unity does, except for the capital first letter
         vrm = renamed(JOINTS, "vrm")
         self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
 
@@ -256,7 +256,7 @@ def _host_and_port(address: str) -> tuple[str, int]:
         parts = urlsplit(f"//{text}")
         host, port = parts.hostname, parts.port
         plain = parts.netloc == text and "@" not in text
-    except ValueError:  # its port is no number up to 65535
+    except ValueError:  # the port is not a number from 0 to 65535
         host = port = plain = None
     if not (host and port and plain):
         raise ReconError(

@@ -90,7 +90,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         else:
             raw = _markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
-        # an offset beyond the end of the file
+        # the file states an offset beyond its end
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     point = groups.get("POINT", {})
     hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"

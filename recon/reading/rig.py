@@ -186,7 +186,7 @@ def _essential_matrix(
     a: Float[np.ndarray, "points 2"], b: Float[np.ndarray, "points 2"], off: float = _OFF
 ) -> tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " points"]]:
     """The essential matrix of two views, and which points agree with it."""
-    cv2.setRNGSeed(0)  # samples at random
+    cv2.setRNGSeed(0)  # RANSAC draws random samples: the same input must give the same result
     found, inliers = cv2.findEssentialMat(a, b, np.eye(3), cv2.RANSAC, 0.999, off, _ROUNDS)
     if found is None or found.shape != (3, 3):
         return np.eye(3), np.zeros(len(a), dtype=bool)
@@ -252,7 +252,7 @@ def _pose_from_points(
     """
     share = 0.0
     if len(points) >= _FEWEST_POINTS:
-        cv2.setRNGSeed(0)  # samples at random
+        cv2.setRNGSeed(0)  # RANSAC draws random samples
         ok, turn, step, inliers = cv2.solvePnPRansac(
             points, places, np.eye(3), None, reprojectionError=_FIRST_OFF
         )

@@ -249,7 +249,7 @@ def _with_motion(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        # a better guess, with which the path was found
+        # the path was found with this focal length, which is a better guess than the stated one
         guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
         return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"

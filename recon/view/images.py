@@ -195,7 +195,7 @@ def _background(view: View, part: ImageRegion, across: int, photograph: Picture 
     else:
         rows, columns = photograph.shape[:2]
         scale = (edges[1] - edges[0]) / (columns, rows)
-        if (coarser := int(1 / scale.min())) > 1:  # warping takes no means
+        if (coarser := int(1 / scale.min())) > 1:  # shrink first, since warping does not average
             smaller = (columns // coarser, rows // coarser)
             photograph = cv2.resize(photograph, smaller, interpolation=cv2.INTER_AREA)
             scale = (edges[1] - edges[0]) / smaller
