@@ -113,7 +113,7 @@ _SAID = 200
 
 
 def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
-    """Files directly in a folder, by name, but hidden ones, which systems write beside others.
+    """Files directly in a folder, sorted by name, without hidden ones that systems add.
 
     Args:
         folder: that is there.

@@ -43,7 +43,7 @@ class _Axes:
     def bones(
         self, estimate: LiveEstimate
     ) -> tuple[Float[np.ndarray, "22 3"], Float[np.ndarray, "22 4"]]:
-        """Positions (metres) and quaternions (x, y, z, w) to the parent; of the root, world."""
+        """Positions (m) and quaternions (x, y, z, w) of bones in parents, of the root in the world."""
         local = estimate.rotations.double().numpy()
         joints = estimate.joints.double().numpy()
         turned = local.copy()
@@ -69,7 +69,7 @@ _UNREAL = _Axes(
 
 
 class Link(AbstractContextManager[Any]):
-    """A UDP socket that estimates are sent by; it tells once what hinders packets, and goes on."""
+    """Sends estimates by UDP; reports each cause of lost packets once, and goes on."""
 
     def __init__(self, address: str, complain: Callable[[str], Any]) -> None:
         host, port = _host_and_port(address)
@@ -146,7 +146,7 @@ class VmcLink(Link):
         ).OscMessageBuilder
 
         def head(address: str, *values: str | int | float) -> bytes:
-            """A message without its floats, which are the last 4 bytes each."""
+            """The bytes of a message without those of its floats, 4 each at its end."""
             message = builder(f"/VMC/Ext/{address}")
             for value in values:
                 message.add_arg(value)
@@ -174,7 +174,7 @@ class VmcLink(Link):
             self._send_bundles([tracked, self._time + _floats([one.time]), self._root, *bones])
 
     def _send_bundles(self, messages: Sequence[bytes]) -> None:
-        """Send messages in as few bundles, to be acted on at once, as fit into packets."""
+        """Send messages in as few bundles as possible; a bundle fits into one packet."""
         bundle = head = b"#bundle\0" + bytes(7) + b"\1"
         for message in messages:
             if len(bundle) + len(message) > _BUNDLE_BYTES:

@@ -217,7 +217,7 @@ class Stream:
     def _after_clock_jump(
         self, moment: Moment, last: float, sensors: StreamSensors
     ) -> LiveEstimate | None:
-        """A moment far from the last; one alone is taken for an error of its clock."""
+        """Handle a moment far from the last; a single one is taken for an error of its clock."""
         other = self._other_clock
         self._other_clock = moment.time
         if other is None or abs(moment.time - other) > GONE_S:

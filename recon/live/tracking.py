@@ -76,7 +76,7 @@ _LEARNED = 300
 
 @dataclass
 class TrackedPerson:
-    """What is known of a person in a stream before anything of a window is."""
+    """What a stream knows of a person before the first window is fitted."""
 
     sensors: StreamSensors
     lag: int

@@ -148,7 +148,7 @@ def _markers(
 def chosen_points(
     header: Header, groups: Mapping[str, _Parameters]
 ) -> tuple[list[str], list[int]]:
-    """Names of all points, and which of them are no angles, forces and such."""
+    """Names of all points, and indices of those that are positions, not angles or forces."""
     names = _labels(point := groups.get("POINT", {}), header.points)
     outputs = {label for key in _OUTPUTS for label in texts(point, key)}
     return names, [k for k, name in enumerate(names) if name not in outputs]

@@ -108,7 +108,7 @@ class _Plate:
 def _wrench(
     analog: AnalogChannels, k: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
 ) -> Float[np.ndarray, "time 9"]:
-    """Force and moment about a plate's origin in its own axes, and what the surface adds; N, N m.
+    """Force, moment about the plate's origin and the moment's change at the surface; N, N m.
 
     Raises:
         FormatError: when its type or channels are not known.
@@ -148,7 +148,7 @@ def _wrench(
 
 
 def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, "time channels"]:
-    """Means about the time of every frame of some channels, less what they show unloaded.
+    """Mean signals of some channels around every frame, minus their values without load.
 
     FORCE_PLATFORM:ZERO names the samples of an empty plate, from 1; 0 is none.
     """
@@ -168,7 +168,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
 def _plate(
     wrench: Float[np.ndarray, "time 9"], corners: Float[np.ndarray, "4 3"]
 ) -> tuple[_Plate, list[str]]:
-    """A plate with its loads, and what was put right: signs, and the unit of moments.
+    """A plate with its loads, and notes on corrected signs and units of moments.
 
     Raises:
         FormatError: when its corners are no rectangle, or the centre of pressure is beside it.

@@ -157,7 +157,7 @@ def in_one_shot(
 def levelled(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
-    """A camera with the path, vertical and focal length that its background shows.
+    """A camera with the path, up direction and focal length that the film's background shows.
 
     Straight lines tell the vertical, and points of the background how the camera moves. Unchanged,
     and without a note, where its pose is known or the background tells nothing.

@@ -235,7 +235,7 @@ class _LitBody:
     def paint(
         self, part: ImageRegion, image: Float[np.ndarray, "height width 3"], opacity: float
     ) -> None:
-        """Paint it into a picture of a region of the camera's image."""
+        """Paint the surface into a picture of a region of the camera's image."""
         height, width = image.shape[:2]
         pixels = part.place(self.pixels, width)
         raster = rasterise(pixels, self.depth, self.faces, (width, height), self.light)
