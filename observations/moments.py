@@ -92,7 +92,7 @@ def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
 
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
-    """The sensor with one more frame appended."""
+    """The sensor with the frame at `row` replaced by a moment, appended if `row` is the end."""
     later = frames_between(sensor, row + 1, sensor.moments)
     return joined_in_time(
         joined_in_time(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later

@@ -112,7 +112,7 @@ class FrozenDecoder:
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
     def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
-        """Layer by layer."""
+        """Split the inputs of all layers into one tensor for each layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
     def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:

@@ -57,7 +57,7 @@ class LookAtPoints:
 
     @classmethod
     def load(cls, weights: str | Path = "open", body: BodyModel | None = None) -> "LookAtPoints":
-        """With its trained weights, or those of a file of `python -m training look`."""
+        """Load the bundled weights, or those of a file by `python -m training look`."""
         del body
         return cls(load_network(weights))
 
@@ -266,7 +266,7 @@ class _Placement:
         pelvis: Float[Tensor, "time 3"],
         shape: Float[Tensor, " shape"],
     ) -> Float[Tensor, "time 3"]:
-        """The path of the pelvis, shifted by the mean distance of points near in time."""
+        """The path of the pelvis, shifted by the mean residual of points near in time."""
         found = self.points_on_bodies(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
         away = self.seen.positions[0] - found
         weight = _robust_weights(away, self.seen.visible[0])

@@ -108,7 +108,7 @@ class Naming:
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
     def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
-        """Follow the body from a key frame to others, and sum the log odds of the tracks' names."""
+        """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
         for order in (keys[keys >= at], keys[keys < at][::-1]):

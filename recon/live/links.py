@@ -43,7 +43,7 @@ class _Axes:
     def bones(
         self, estimate: LiveEstimate
     ) -> tuple[Float[np.ndarray, "22 3"], Float[np.ndarray, "22 4"]]:
-        """Positions (m) and quaternions (x, y, z, w) of bones in parents, of the root in the world."""
+        """Positions (m) and quaternions (x, y, z, w) of bones in parents, root in the world."""
         local = estimate.rotations.double().numpy()
         joints = estimate.joints.double().numpy()
         turned = local.copy()
