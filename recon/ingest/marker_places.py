@@ -38,10 +38,10 @@ class MarkedBody:
     @cached_property
     def skin(self) -> SkinPoints:
         """The markers as points of the body."""
-        return self._still.markers
+        return self._energies_without_markers.markers
 
     @cached_property
-    def _still(self) -> PoseEnergies:
+    def _energies_without_markers(self) -> PoseEnergies:
         """Energies of one frame in which no marker is seen."""
         count = len(self.markers.labels)
         nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
@@ -54,7 +54,7 @@ class MarkedBody:
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
         """Poses of this body."""
-        return Poses.of(translation, rotations, self._still.rest)
+        return Poses.of(translation, rotations, self._energies_without_markers.rest)
 
     def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
         """Where the markers are, metres."""
@@ -67,7 +67,7 @@ class MarkedBody:
     ) -> PoseEnergies:
         """Energies of the poses of frames that do not depend on each other."""
         return replace(
-            self._still,
+            self._energies_without_markers,
             positions=torch.from_numpy(positions).float().mT.contiguous(),
             visible=torch.from_numpy(visible).float(),
             linked=torch.zeros(len(visible) - 1, dtype=torch.bool),

@@ -189,16 +189,16 @@ class _TriangulatedPairs:
         for w, view in enumerate(self.views):
             if w == v:
                 continue
-            chosen = _best_track(view, self._errors(group, w))
+            chosen = _best_track(view, self._errors_with_group(group, w))
             if chosen:
                 group[w] = chosen
         if len(group) > 1:
             others = {w: members for w, members in group.items() if w != v}
-            errors = self._errors(others, v) | {a: 0.0}
+            errors = self._errors_with_group(others, v) | {a: 0.0}
             group[v] = (a, *(b for b in _best_track(self.views[v], errors) if b != a))
         return group
 
-    def _errors(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
+    def _errors_with_group(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
         """How badly each track of a view fits a group: its largest error with any member view."""
         return {
             b: max(min(self.get(v, k, w, b).error for k in group[v]) for v in group)

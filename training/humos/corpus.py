@@ -139,7 +139,7 @@ class BodyCorpus(TensorStruct):
         shape = self.shape[clip] + variation.shape * normal()
         seen = shape[torch.randperm(windows, generator=random)]
         other = torch.where((uniform() < variation.unseen)[:, None], normal(), seen)
-        batch = self._cut(clip, first, frames)
+        batch = self._cut_windows(clip, first, frames)
         mirror = uniform() < variation.mirror
         both = concatenate([batch.frames, mirrored(batch.frames)])
         row = torch.arange(windows) + windows * mirror
@@ -154,10 +154,10 @@ class BodyCorpus(TensorStruct):
         ]
         picked = torch.linspace(0, len(rows) - 1, min(most, len(rows))).round().long().tolist()
         clip, first = torch.tensor([rows[k] for k in picked]).unbind(-1)
-        batch = self._cut(clip, first, frames)
+        batch = self._cut_windows(clip, first, frames)
         return batch.replace(other=torch.randn(batch.shape.shape, generator=random))
 
-    def _cut(
+    def _cut_windows(
         self, clip: Int[Tensor, " windows"], first: Int[Tensor, " windows"], frames: int
     ) -> BodyBatch:
         steps = first[:, None] + torch.arange(frames)
