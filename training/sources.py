@@ -91,7 +91,7 @@ def copied_clips(data: Path, collection: str) -> list[SourceClip]:
 
 
 def read_markers(clip: SourceClip) -> MarkerRecording:
-    """A recording of markers.
+    """Read the recording of markers of a clip.
 
     Raises:
         FileNotFoundError: when there is no such file.

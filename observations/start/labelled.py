@@ -225,7 +225,7 @@ class _PoseTracker:
     def _cheapest_hypotheses(
         self, moments: _PosedFrames, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
-        """The hypothesis chosen for every frame (Viterbi)."""
+        """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
         rows, readings = len(moments.number), len(_READINGS)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),

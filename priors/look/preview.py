@@ -63,7 +63,7 @@ class LookAtPoints:
 
     @torch.no_grad()
     def __call__(self, observations: Sequence[Sensor], body: BodyModel) -> ProposedMotions:
-        """The proposed motions at 30 Hz.
+        """Propose motions at 30 Hz for the observations of a clip.
 
         Raises:
             ObservationError: when an observation is no named points in space, or nothing is seen.

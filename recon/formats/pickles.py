@@ -67,7 +67,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
 
 
 def array_in(value: object, name: str, path: Path) -> np.ndarray:
-    """Make an array of a value of a tree, also of chumpy's and scipy's records.
+    """Convert a value of an unpickled tree to an array, also chumpy's and scipy's records.
 
     Raises:
         ValueError: when it is none, damaged, or has more numbers than a body model.

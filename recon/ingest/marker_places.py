@@ -53,11 +53,11 @@ class MarkedBody:
         return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
-        """Poses of this body."""
+        """Poses of this body from translations and joint rotations."""
         return Poses.of(translation, rotations, self._energies_without_markers.rest)
 
     def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
-        """Where the markers are, metres."""
+        """Positions of the markers in some poses, metres."""
         return self.skin.places(poses).mT.double().numpy()
 
     def energies(

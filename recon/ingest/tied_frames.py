@@ -72,7 +72,7 @@ class TiedFrames(ABC, Generic[S]):
 
 @dataclass(frozen=True)
 class LevenbergMarquardt:
-    """Settings of the minimisation."""
+    """Settings of `minimise_frames`: limits, tolerances and damping."""
 
     max_iterations: int = 50
     """A safety net: frames end by tolerance."""
@@ -92,7 +92,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class MinimisedFrames(Generic[S]):
-    """The result of a minimisation."""
+    """The frames after a minimisation, with their energies."""
 
     state: S
     value: Float[Tensor, " frames"]

@@ -194,7 +194,7 @@ class _Alignment(Problem[Tensor]):
         return x + steps[0]
 
     def _residuals(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Jacobian, residuals and their weights."""
+        """The Jacobian, the residuals, and the residuals' weights."""
         if isinstance(self.goal, Tensor):
             here, slopes = _points_and_derivatives(self.target, x, None)
             away = (here - self.goal).flatten()

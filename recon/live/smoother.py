@@ -31,7 +31,7 @@ class ShapeKnowledge:
         return cls(shape.new_zeros(len(shape), len(shape)), torch.zeros_like(shape), 0)
 
     def gradient(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
-        """Derivative of the energy."""
+        """Gradient of the energy by the shape."""
         return self.information @ shape - self.pull
 
     def value(self, shape: Float[Tensor, " shape"]) -> float:

@@ -39,7 +39,7 @@ _Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Header:
-    """Where and how samples are stored."""
+    """The header of a C3D file: where and how samples are stored."""
 
     processor: int
     points: int

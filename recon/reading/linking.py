@@ -114,7 +114,7 @@ class _FrameLinks:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """One hypothesis of all links so far."""
+    """One hypothesis of which detections belong to which people so far."""
 
     people: tuple[_Person, ...]
     cost: float
@@ -156,7 +156,7 @@ def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLink
 
 
 class _LinkSearch:
-    """The assignments followed in parallel."""
+    """Links detections frame by frame, following several assignments in parallel."""
 
     def __init__(self, detections: Detections, rows: Int[np.ndarray, " rows"]) -> None:
         self.seen = detections

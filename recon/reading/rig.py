@@ -96,7 +96,7 @@ class Rig:
 
 
 def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
-    """The cameras that saw one person.
+    """Find the cameras that saw one person: poses, focal lengths and delays.
 
     Args:
         views: at least two, of the same frames and the same names of points.
@@ -331,7 +331,7 @@ def _bundle_adjusted(
 def _jacobian_sparsity(
     view: np.ndarray, point: np.ndarray, views: int, residuals: int, unknowns: int
 ) -> csr_array:
-    """Which residual depends on which unknown.
+    """Sparsity of the Jacobian: which residual depends on which unknown.
 
     Images depend on their camera and their point, the other residuals on all cameras.
     """

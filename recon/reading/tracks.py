@@ -96,7 +96,7 @@ def tracks_of_people(detections: Detections) -> tuple[Track, ...]:
 
 
 def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -> list[Track]:
-    """The tracks of some of the detections."""
+    """Tracks of the people in one shot of a film."""
     seen = (detections.confidence > 0).sum(1) >= FEWEST_KEYPOINTS
     rows = np.flatnonzero(seen & within)
     labels, ended = detections.identity[rows], {}

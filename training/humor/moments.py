@@ -71,7 +71,7 @@ def with_edited(
 
 
 def at_frames(values: Float[Tensor, "windows times *rest"]) -> Tensor:
-    """Values at the frames themselves."""
+    """The values at the middle moment of every frame, without its two neighbours."""
     return values[:, 1::PER_FRAME]
 
 

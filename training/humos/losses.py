@@ -27,7 +27,7 @@ _FLYING = 0.03
 
 @dataclass(frozen=True)
 class Codes:
-    """q(z | motion, body), and one draw."""
+    """The encoder's distribution q(z | motion, body) of latent codes, and one draw from it."""
 
     mean: Float[Tensor, "clips memory latent"]
     log_variance: Float[Tensor, "clips memory latent"]

@@ -235,7 +235,7 @@ def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
 
 
 def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> LabelledClouds:
-    """Windows of drawn people in drawn rooms."""
+    """Draw windows of clouds of random people in random rooms, with their labels."""
     shape = (windows, WINDOW, POINTS)
     points, places = (np.zeros((*shape, 3), np.float16) for _ in range(2))
     regions, present = np.full(shape, -1, np.int8), np.zeros(shape, bool)
