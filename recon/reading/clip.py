@@ -316,7 +316,7 @@ def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
     ).cameras
     if len(cameras) != 1:
         raise ObservationError(
-            f"{settings.camera}: expected the one sensor of {path}, got {', '.join(cameras)}"
+            f"{settings.camera}: expected one camera, that of {path}, got {', '.join(cameras)}"
         )
     return read_depth_images(
         path,

@@ -241,9 +241,9 @@ class _TriangulatedPairs:
             names = [self.views[v].name for v, _ in members]
             worst = ", ".join(f"{name} {e:.1%}" for name, e in zip(names, errors, strict=True))
             raise ObservationError(
-                "rays of the views meet by pairs, but not all in one place: points of all miss "
-                f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
-                "each view have its own camera?"
+                "the views agree in pairs, but not all together: points triangulated from all "
+                f"views miss their keypoints by {worst} of the body size (at most {_JOINTLY:.0%} "
+                "expected). Does each view have its own camera?"
             )
         trunk = _trunk_length(pair)
         if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:

@@ -136,7 +136,7 @@ class Corpus(TensorStruct):
         ]
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches {lesson} ({settings.data})"
+                f"{settings.corpus}: holds no {part} clip to teach {lesson} ({settings.data})"
             )
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)

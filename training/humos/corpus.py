@@ -106,7 +106,7 @@ class BodyCorpus(TensorStruct):
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
             raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
+                f"{settings.corpus}: holds no {part} clip that may teach steps ({settings.data})"
             )
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
