@@ -34,6 +34,8 @@ class ReadOptions:
     """Detector of people in films: the file of other landmarks of BlazePose
     (pose_landmark_heavy.tflite), or a class of your own, package.module:Class. Default: BlazePose
     with its landmarks `full`."""
+    fingers: bool = False
+    """Find fingers in films, too, which takes half as much time again."""
     detections: str | None = None
     """Folder in which detections in films are kept, so that what was interrupted goes on; default:
     beside OUT."""
