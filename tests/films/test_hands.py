@@ -7,6 +7,7 @@ import pytest
 
 import recon
 from observations.keypoints2d import Keypoints2D
+from recon import cli
 from recon.body.hands import WRISTS, hand_arrays
 from recon.core.layouts import keypoint_names
 from recon.detections.records import Detections
@@ -17,6 +18,7 @@ from recon.films.decoding import Film, FilmFrame, open_film
 from recon.films.hand_networks import Hand, HandNetworks, Palm
 from recon.films.hands import with_hands
 from recon.films.reader import read_film
+from recon.formats.opening import load_arrays
 from recon.view.painter import paint
 from recon.view.scene import Figure, Show
 from recon.view.viewpoint import following_viewpoints
@@ -265,13 +267,15 @@ def test_fingers_of_a_drawn_body_are_where_they_are(drawn, tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_fit_of_a_film_has_fingers(drawn, tmp_path):
+def test_commands_and_python_look_for_fingers_when_they_are_asked_to(drawn, tmp_path):
     read = recon.read(drawn[0], fingers=True)
     assert isinstance(read, Keypoints2D)
     assert read.fingers is not None
     assert read.fingers.shape == (1, 6, 42, 3)
-    result = recon.fit(drawn[0], prior="pose", fingers=True, detections=str(tmp_path))
-    assert result.motion.hands is not None
+    for more in ((), ("--fingers",)):
+        out = tmp_path / f"{len(more)}.npz"
+        assert cli.run(["detect", str(drawn[0]), "--out", str(out), *more]) == cli.OK
+        assert ("hands" in load_arrays(out)) == bool(more)
 
 
 def test_models_without_hands_are_too_old(monkeypatch, tmp_path):
