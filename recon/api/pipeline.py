@@ -15,7 +15,7 @@ from recon.core.arrays import finite_number, geometries_given
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
-from recon.fitting.clip import posed
+from recon.fitting.clip import clip_problem
 from recon.fitting.methods import FitOptions, is_preview, loaded_prior
 from recon.fitting.records import ClipFit, clip_between
 from recon.fitting.settings import FitSettings, ReadOptions
@@ -130,7 +130,7 @@ def fitted(
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem: residuals of each sensor over its noise; unknown ground and focal length
-        problem = posed(seen, guess, options, body, watch)
+        problem = clip_problem(seen, guess, options, body, watch)
         # minimise the stages of the prior, one after the other
         fit = problem.solved()
     # check the result: residuals, standard deviations, other hypotheses, plausible movement

@@ -19,7 +19,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.diagnosis.checks import guessed, residuals, size_and_soles, unseen
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
-from recon.fitting.ground import ground_below, upright_ground
+from recon.fitting.ground import ground_guess_below_feet, ground_guess_from_posture
 from recon.fitting.methods import FitOptions, Method
 from recon.fitting.records import ClipFit
 from recon.method.laplace import Deviations
@@ -139,7 +139,9 @@ def _previewed(
     ground, T = None, torch.eye(4)[None]
     if not all(one.ground_known for one in observations):
         guess = seen[0].start(body)
-        below = ground_below if frame_is_level(observations) else upright_ground
+        below = (
+            ground_guess_below_feet if frame_is_level(observations) else ground_guess_from_posture
+        )
         ground = below(guess, body)
         first, _ = likeliest(look, _carried(seen, ground), body)
         ground = ground.replace(lift=ground.lift - sole_heights(first, body))

@@ -53,11 +53,11 @@ class RestPoints:
     shape: Tensor
 
     def joint(self, name: str) -> Float[np.ndarray, "3"]:
-        """The centre of a joint."""
+        """Position of a joint, metres."""
         return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
 
     def mean(self, *names: str) -> Float[np.ndarray, "3"]:
-        """The middle of some landmarks of the skin."""
+        """Mean position of landmarks of the skin, metres."""
         index = torch.tensor([landmark(name) for name in names])
         points = self.body.rest_vertices(self.shape, index)
         return points.detach().double().numpy().mean(0)
@@ -230,7 +230,7 @@ def _without_jumps(
     steps = both[None, :, 1:] - both[:, None, :-1]
     steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
     branch = [0]
-    # for each solution of a frame, the nearer of the next frame's two
+    # for each of a frame's two solutions, the number of the next frame's nearer one
     for follows in steps.argmin(1).T.tolist():
         branch.append(follows[branch[-1]])
     return np.unwrap(both[branch, np.arange(len(branch))], axis=0)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from recon.body.model import BodyModel
-from recon.core.bone_names import BoneNames, renamed
+from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
@@ -109,7 +109,7 @@ def write_bvh(
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
     # three.js finds no joint whose name has a colon
-    theirs = renamed(recording.joint_names, bones)
+    theirs = joint_names_in(recording.joint_names, bones)
     names = tuple(name.removeprefix("mixamorig:") for name in theirs)
     parents = recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()
