@@ -1,6 +1,7 @@
 """The steps of a fit, from the observations of one clip to a motion with checks and uncertainty.
 
-`recon.fit` says what its arguments mean, calls `observed` and `fitted`, and describes the result.
+`recon.fit` says what its arguments mean, calls `observations_to_fit` and `fit_and_check`, and
+describes the result.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 
-def observed(
+def observations_to_fit(
     given: Any,
     body: BodyModel,
     how_read: ReadOptions,
@@ -71,7 +72,7 @@ def observed(
     return on_ground(clip, ground)
 
 
-def fitted(
+def fit_and_check(
     observations: Sequence[Sensor],
     names: Sequence[str],
     options: FitOptions,
@@ -152,7 +153,7 @@ def _start_at_data_rate(
 def _completed(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
-    """One cycle by a prior of cycles, or a whole recording."""
+    """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
     # imported here: only priors of gait cycles need it
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording

@@ -79,7 +79,7 @@ def preview(
 
 
 def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
-    """A network that proposes motions; a class is loaded as that of a prior.
+    """Load a network that proposes motions; a class is loaded as a prior's class is.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -96,7 +96,7 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
             found = found() if load is None else load(weights, body)
     if isinstance(found, type) or not callable(found):
         raise ReconError(
-            "method: expected what is called with observations and a body (recon.method.Look), "
+            "method: expected a function of observations and a body (recon.method.Look), "
             f"got {found!r:.80}"
         )
     return cast(Look, found)
@@ -143,10 +143,10 @@ def _previewed(
             ground_guess_below_feet if frame_is_level(observations) else ground_guess_from_posture
         )
         ground = below(guess, body)
-        first, _ = likeliest(look, _carried(seen, ground), body)
+        first, _ = likeliest(look, _carried_to_world(seen, ground), body)
         ground = ground.replace(lift=ground.lift - sole_heights(first, body))
         T = ground.T_world_recording
-    motion, found = likeliest(look, _carried(seen, ground), body)
+    motion, found = likeliest(look, _carried_to_world(seen, ground), body)
     if (shape := options.starting_shape) is not None:
         motion = with_shape(motion, shape, body)
     scene = Scene.create(1, like=motion.translation).replace(ground=ground)
@@ -158,14 +158,14 @@ def _previewed(
     )  # fmt: skip
 
 
-def _carried(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
+def _carried_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
     if ground is None:
         return seen
     return [one.transformed(ground.T_world_recording[0].numpy()) for one in seen]
 
 
 def in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
-    """The observations, with views of calibrated cameras as the points where their rays meet.
+    """The observations, with views of calibrated cameras replaced by triangulated points.
 
     What cannot be triangulated stays as it is.
     """

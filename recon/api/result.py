@@ -52,10 +52,7 @@ def describe(
 
 
 def _stage_report(report: StageReport) -> dict[str, Any]:
-    """A stage in plain values.
-
-    Over several windows, the largest number of steps and summed energies.
-    """
+    """A stage as plain values; over windows, the most iterations and the sum of energies."""
     solution = report.solution
     energies = solution.trace[:, -1].sum(0).tolist()
     reasons = [reason for reason in Termination if reason in solution.termination]
