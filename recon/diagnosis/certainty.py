@@ -1,4 +1,4 @@
-"""What a fit is unsure of: standard deviations, other motions, and joints that were not seen.
+"""Uncertainty of a fit: standard deviations, other hypotheses, and joints that were not seen.
 
 The standard deviations of every joint come from the curvature of the fit's objective.
 """
