@@ -26,7 +26,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     the crown, the toes, the fingertips.
     """
     if motion.hands is not None:
-        return _with_fingers(motion, body, name)
+        return _skeleton_with_fingers(motion, body, name)
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
@@ -46,8 +46,8 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     )
 
 
-def _with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """As `skeleton_of`; fingers end in their tips, and wrists no more in one."""
+def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
+    """As `skeleton_of`, with fingers that end in tips; wrists have no tips of their own then."""
     from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
@@ -103,7 +103,7 @@ def write_bvh(
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
-    # decimals for a hundredth of a micrometre
+    # so many decimals that positions are exact to 0.01 micrometres
     decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)

@@ -26,7 +26,7 @@ from recon.view.files import draw_html, show_of_files
 
 @dataclass(frozen=True)
 class Exported:
-    """Files that were written, and what to know of them."""
+    """The files that were written, with warnings and tables about them."""
 
     place: str
     """Their paths."""

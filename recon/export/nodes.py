@@ -13,7 +13,7 @@ from recon.export.glb_file import GltfFile
 
 
 def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
-    """Nodes of the joints of a skin.
+    """Numbers of the nodes that are the joints of a skin.
 
     Raises:
         ValueError: when these are no nodes of the file.
@@ -25,7 +25,7 @@ def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
 
 
 def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
-    """The tree of nodes and their transforms.
+    """The tree of all nodes, and the transform of each to its parent.
 
     Raises:
         ValueError: when there is no skin, or a node has two parents.
@@ -77,8 +77,8 @@ def _numbers(value: Any, count: int, path: Path) -> np.ndarray:
     return np.array(value, float)
 
 
-def from_top(parents: tuple[int, ...], path: Path) -> list[int]:
-    """Nodes, parents before children.
+def parents_first(parents: tuple[int, ...], path: Path) -> list[int]:
+    """Numbers of all nodes, parents before children.
 
     Raises:
         ValueError: when nodes are their own ancestors.
@@ -90,7 +90,7 @@ def from_top(parents: tuple[int, ...], path: Path) -> list[int]:
     for k in order:
         order += children.get(k, ())
     if len(order) < len(parents):
-        raise FormatError(f"{path}: its nodes lie below each other in a circle")
+        raise FormatError(f"{path}: expected a tree of nodes, but some are their own ancestors")
     return order
 
 
