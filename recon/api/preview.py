@@ -19,7 +19,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.diagnosis.checks import guessed, residuals, size_and_soles, unseen
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
-from recon.fitting.ground import ground_guess_below_feet, ground_guess_from_posture
+from recon.fitting.ground import ground_by_feet, ground_by_posture
 from recon.fitting.methods import FitOptions, Method
 from recon.fitting.records import ClipFit
 from recon.method.laplace import Deviations
@@ -139,9 +139,7 @@ def _previewed(
     ground, T = None, torch.eye(4)[None]
     if not all(one.ground_known for one in observations):
         guess = seen[0].start(body)
-        below = (
-            ground_guess_below_feet if frame_is_level(observations) else ground_guess_from_posture
-        )
+        below = ground_by_feet if frame_is_level(observations) else ground_by_posture
         ground = below(guess, body)
         first, _ = likeliest(look, _carried_to_world(seen, ground), body)
         ground = ground.replace(lift=ground.lift - sole_heights(first, body))

@@ -55,8 +55,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
     array = _as_array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_type_text(values, array)}")
-    # numbers too large for float32 become infinite, which a later check refuses
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # too large numbers become infinite, and are refused later
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
 

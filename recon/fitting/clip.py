@@ -176,20 +176,14 @@ class ClipProblem:
     def _with_ground(self) -> Reconstruction:
         """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported here: in most clips the ground is known
-        from recon.fitting.ground import (
-            ground_guess_below_feet,
-            ground_guess_from_posture,
-            point_below_pelvis,
-        )
+        from recon.fitting.ground import ground_by_feet, ground_by_posture, point_below_pelvis
 
         job, start, level = self, self.guess.motion, frame_is_level(self.observations)
         if self.ground_seen and not level:
             ground = UnknownGround.create(point_below_pelvis(start, self.body))
         else:
             job, start = self.after_pose_prior()
-            ground = (ground_guess_below_feet if level else ground_guess_from_posture)(
-                start, self.body
-            )
+            ground = (ground_by_feet if level else ground_by_posture)(start, self.body)
         moved = self.moved
         if self.options.knows_gravity:
             # where z is up only the height of the ground is unknown

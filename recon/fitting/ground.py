@@ -25,7 +25,7 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 """A body that would look where the camera looks; its right is the image's."""
 
 
-def ground_guess_from_posture(motion: Motion, body: BodyModel) -> UnknownGround:
+def ground_by_posture(motion: Motion, body: BodyModel) -> UnknownGround:
     """First guess of an unknown ground, one per clip, in a recording with an unknown up axis.
 
     Up is where heads are from between the ankles, on average over the frames: steps forward and
@@ -42,7 +42,7 @@ def ground_guess_from_posture(motion: Motion, body: BodyModel) -> UnknownGround:
     return ground.replace(lift=-sole_heights(level, body))
 
 
-def ground_guess_below_feet(motion: Motion, body: BodyModel) -> UnknownGround:
+def ground_by_feet(motion: Motion, body: BodyModel) -> UnknownGround:
     """First guess of the ground in a recording whose z axis is up; only its height is unknown."""
     ground = UnknownGround.create(point_below_pelvis(motion, body))
     return ground.replace(lift=-sole_heights(motion, body))
