@@ -184,7 +184,7 @@ def calibrate(
 
 
 def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) -> CameraRig:
-    from recon.films.board import Board, cameras_of_board  # decoders are needed here only
+    from recon.films.board import Board, cameras_of_board  # imported here: it loads decoders
 
     known = Board.of(board, square)
     if others := [str(path) for path in paths if not is_film(path)]:

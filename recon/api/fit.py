@@ -223,7 +223,7 @@ def complete(
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # only needed for paths of files
+    from recon.formats.producers import is_estimate  # imported here: only for files
 
     return is_estimate(paths)
 

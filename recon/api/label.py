@@ -82,8 +82,8 @@ class LabelledMarkers:
             raise FormatError(f"{out}: expected a name in .c3d, .trc or .csv for named markers")
         if kind == ".c3d" and (self.source is None or self.source.suffix.lower() != ".c3d"):
             raise FormatError(
-                f"{out}: a C3D file is written as a copy of one, but {self.recording.name} was "
-                "read from none; write .trc or .csv"
+                f"{out}: a C3D file is written as a changed copy of the one that was read, but "
+                f"{self.recording.name} is from another kind of file; write .trc or .csv"
             )
         output = Output(Path(out), OutputKind.FILE)
         with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):

@@ -62,7 +62,8 @@ def observations_to_fit(
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
     elif names := how_read.changed_names():
         raise ReconError(
-            f"{', '.join(names)}: options for reading files, but the observations are read already"
+            f"{', '.join(names)}: options for reading files, but the observations are not files; "
+            "leave them out"
         )
     clip = clip_of(given, body)
     if between is not None:
@@ -122,9 +123,7 @@ def fit_and_check(
         found = clip.start if start is None else None
         start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import (
-                motion_in_room,
-            )  # imported here: treadmills are rare
+            from recon.diagnosis.movement import motion_in_room  # imported here: it is rare
 
             start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave

@@ -56,15 +56,15 @@ def preview(
     }  # fmt: skip
     if names := [name for name, given in unheeded.items() if given]:
         raise ReconError(
-            f"method: a preview is what a network proposes, which heeds no {', '.join(names)}; "
-            "leave that out, or leave the method out to fit"
+            f"method: a network that makes a preview does not use {', '.join(names)}; leave "
+            "these out, or leave the method out to fit"
         )
     found, fit = _previewed(clip.observations, options, clip.body)
     examined = ExaminedClip.of(clip, fit)
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
         spread = torch.ones_like(fit.result.motion.shape[0])
-        known = 0.0 if options.shape is not None else 1.0  # the variation among people
+        known = 0.0 if options.shape is not None else 1.0  # coefficients of people have unit std
         own = Deviations(std, _ROOT * std.mean(-1), known * spread)
         examined = replace(examined, deviations=own)
     said = (

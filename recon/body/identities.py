@@ -156,7 +156,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
             f"{len(values)}"
         )
     if not all(map(math.isfinite, values)):
-        raise ReconError(f"shape {spec!r}: coefficients are finite numbers")
+        raise ReconError(f"shape {spec!r}: expected finite numbers as coefficients")
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
@@ -172,7 +172,7 @@ def _measures_asked(spec: str, words: list[str]) -> _WantedMeasures:
         else:
             raise ReconError(f"shape {spec!r}: {word or 'nothing'!r} is not known; give {FORMS}")
         if slot in found:
-            raise ReconError(f"shape {spec!r}: says the {slot} twice")
+            raise ReconError(f"shape {spec!r}: gives the {slot} twice; give it once")
         found[slot] = wish
     return _WantedMeasures(**found)
 

@@ -144,8 +144,8 @@ def _vertex_number(path: Path, label: str, point: object) -> int | None:
         return point
     if isinstance(point, dict):
         raise ReconError(
-            f"{path}: {label!r} became a table; labels with dots need quotes, "
-            f'like "{label}.ASIS" = "left_asis"'
+            f"{path}: expected a landmark for {label!r}, got a table; put labels with dots in "
+            f'quotes, like "{label}.ASIS" = "left_asis"'
         )
     raise ReconError(
         f"{path}, marker {label!r}: expected a landmark's name or a vertex number, got {point!r}"

@@ -187,7 +187,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     q3 = np.arctan2(-sign * r[:, a, b], r[:, a, a])
     first = np.stack((q1, q2, q3), -1)
     second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
-    # R = R_a(q1 ± q3) R_b(±90°)
+    # in gimbal lock R = R_a(q1 ± q3) R_b(±90°), so that only q1 ± q3 is known
     turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
     return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 
@@ -203,7 +203,7 @@ def elevation_angles(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarr
     q1 = np.arctan2(-r[:, 0, 1], -r[:, 2, 1])
     q3 = np.arctan2(-r[:, 1, 0], r[:, 1, 2])
     angles = np.stack((q1, np.arctan2(sine, r[:, 1, 1]), q3), -1)
-    # R = R_y(q1 ± q3) R_x(0° or 180°)
+    # in gimbal lock R = R_y(q1 ± q3) R_x(0° or 180°), so that only q1 ± q3 is known
     turned = np.arctan2(-r[:, 2, 0], r[:, 0, 0])
     return _without_jumps(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
 

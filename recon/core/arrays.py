@@ -73,7 +73,7 @@ def is_geometry(one: Any) -> bool:
     """Whether an object is an Open3D cloud or mesh, or a pair of depth image and lens."""
     if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
         return hasattr(one[0], "depth")
-    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's own results
+    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's results are no geometries
         return False
     return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 

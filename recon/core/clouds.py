@@ -54,7 +54,7 @@ def cloud_points(one: Any, name: str) -> np.ndarray:
     found = found.reshape(0, 3) if found.size == 0 else found
     if found.ndim != 2 or found.shape[1] != 3:
         raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
-    return found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
+    return found[~np.isnan(found).all(1)]  # organised clouds have NaN at pixels without depth
 
 
 def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:

@@ -80,8 +80,8 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     fitting = [unit for unit, metres in METRES.items() if low <= length * metres <= high]
     if len(fitting) != 1:
         raise UnitsError(
-            f"{name}: the bones from head to foot measure {length:.4g} units, which is "
-            f"{low} m to {high} m in none of {', '.join(METRES)}; give the unit with --unit"
+            f"{name}: expected bones of {low} m to {high} m from head to foot in one of the units "
+            f"{', '.join(METRES)}, got {length:.4g} units; give the unit with --unit"
         )
     metres = METRES[fitting[0]]
     return fitting[
@@ -105,8 +105,8 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     fitting = [unit for unit in ("m", "cm", "mm") if low <= extent * METRES[unit] <= high]
     if len(fitting) != 1:
         raise UnitsError(
-            f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
-            f"of m, cm, mm{unusual_unit(extent)}; give the unit with --unit"
+            f"{name}: expected markers that span {low} m to {high} m in m, cm or mm, got "
+            f"{extent:.4g} units{unusual_unit(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
@@ -171,8 +171,8 @@ def unit_of_path(
         return level[0], (f"unit of the translation {level[0]}: the feet are on the floor by it",)
     raise UnitsError(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
-        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
-        "is so), or divide it by the scale of the body"
+        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if this is "
+        "right), or divide it by the scale of the body"
     )
 
 

@@ -225,7 +225,7 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
             rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
         elif old and isinstance(told, list):
             rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
-            # VRM 0.x counts the joints of the thumb as those of fingers
+            # VRM 0.x names the joints of the thumb as those of the other fingers
             for side in SIDES:
                 ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
                 ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"

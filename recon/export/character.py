@@ -117,7 +117,10 @@ class Character:
         aside = (legs[0] - legs[1]) + (arms[0] - arms[1])
         aside = aside - (aside @ up) * up
         if np.linalg.norm(aside) < 1e-6 * np.linalg.norm(place[nodes["head"]] - legs.mean(0)):
-            raise ReconError(f"{self.file.path}: left and right bones are at the same places")
+            raise ReconError(
+                f"{self.file.path}: expected left and right bones at different places, got equal "
+                "ones; name the right bones with --bones"
+            )
         aside = aside / np.linalg.norm(aside)
         return np.stack((aside, up, np.cross(aside, up)))
 
@@ -150,7 +153,7 @@ class Character:
             for one in (self.world, self.reference)
         ]
         if min(lengths) < 1e-9:
-            raise FormatError(f"{self.file.path}: its legs and arms have no length")
+            raise FormatError(f"{self.file.path}: expected legs and arms longer than zero")
         return float(lengths[0] / lengths[1])
 
     @cached_property
@@ -289,10 +292,12 @@ def _primitive(
     if places is None or slots is None or weights is None:
         return None
     if not len(places) == len(slots) == len(weights) or slots.shape != weights.shape:
-        raise FormatError(f"{file.path}: a mesh has vertices without weights")
+        raise FormatError(f"{file.path}: expected skinning weights for all vertices of a mesh")
     own = np.take_along_axis(slots, weights.argmax(1)[:, None], 1)[:, 0].astype(int)
     if len(own) and (own.min() < 0 or own.max() >= joints or not np.isfinite(places).all()):
-        raise FormatError(f"{file.path}: a mesh has vertices of no joint, or they are not finite")
+        raise FormatError(
+            f"{file.path}: expected finite vertices of a mesh, each bound to a joint of its skin"
+        )
     return places.astype(float), own
 
 

@@ -122,7 +122,7 @@ class Limb:
         away = self._end_points(posed) - end[:, None]
         depth = away[..., 1].amin(1)
         ours = self.contacts.steps * min(ratio, 1.0)
-        # x, y of ours are x, -z of the scene
+        # x and y of the person are x and -z of the scene
         ours = torch.stack((ours[:, 0], -ours[:, 1]), -1)
         moves = end.diff(dim=0) + lowest_steps(away, away[..., 1])
         shift = _shifts_while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
@@ -235,7 +235,7 @@ def _shifts_while_standing(
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth(1 - count / ease), _smooth(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one nothing else counts
+            # before the first stand and after the last one its own shift is kept
             rise = _smooth(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise

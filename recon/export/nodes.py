@@ -20,7 +20,7 @@ def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
     """
     joints, count = skin.get("joints"), len(file.listed("nodes"))
     if not isinstance(joints, list) or not joints:
-        raise FormatError(f"{file.path}: a skin has no joints")
+        raise FormatError(f"{file.path}: expected a list of joints in every skin, got none")
     return [file.index(one, count, "node") for one in joints]
 
 
@@ -40,7 +40,7 @@ def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
     for k, node in enumerate(nodes):
         children = node.get("children", [])
         if not isinstance(children, list):
-            raise FormatError(f"{file.path}: the children of node {k} are no list")
+            raise FormatError(f"{file.path}: expected a list as children of node {k}")
         for child in children:
             at = file.index(child, len(nodes), "node")
             if parents[at] >= 0:
@@ -63,7 +63,7 @@ def local_matrix(node: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"]:
     made = np.eye(4)
     quaternion = _numbers(node.get("rotation", (0, 0, 0, 1)), 4, path)
     if quaternion @ quaternion < 1e-12:
-        raise FormatError(f"{path}: a node has the rotation zero")
+        raise FormatError(f"{path}: expected unit quaternions as rotations of nodes, got zeros")
     turn = Rotation.from_quat(quaternion).as_matrix()
     made[:3, :3] = turn * _numbers(node.get("scale", (1, 1, 1)), 3, path)
     made[:3, 3] = _numbers(node.get("translation", (0, 0, 0)), 3, path)

@@ -182,12 +182,12 @@ class _Adjustment:
         z = np.where(front, there[:, 2], 1.0)[:, None]
         seen = there[:, :2] / z
         off = it.focal * seen - it.places[rows]
-        # root of the weight (1 + r²)⁻² of iterated least squares
+        # square root of the weight (1 + r²)⁻² of iteratively reweighted least squares
         root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
         off, root = off * root[:, None], root[:, None, None]
         D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
         D *= it.focal * root / z[:, None]
-        # a picture turns about its own place, then moves
+        # derivatives by a rotation of the camera about its centre, then by its translation
         cross = so3.hat(torch.from_numpy(there)).numpy()
         poses = np.concatenate((-D @ cross, D * it.X[p, 3][:, None, None]), 2)
         count = int(self.moved.sum())

@@ -136,7 +136,7 @@ class ClipProblem:
         """Fit in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            from recon.fitting.first_motions import scaled_onto_ground  # one view alone needs it
+            from recon.fitting.first_motions import scaled_onto_ground  # used only for one view
 
             job, free = self.after_pose_prior()
             start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
@@ -154,7 +154,7 @@ class ClipProblem:
         first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
         if not self.one_view or self.options.noise_of(0) is not None:
             return self, first.motion
-        from recon.fitting.first_motions import repetition_in_view  # one view alone needs it
+        from recon.fitting.first_motions import repetition_in_view  # used only for one view
 
         (view,) = views_of(self.observations)
         found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
@@ -165,7 +165,7 @@ class ClipProblem:
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
-        from recon.fitting.first_motions import scaled_to_feet  # moving cameras alone need it
+        from recon.fitting.first_motions import scaled_to_feet  # used only for moving cameras
 
         _, motion = self.after_pose_prior()
         if (found := scaled_to_feet(cast(Any, views[0]), motion, self.body)) is None:
@@ -278,7 +278,7 @@ class ClipProblem:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
             if self.one_view:
-                from recon.fitting.still_feet import with_still_feet  # one view alone needs it
+                from recon.fitting.still_feet import with_still_feet  # used only for one view
 
                 (one,) = self.noises
                 # terms of data after the first only tie windows to each other

@@ -130,7 +130,7 @@ ROWS: dict[str, Row] = {
     "views of joints": (lambda _: recon.simulate(clip(), "joints3d", views=2), R,
                         "do not apply to joints3d"),
     "frames beyond the end": (lambda _: recon.simulate(clip(), "joints3d", frames=(0, 99)), R,
-                              "has 40 frames, asked for"),
+                              "expected frames within 0 to 40"),
     "ground of an estimate": (lambda _: recon.refine(clip(), "pose", ground="sea"), R,
                               "known or unknown"),
     "height of 9 m": (lambda _: recon.refine(clip(), "pose", shape="height=9"), R, "height"),
