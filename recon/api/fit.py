@@ -132,7 +132,7 @@ def fit(
     if paths and _is_estimate(paths):
         from recon import refine  # imported here: it imports this module
 
-        _refuse_others(paths[0], how_read, start)
+        _refuse_unused_options(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
             frame_rate=how_read.frame_rate, unit=how_read.unit, up=how_read.up,
@@ -228,7 +228,7 @@ def _is_estimate(paths: Sequence[Path]) -> bool:
     return is_estimate(paths)
 
 
-def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
+def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
     given = [name for name in options.changed_names() if name not in heeded]
