@@ -53,8 +53,7 @@ class CameraArrays:
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
     """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
     focal_std: float = 0.0
-    """Standard deviation of the focal length as a share of it; 0 where somebody measured it. Not
-    written."""
+    """Standard deviation of the focal length as a share of it; 0 if measured. Not written."""
     path: CameraPath | None = None
     """How a camera whose pose is not known moved; not written."""
 
