@@ -189,7 +189,9 @@ def _joint_errors(
     require_shape(truth, "truth", (motion.frames, 22, 3))
     truth = truth.reshape(motion.frames, 22, 3)
     if not bool(truth.isfinite().all()):
-        raise ReconError("truth: holds NaN or infinity; remove these frames from both")
+        raise ReconError(
+            "truth: holds NaN or infinity; cut these frames out of it and the estimate"
+        )
     joints = body.pose(motion).joints
     return {
         **evaluation.joint_errors(joints, truth, visible),

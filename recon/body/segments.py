@@ -53,11 +53,11 @@ class RestPoints:
     shape: Tensor
 
     def joint(self, name: str) -> Float[np.ndarray, "3"]:
-        """The centre of a joint."""
+        """Position of a joint, metres."""
         return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
 
     def mean(self, *names: str) -> Float[np.ndarray, "3"]:
-        """The middle of some landmarks of the skin."""
+        """Mean position of landmarks of the skin, metres."""
         index = torch.tensor([landmark(name) for name in names])
         points = self.body.rest_vertices(self.shape, index)
         return points.detach().double().numpy().mean(0)
@@ -187,7 +187,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     q3 = np.arctan2(-sign * r[:, a, b], r[:, a, a])
     first = np.stack((q1, q2, q3), -1)
     second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
-    # R = R_a(q1 ± q3) R_b(±90°)
+    # in gimbal lock R = R_a(q1 ± q3) R_b(±90°), so that only q1 ± q3 is known
     turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
     return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 
@@ -203,7 +203,7 @@ def elevation_angles(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarr
     q1 = np.arctan2(-r[:, 0, 1], -r[:, 2, 1])
     q3 = np.arctan2(-r[:, 1, 0], r[:, 1, 2])
     angles = np.stack((q1, np.arctan2(sine, r[:, 1, 1]), q3), -1)
-    # R = R_y(q1 ± q3) R_x(0° or 180°)
+    # in gimbal lock R = R_y(q1 ± q3) R_x(0° or 180°), so that only q1 ± q3 is known
     turned = np.arctan2(-r[:, 2, 0], r[:, 0, 0])
     return _without_jumps(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
 
@@ -230,7 +230,7 @@ def _without_jumps(
     steps = both[None, :, 1:] - both[:, None, :-1]
     steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
     branch = [0]
-    # for each solution of a frame, the nearer of the next frame's two
+    # for each of a frame's two solutions, the number of the next frame's nearer one
     for follows in steps.argmin(1).T.tolist():
         branch.append(follows[branch[-1]])
     return np.unwrap(both[branch, np.arange(len(branch))], axis=0)

@@ -9,7 +9,7 @@ from typing import Any
 from recon.cli import console
 from recon.cli.errors import Failed
 from recon.cli.films import draw_sheets, films_given, with_films_detected
-from recon.cli.looks import look_at
+from recon.cli.looks import refuse_unsuitable
 
 
 def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
@@ -25,7 +25,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         Failed: when a fit met nan or inf.
         FileNotFoundError, ValueError: for bad input.
     """
-    look_at(given)
+    refuse_unsuitable(given)
     if written and isinstance(out := given.get(written[0]), Path):
         given = with_films_detected(given, out)
     module, _, name = place.partition(":")

@@ -14,7 +14,7 @@ from recon.core.errors import ReconError
 
 @dataclass(frozen=True)
 class Limit:
-    """The range of one quantity."""
+    """The plausible range of one quantity, both ends included."""
 
     quantity: str
     low: float

@@ -39,9 +39,8 @@ def exchanged_frames(
         mirrored: the same with the limbs exchanged.
     """
     both = torch.stack((rotations, mirrored), 1).double()
-    step = (
-        both[1:, :, None] - both[:-1, None, :]
-    )  # axes: time, this frame as it is or exchanged, the frame before likewise, joints, 3, 3
+    # axes: time, hypothesis of the frame, hypothesis of the frame before, joints, 3, 3
+    step = both[1:, :, None] - both[:-1, None, :]
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)

@@ -156,7 +156,7 @@ class DoubtedView:
 
 
 def mirrored(images: Images, views: list[int]) -> Images:
-    """Left and right of some images exchanged."""
+    """The images with those of some views mirrored, left to right."""
     pixels = images.pixels.copy()
     for v in views:
         pixels[v, ..., 0] = np.where(images.seen[v], images.size[v][0] - pixels[v, ..., 0], 0.0)

@@ -216,7 +216,7 @@ _KEEPS_FACING = 0.95
 def confirmed_sides(
     images: Images, flags: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """Those stretches of one view with left and right exchanged that fits of the body confirm.
+    """Mask of the frames of one view in which fits of the body confirm exchanged sides.
 
     A stretch from the first or to the last moment has one change only, and either side of it may
     be the wrong one: then the body must face the same side of the image throughout, too.
@@ -234,7 +234,7 @@ def confirmed_sides(
 def better_changes(
     images: Images, after: Images, changes: Int[np.ndarray, " changes"]
 ) -> Bool[np.ndarray, " changes"]:
-    """Whether a quick fit of the second around a change of names in one view is better without it.
+    """Whether each change of names in one view makes a quick fit of the second around it worse.
 
     Args:
         images: with the changes.
@@ -314,7 +314,7 @@ def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
 def length_saved(
     images: Images, view: int, pair: tuple[int, int]
 ) -> Float[np.ndarray, " moments"]:
-    """By how many metres bones are too long with the given names, less with exchanged ones.
+    """Metres by which bones are too long with the given names, minus those with exchanged ones.
 
     NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
     """

@@ -53,7 +53,7 @@ class TwoViewCorrection:
 def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection:
     """Find the clock and rotation of the second view with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
-    turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
+    turns = _RayDistances(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
     for late in _first_offsets(images) if "clock" in parts else (0.0,):
         values = np.array([late, 0.0, 0.0, 0.0])
@@ -63,7 +63,7 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection
         if away < best[0]:
             best = (away, values)
     most = max(abs(late) for late in _first_offsets(images))
-    values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
+    values, _ = minimise(_RayDistances(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
@@ -114,7 +114,7 @@ def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
 
 
 @dataclass(frozen=True)
-class _Rays(Problem[Float[np.ndarray, "4"]]):
+class _RayDistances(Problem[Float[np.ndarray, "4"]]):
     """Distances between rays of two views, as a function of the second one's clock and turn."""
 
     images: Images

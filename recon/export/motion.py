@@ -26,7 +26,7 @@ from recon.view.files import draw_html, show_of_files
 
 @dataclass(frozen=True)
 class Exported:
-    """Files that were written, and what to know of them."""
+    """The files that were written, with warnings and tables about them."""
 
     place: str
     """Their paths."""
@@ -156,7 +156,7 @@ def export_file(
             return write_glb(path, moved, own, names)
         from recon.api.given import GivenMotion
         from recon.api.retarget import ground_height
-        from recon.export.onto_character import write_character  # few have a character
+        from recon.export.onto_character import write_character  # imported here: few have one
 
         level = ground_height(GivenMotion(file, str(motion)), None)
         made = write_character(path, moved, own, character, bones=bones, ground=level)

@@ -24,7 +24,7 @@ _UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 
 @dataclass(frozen=True)
 class Animated:
-    """A character that was animated, and what to know of it."""
+    """How a character was animated: by which bones, at what scale, with what warnings."""
 
     bones: dict[str, str]
     """Names of its nodes, by our joints."""
@@ -58,21 +58,21 @@ def write_character(
         FileNotFoundError: when a file is not there.
         ValueError: when the character is damaged, has no skin, or bones are missing.
     """
-    # read anew in double precision, since steps of feet are small differences
+    # in double precision, since steps of feet are small differences of large positions
     motion = one_clip(motion).to(dtype=torch.float64)
     read = Character.read(character, bones)
     rig, carried, ratio = carry(motion, body.to(dtype=torch.float64), read, ground)
-    posed, turned = rig.posed(carried), _fingers_and_all(read, motion)
+    posed, turned = rig.posed(carried), _animated_nodes(read, motion)
     tracks: list[tuple[int, str, np.ndarray]] = []
     records: dict[int, dict[str, Any]] = {}
     for node in turned:
         record = dict(read.file.listed("nodes")[node])
         if "matrix" in record:
-            record |= _parts(read.local[node])
+            record |= _decomposed(read.local[node])
             del record["matrix"]
             records[node] = record
         above = read.tree.parents[node]
-        over = _above(rig, posed, node)
+        over = _parent_poses(rig, posed, node)
         local = over[:, :3, :3].mT @ posed[node][:, :3, :3]
         if node == rig.hips:
             back = np.eye(4) if above < 0 else np.linalg.inv(read.world[above])
@@ -108,7 +108,7 @@ def carry(
     hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
     begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
     way = (begin + ratio * (person.middle - begin)) @ up.T
-    # where our soles are in the ground theirs are on it, and the hips as much higher
+    # where the person's soles are below the ground, the character is raised by as much
     soles = torch.stack([one.contacts.height for one in legs]).amin(0)
     raised = ratio * envelope((-soles).clamp(min=0.0), motion.fps)
     free = replace(free, hips=way - hips + raised[:, None] * _UP)
@@ -121,18 +121,18 @@ def carry(
             free = replace(free, hips=free.hips + envelope(sunk, motion.fps)[:, None] * _UP)
         posed = rig.posed(free)
         goals = [one.goal(posed, motion.fps, ratio, ground) for one in legs]
-        short = [one.missing(posed, goal) for one, goal in zip(legs, goals, strict=True)]
+        short = [one.sink_needed(posed, goal) for one, goal in zip(legs, goals, strict=True)]
         sinks = envelope(torch.stack(short).amax(0), motion.fps)
         free = replace(free, hips=free.hips - sinks[:, None] * _UP)
-        carried = _reaching(rig, free, legs, motion.fps, ratio, ground)
-        carried = _reaching(rig, carried, arms, motion.fps, ratio, ground)
+        carried = _with_limbs_at_goals(rig, free, legs, motion.fps, ratio, ground)
+        carried = _with_limbs_at_goals(rig, carried, arms, motion.fps, ratio, ground)
     return rig, carried, ratio
 
 
-def _reaching(
+def _with_limbs_at_goals(
     rig: CharacterRig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
 ) -> Carried:
-    """The character with limbs that end where they belong."""
+    """The pose with the limbs turned so that their ends reach their goals."""
     posed, turns = rig.posed(carried), dict(carried.turns)
     for one in limbs:
         goal = one.goal(posed, fps, ratio, ground)
@@ -141,7 +141,7 @@ def _reaching(
     return replace(carried, turns=turns)
 
 
-def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
+def _animated_nodes(character: Character, motion: Motion) -> list[int]:
     """Nodes that the animation turns: fingers only where the motion has some."""
     idle = {
         node for joint, node in character.bones.nodes.items()
@@ -150,8 +150,8 @@ def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
     return [node for node in character.driven if node not in idle]
 
 
-def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
-    """Rotation of a node's parent in every frame; nodes between animated ones are at rest."""
+def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
+    """Pose of a node's parent in every frame; nodes between animated ones stay at rest."""
     character = rig.character
     path = character.tree.path(node)[1:]
     rest = character.world_turns
@@ -164,7 +164,7 @@ def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 
     return so3.rigid(posed[driven][:, :3, :3] @ between, posed[driven][:, :3, 3])
 
 
-def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
+def _decomposed(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
     """Translation, rotation and scale of a matrix: animations move no matrices."""
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     turn = torch.from_numpy(matrix[:3, :3] / sizes)
@@ -176,7 +176,7 @@ def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
 
 
 def _warnings(character: Character, motion: Motion) -> tuple[str, ...]:
-    """What the user should know of how bones were found."""
+    """Warnings about bones, soles and fingers that were guessed or left out."""
     path, found = character.file.path, list(character.warnings)
     if character.bones.by_tree:
         found.append(

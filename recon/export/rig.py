@@ -22,7 +22,7 @@ Posed = dict[int, Float[Tensor, "time 4 4"]]
 
 @dataclass(frozen=True)
 class Carried:
-    """A character in every frame, y up, lengths of its scene in `Character.unit`."""
+    """Rotations and hips of a character in every frame; y up, lengths of its scene."""
 
     turns: dict[int, Float[Tensor, "time 3 3"]]
     """World rotation of every animated node since our rest pose, in which a person stands."""
@@ -32,7 +32,7 @@ class Carried:
 
 @dataclass(frozen=True)
 class CharacterRig:
-    """A character with what is needed to pose it."""
+    """A character with the rest rotations and offsets of its bones, to pose it."""
 
     character: Character
     rest: dict[int, Float[Tensor, "3 3"]]
@@ -62,7 +62,7 @@ class CharacterRig:
         return self.character.driven[0]
 
     def posed(self, carried: Carried) -> Posed:
-        """All animated nodes in the scene."""
+        """Forward kinematics: rotation and position of all animated nodes in the scene."""
         found: Posed = {}
         for node in self.character.driven:
             place = carried.hips
@@ -175,7 +175,7 @@ def _frame(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[Tenso
 
 
 def _half_twist(turn: Float[Tensor, "3 3"], way: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Half of what a rotation turns about a direction."""
+    """Half of the twist of a rotation about a direction."""
     axis = way / way.norm()
     side = torch.linalg.cross(axis, torch.eye(3, dtype=axis.dtype)[int(axis.abs().argmin())])
     side = side / side.norm()

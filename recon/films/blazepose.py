@@ -95,7 +95,7 @@ class Pose:
 
 
 class BlazePose:
-    """Both networks, run by LiteRT."""
+    """The two networks of BlazePose, run by LiteRT."""
 
     def __init__(self, landmarks: Path | None = None) -> None:
         """Load both networks.
@@ -207,7 +207,7 @@ class _Network:
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """The outputs of these shapes for an image; the first is that of `first`."""
+        """Outputs for an image: that of the shape `first`, then those of the shapes `more`."""
         self._run.set_tensor(self._input, image[None].astype(np.float32))
         self._run.invoke()
         return [self._run.get_tensor(self._outputs[one])[0] for one in (self._first, *more)]

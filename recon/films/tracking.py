@@ -64,7 +64,7 @@ class _Track:
     """Landmarks of the last frame; None before the first."""
 
     def jump(self, pose: Pose) -> float:
-        """How far a body is from that of the last frame, sides of the region."""
+        """Distance of a body from that of the last frame, in sides of the region."""
         return 0.0 if self.body is None else _gap(pose.pixels, self.body) / self.region.side
 
     def follow(self, sight: Sight, rate: float) -> None:
@@ -124,7 +124,7 @@ class Tracker:
         ]  # fmt: skip
 
     def step(self, image: Image, frame: int, shot: int) -> list[Sight]:
-        """Everybody in the next frame."""
+        """Detect everybody in the next frame; returns a sight per person."""
         self._frame = frame
         if shot != self._shot:
             self._tracks, self._shot, self._next_search = [], shot, frame

@@ -68,7 +68,7 @@ def find_turning(
     *,
     known: bool,
 ) -> CameraMotion | None:
-    """How a camera turns; None where it hardly does, or moves from its spot.
+    """The rotation of a camera over time; None where it hardly turns, or leaves its place.
 
     Args:
         frame: number of the picture of each row.

@@ -44,7 +44,7 @@ def completion_rate(fps: float) -> float:
 
 
 def on_fast_clock(sensor: Sensor) -> Sensor:
-    """The observation on a clock of at least 30 Hz; moments in between show nothing.
+    """The observation on a clock of at least 30 Hz; the moments that are added have no data.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
     motion is too coarse to move as people do, and a moment counts for several. A sensor that moves
@@ -103,9 +103,9 @@ class CycleClock:
         worst = last[((last < SHORTEST_CYCLE) | (last > LONGEST_CYCLE)).nonzero()[:1, 0]]
         if len(worst) > 0:
             raise ObservationError(
-                f"a cycle of gait lasts {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, what is seen "
-                f"here {float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole "
-                "with another prior"
+                f"expected data of one gait cycle, {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, got "
+                f"{float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole with "
+                "another prior"
             )
         count = (last * fps - 1e-6).ceil().long() + 1
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
@@ -114,7 +114,7 @@ class CycleClock:
 def first_and_last_times(
     sensor: Sensor,
 ) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
-    """Times of the first and last moment of each clip that show anything; infinite where none."""
+    """Times of the first and the last moment with data of each clip, s; infinite without data."""
     there = sensor.shown.any(-1)
     times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
@@ -246,14 +246,16 @@ def complete(
 
 
 def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
-    """A loaded prior of cycles.
+    """Load a prior of gait cycles.
 
     Raises:
         ReconError: when it is of something else.
     """
     found = loaded_prior(prior, weights, body)
     if not isinstance(found, CyclePrior):
-        raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
+        raise ReconError(
+            f"expected a prior of gait cycles, such as 'anchor', got a {type(found).__name__}"
+        )
     return found
 
 
@@ -337,7 +339,7 @@ def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
 
 
 def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
-    """Noise for a cycle: a frame's cloud counts like some named points.
+    """The noise with which a cycle is fitted; a frame's cloud counts as `_WORTH` named points.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
     """

@@ -1,4 +1,4 @@
-"""Fits fingers to points of hands, after the body: its wrists say where each hand is.
+"""Fit fingers to points of hands, after the body, whose wrists say where each hand is.
 
 A hand has 22 angles a frame, the length of every bone, the turn of its wrist, and how far the
 body's wrist is from the data's. Points count by their noise; what they leave open follows from
@@ -74,7 +74,7 @@ def fit_hand(
     place: Float[Tensor, "time 3"],
     fps: float,
 ) -> FittedHand:
-    """Fit one hand to what all sensors saw of it.
+    """Fit angles, wrist and bone lengths of one hand to the points that all sensors saw.
 
     Args:
         views: with the same frames as the wrist; at least one.
@@ -158,7 +158,7 @@ def _common_turn(
 
 @dataclass(frozen=True)
 class _Fingers(Problem[Tensor]):
-    """One hand's variables in all frames, 28 a frame, and the logarithms of its bones' lengths."""
+    """Least squares for one hand: 28 variables a frame, and the logarithms of bone lengths."""
 
     views: tuple[HandView, ...]
     model_of_hand: HandModel

@@ -45,7 +45,7 @@ class OverlapEnergy(TensorStruct):
     fps: float
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Over the frames that are estimated; the window's clock begins at zero."""
+        """The energy of the frames that are estimated; the window's clock begins at zero."""
         joints, seen = at_observation_times(
             estimate.body.joints, estimate.motion,
             fps=self.fps, start_time=0.0, moments=self.joints.shape[-3],
@@ -64,7 +64,7 @@ class OverlapEnergy(TensorStruct):
         return self.joints.shape[-3]
 
     def point_model(self, points: Float[Tensor, "*batch time 22 3"]) -> PointModel:
-        """The energy about predicted joints, metres."""
+        """Quadratic model of the energy about predicted joints, metres."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
         return quadratic_model(points, self.joints, weights, squared, rate)
@@ -133,7 +133,7 @@ class LongRecording:
         motion = self.guess.window(first, first + self.windows.frames)
         return motion.replace(start_time=0.0, shape=shape)
 
-    def seen(self, row: int) -> tuple[Sensor, ...]:
+    def observations_of(self, row: int) -> tuple[Sensor, ...]:
         """A window's observations; its clock begins at zero."""
         start, stop = self.span(row)
         parts = [observation.window(start, stop) for observation in self.observations]
@@ -145,7 +145,7 @@ class LongRecording:
         """Small batches of windows whose observations begin at the same times after the start."""
 
         def clocks(row: int) -> tuple[float, ...]:
-            return tuple(part.start_time for part in self.seen(row))
+            return tuple(part.start_time for part in self.observations_of(row))
 
         for _, group in groupby(sorted(rows, key=clocks), clocks):
             alike = list(group)
@@ -170,7 +170,7 @@ class LongRecording:
 
 
 def _common_step(fps: float) -> int:
-    """Frames after which a clock meets one at 30 Hz again; one if it does not soon."""
+    """Frames after which a clock coincides with one at 30 Hz again; 1 if not within 0.2 s."""
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps
     meets = abs(others - round(others)) < 1e-6

@@ -1,4 +1,4 @@
-"""Sparse recordings of any length: a fit of any motion first, then gait by its cycles.
+"""Complete sparse recordings of any length: first fit any motion, then refine gait by its cycles.
 
 A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
 moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
@@ -66,7 +66,7 @@ class WholeRecording:
 
     @classmethod
     def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
-        """The usual priors with weights of one name.
+        """The two default priors, both with the weights of this name.
 
         Raises:
             WeightsError: when it is neither `open` nor `nc`.
@@ -87,7 +87,7 @@ def complete_recording(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> ClipFit:
-    """One motion of a whole recording: any length, any motion, scans at any times.
+    """Fit one motion to a sparse recording: any motion first, then gait, cycle by cycle.
 
     Args:
         observations: of one clip.

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from observations.keypoints2d import Keypoints2D
-from recon.api.pipeline import fitted
+from recon.api.pipeline import fit_and_check
 from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.fitting.methods import FitOptions
@@ -98,7 +98,7 @@ def test_a_fit_corrects_a_guessed_focal_length() -> None:
     matrix = np.array([[900.0, 0, 960.0], [0, 900.0, 540.0], [0, 0, 1.0]])
     guess = replace(file.camera, camera_matrix=matrix, T_camera_world=None, focal_std=0.3)
     seen = keypoints_of(replace(file, camera=guess), bundled())
-    found = fitted([seen], ["phone"], FitOptions(prior="pose"), bundled())
+    found = fit_and_check([seen], ["phone"], FitOptions(prior="pose"), bundled())
     (said,) = [one for one in found.diagnosis if one.code == "focal"]
     assert said.value is not None
     assert 1100 < said.value < 2100
