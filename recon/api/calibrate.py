@@ -230,7 +230,7 @@ def _filmed_person(name: str, file: KeypointsFile) -> FilmedPerson:
     up = None if path is None or not path.level else path.T_world_camera[0, 2, :3]
     return FilmedPerson(
         name, file.pixels, file.confidence, float(matrix[[0, 1], [0, 1]].mean()),
-        file.camera.focal_known, matrix[:2, 2], up,
+        file.camera.focal_std, matrix[:2, 2], up,
     )  # fmt: skip
 
 

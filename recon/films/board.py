@@ -189,7 +189,7 @@ def _calibrated(
 ) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
     """The camera, the error of every moment, pixels, and the focal length's relative deviation."""
     places = [one.reshape(-1, 1, 2).astype(np.float32) for one in seen]
-    guess = guessed_camera(film.image_size)
+    guess = guessed_camera(film.image_size, film.stated_focal)
     _, matrix, distortion, _, _, stds, _, off = cv2.calibrateCameraExtended(
         [board.points] * len(places), places, film.image_size, guess.camera_matrix.copy(),
         np.zeros(5), flags=_LENS,

@@ -29,7 +29,7 @@ Watch = Callable[[int, int], None]
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 """Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
 of every keypoint, and the person's number or -1."""
-_VERSION = 4
+_VERSION = 5
 """Rises when the same film gives other detections, so that kept ones are made again."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
@@ -212,7 +212,10 @@ def _detections(
     found = detections_of_rows(
         film.path.name, numbers, scaled, layout=layout, decisions=tuple(film.notes)
     )
-    return replace(found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots)
+    return replace(
+        found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots,
+        stated_focal=film.stated_focal,
+    )  # fmt: skip
 
 
 def _is_one_person(rows: list[Row]) -> bool:

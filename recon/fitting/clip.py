@@ -42,8 +42,6 @@ The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames a
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
-LENS_DEVIATION = 0.3
-"""Standard deviation of the logarithm of a focal length that is guessed from the image size."""
 ROUGH = FitOptions(prior=FIRST)
 
 
@@ -220,7 +218,7 @@ class ClipProblem:
     def lens_unknown(self) -> bool:
         """Whether the only sensor is one view of unknown pose with a guessed focal length."""
         # moving cameras keep the focal length that their tracker assumed
-        return self.scale_unknown and not views_of(self.observations)[0].focal_known
+        return self.scale_unknown and views_of(self.observations)[0].focal_std > 0
 
     @property
     def one_view(self) -> bool:
@@ -262,7 +260,12 @@ class ClipProblem:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
         if moved >= LENS:
-            terms = (*terms, Term("lens", lens_changed, (noise / LENS_DEVIATION) ** 2))
+            terms = (
+                *terms,
+                Term(
+                    "lens", lens_changed, (noise / views_of(self.observations)[0].focal_std) ** 2
+                ),
+            )
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
 
