@@ -95,7 +95,7 @@ class Pose:
 
 
 class BlazePose:
-    """Both networks, run by LiteRT."""
+    """The two networks of BlazePose, run by LiteRT."""
 
     def __init__(self, landmarks: Path | None = None) -> None:
         """Load both networks.
@@ -205,7 +205,7 @@ class Network:
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """The outputs of these shapes for an image; the first is that of `first`.
+        """Outputs for an image: that of the shape `first`, then those of the shapes `more`.
 
         Of several outputs of one shape it is the first by their names.
         """

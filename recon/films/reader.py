@@ -13,7 +13,7 @@ from recon.core.errors import FormatError, ReconError
 from recon.core.plugins import DETECTORS, imported_object, registered_places
 from recon.detections.records import Background, Detections, Row, detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
-from recon.films.background import Followed, moving_background
+from recon.films.background import FollowedPoints, moving_background
 from recon.films.blazepose import BlazePose
 from recon.films.clock import at_even_times
 from recon.films.decoding import Film, FilmFrame, open_film
@@ -31,7 +31,7 @@ Watch = Callable[[int, int], None]
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 """Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
 of every keypoint, and the person's number or -1."""
-_VERSION = 4
+_VERSION = 5
 """Rises when the same film gives other detections, so that kept ones are made again."""
 _HANDS_VERSION = "hands 1"
 """The same of hands."""
@@ -184,7 +184,7 @@ class _Watched:
         default_factory=dict
     )
     """Shot and straight segments, pixels of the film, of some frames by their numbers."""
-    followed: Followed = field(default_factory=Followed)
+    followed: FollowedPoints = field(default_factory=FollowedPoints)
 
     def __iter__(self) -> Iterator[FilmFrame]:
         every = max(1, self.film.frames // _IMAGES_WITH_LINES)
@@ -218,7 +218,7 @@ class _Watched:
 def _sights(
     frames: Iterable[FilmFrame], rate: float, networks: BlazePose, unfinished: Unfinished | None
 ) -> list[Sight]:
-    """Everybody in every frame, kept where a run is interrupted."""
+    """Detect everybody in every frame; what was found is kept if the run is interrupted."""
     tracker = Tracker(networks, rate)
     sights, state = ([], None) if unfinished is None else unfinished.load()
     if state is not None:
@@ -271,7 +271,10 @@ def _detections(
     found = detections_of_rows(
         film.path.name, numbers, scaled, layout=layout, decisions=tuple(film.notes)
     )
-    return replace(found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots)
+    return replace(
+        found, frame_rate=film.frame_rate, image_size=film.image_size, shots=film.shots,
+        stated_focal=film.stated_focal,
+    )  # fmt: skip
 
 
 def _is_one_person(rows: list[Row]) -> bool:

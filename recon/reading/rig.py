@@ -45,8 +45,8 @@ _ROUNDS = 200
 """Samples of five points that propose an essential matrix."""
 _DETECTOR = 0.004
 """Standard deviation of a keypoint, as a share of the focal length."""
-_FOCAL_STD = {True: 0.002, False: 0.25}
-"""Standard deviation of the logarithm of a known and of a guessed focal length."""
+_FOCAL_STD = 0.002
+"""Standard deviation of the logarithm of a known focal length."""
 _UP_STD = np.radians(1.5)
 """Standard deviation of the vertical that lines of an image tell."""
 _LATE_STD = 4.0
@@ -65,7 +65,8 @@ class FilmedPerson:
     confidence: Float[np.ndarray, "frames points"]
     focal: float
     """Pixels."""
-    focal_known: bool
+    focal_std: float
+    """Standard deviation of its logarithm."""
     centre: Float[np.ndarray, "2"]
     """The principal point."""
     up: Float[np.ndarray, "3"] | None = None
@@ -145,7 +146,7 @@ def _normalised(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
 
 
 def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
-    """Change of the places from frame to frame; zero where a neighbour was not seen."""
+    """Change of image coordinates per frame; zero where a neighbouring frame lacks the point."""
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
@@ -153,7 +154,7 @@ def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"
 
 
 def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
-    """Frames by which each view begins after the first, with which their points agree best."""
+    """How many frames after the first each view begins, so that their points agree best."""
     coarse = max(1, longest // _COARSE)
     found = [0]
     for view in views[1:]:
@@ -186,7 +187,7 @@ def _essential_matrix(
     a: Float[np.ndarray, "points 2"], b: Float[np.ndarray, "points 2"], off: float = _OFF
 ) -> tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " points"]]:
     """The essential matrix of two views, and which points agree with it."""
-    cv2.setRNGSeed(0)  # samples at random
+    cv2.setRNGSeed(0)  # RANSAC draws random samples: the same input must give the same result
     found, inliers = cv2.findEssentialMat(a, b, np.eye(3), cv2.RANSAC, 0.999, off, _ROUNDS)
     if found is None or found.shape != (3, 3):
         return np.eye(3), np.zeros(len(a), dtype=bool)
@@ -198,7 +199,7 @@ def _first_poses(
     places: Float[np.ndarray, "views points 2"],
     seen: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "views 3 4"]:
-    """World to camera for every view; the pair that agrees best first."""
+    """Poses (world to camera) of all views, built up from the pair that agrees best."""
     found: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
     for a, b in combinations(range(len(names)), 2):
         both = seen[a] & seen[b]
@@ -236,7 +237,7 @@ def _second_camera_pose(
     places: Float[np.ndarray, "2 points 2"],
     agree: Bool[np.ndarray, " points"],
 ) -> Float[np.ndarray, "3 4"]:
-    """The pose of the second of two cameras, before both of which the points lie."""
+    """The pose of the second camera for which the points lie in front of both cameras."""
     mask = agree.astype(np.uint8)[:, None]
     _, turn, step, _ = cv2.recoverPose(matrix, places[0], places[1], np.eye(3), mask=mask)
     return np.concatenate((turn, step), 1)
@@ -252,7 +253,7 @@ def _pose_from_points(
     """
     share = 0.0
     if len(points) >= _FEWEST_POINTS:
-        cv2.setRNGSeed(0)  # samples at random
+        cv2.setRNGSeed(0)  # RANSAC draws random samples
         ok, turn, step, inliers = cv2.solvePnPRansac(
             points, places, np.eye(3), None, reprojectionError=_FIRST_OFF
         )
@@ -292,11 +293,11 @@ def _bundle_adjusted(
 ) -> tuple[
     Float[np.ndarray, "views 3 4"], Float[np.ndarray, " views"], Float[np.ndarray, " views"]
 ]:
-    """Poses, factors of the focal lengths, and frames by which views are late, that agree best."""
+    """Poses, focal length factors and delays (frames) of the views, by bundle adjustment."""
     view, point = np.nonzero(seen)
     ups = [one.up for one in views]
     told = [v for v, up in enumerate(ups) if up is not None]
-    stds = np.array([_FOCAL_STD[one.focal_known] for one in views])
+    stds = np.array([max(one.focal_std, _FOCAL_STD) for one in views])
 
     def unpacked(values: np.ndarray) -> tuple[np.ndarray, ...]:
         cameras = values[: _UNKNOWNS * len(views)].reshape(-1, _UNKNOWNS)

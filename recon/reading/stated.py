@@ -157,7 +157,7 @@ def in_one_shot(
 def levelled(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
-    """A camera with the path, vertical and focal length that its background shows.
+    """A camera with the path, up direction and focal length that the film's background shows.
 
     Straight lines tell the vertical, and points of the background how the camera moves. Unchanged,
     and without a note, where its pose is known or the background tells nothing.
@@ -192,7 +192,7 @@ def levelled(
             for one, pose in zip(images, moved.at(numbers), strict=True)
         ]
     metric = moved is None or not moved.places.any()
-    told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
+    told = find_vertical(images, max(camera.image_size), focal, camera.focal_std)
     if told is None:
         path = None if moved is None else CameraPath(T, metric=metric, level=False)
         return camera if path is None else replace(camera, path=path), said
@@ -216,7 +216,7 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
     """The camera with a known focal length, pixels; its principal point stays."""
     matrix = camera.camera_matrix.copy()
     matrix[:2, :2] *= focal / matrix[[0, 1], [0, 1]].mean()
-    return replace(camera, camera_matrix=matrix, focal_known=True)
+    return replace(camera, camera_matrix=matrix, focal_std=0.0)
 
 
 def _with_motion(
@@ -249,8 +249,8 @@ def _with_motion(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        # a better guess, with which the path was found
-        guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
+        # the path was found with this focal length, which is a better guess
+        guess = replace(_with_focal(camera, moved.focal), focal_std=camera.focal_std)
         return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"
     return _with_focal(camera, moved.focal), moved, note
