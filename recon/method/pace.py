@@ -75,10 +75,10 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
     own_share = (away > 1e-6 - step / 2) & (away < step / 2 + 1e-6)
     held = weights * own_share.to(weights)[:, :, None]
     late = away.to(values)[:, :, None, None].expand(*values.shape[:-1], 1)
-    mean, when = _weighted_mean(values, held), _weighted_mean(late, held)
-    apart = late - _weighted_mean(late, weights).unsqueeze(-3)
-    risen = values - _weighted_mean(values, weights).unsqueeze(-3)
-    spread, rise = _weighted_mean(apart.square(), weights), _weighted_mean(apart * risen, weights)
+    mean, when = _mean(values, held), _mean(late, held)
+    apart = late - _mean(late, weights).unsqueeze(-3)
+    risen = values - _mean(values, weights).unsqueeze(-3)
+    spread, rise = _mean(apart.square(), weights), _mean(apart * risen, weights)
     # the times of two adjacent frames have the variance 1/4; one frame alone gives no speed
     speed = torch.where(spread > 0.1, rise / spread.clamp(min=0.1), 0.0)
     shown = held.sum(-2) > 0
@@ -92,13 +92,11 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
         if value.dtype == torch.bool:
             own[name] = shown
         else:  # confidences or standard deviations: averaged, as near frames err alike
-            own[name] = _weighted_mean(in_neighbourhoods(value)[..., None], (held > 0).to(value))[
-                ..., 0
-            ]
+            own[name] = _mean(in_neighbourhoods(value)[..., None], (held > 0).to(value))[..., 0]
     return sensor.derived(**own)
 
 
-def _weighted_mean(
+def _mean(
     values: Float[Tensor, "*batch moments near points dims"],
     weights: Float[Tensor, "*batch moments near points"],
 ) -> Float[Tensor, "*batch moments points dims"]:
