@@ -91,7 +91,7 @@ class Naming:
             for part in parts:
                 at = int(part[counts[part].argmax()])
                 found = found_body(self._points(at)[0], self.bodies, effort)
-                if best is None or found.cost < best[0].cost:
+                if best is None or found.rank < best[0].rank:
                     best = found, at
                 if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
                     return best
