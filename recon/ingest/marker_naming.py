@@ -59,7 +59,7 @@ class Naming:
         found, at = self._beginning()
         if found.cost > _NOWHERE:
             return
-        unknown = found.body.spread
+        unknown, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # the person's shape and offsets, by the frames about the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
@@ -75,7 +75,7 @@ class Naming:
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # tables are right about places, not about offsets
                 body = self._calibrated(body, every)
-                table = replace(body, offsets=body.markers.nominal, spread=unknown)
+                table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
                 self._settle()
             body = self._calibrated(body, every)
@@ -93,10 +93,10 @@ class Naming:
                 found = found_body(self._points(at)[0], self.bodies, effort)
                 if best is None or found.rank < best[0].rank:
                     best = found, at
-                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
+                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.usual_spread:
                     return best
             assert best is not None
-            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.spread):
+            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.usual_spread):
                 return best
         assert best is not None
         return best
@@ -241,7 +241,7 @@ def _posed(
 
 
 def _log_odds(
-    away: Float[np.ndarray, "points markers 3"], spread: float
+    away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
     """Logarithm of how much likelier points are where markers should be than in a cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
