@@ -86,7 +86,7 @@ class Table:
         lines += [[shown(c, d) for c, d in zip(row, digits, strict=True)] for row in self.rows]
         parts = ["\n".join(f"| {' | '.join(line)} |" for line in lines), self.note]
         if self.about:
-            parts.append(f"*{'; '.join(dict.fromkeys(map(_source, self.about)))}.*")
+            parts.append(f"*Measured by {'; '.join(dict.fromkeys(map(_source, self.about)))}.*")
         return "\n\n".join(part for part in parts if part)
 
 

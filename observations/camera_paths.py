@@ -117,7 +117,7 @@ _LEAST_ANGLE = 0.03
 def triangulate(
     views: Sequence[Keypoints2D],
 ) -> tuple[Float[Tensor, "batch moments points 3"], Bool[Tensor, "batch moments points"]]:
-    """Points nearest to their rays, weighted by confidence, and which of them exist.
+    """Triangulate points: those nearest to their rays, weighted by confidence, and a mask.
 
     The point with least Σ c² |(I - d dᵀ)(x - o)|² over rays from o along the unit vector d: three
     linear equations per point, any number of views at once (OpenCV's triangulation takes two).

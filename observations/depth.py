@@ -111,14 +111,14 @@ class PointCloud(Sensor):
         view = None if camera is None else checked_view("PointCloud", camera, points)
         if labels is not None and labels.present.shape != present.shape:
             raise ObservationError(
-                f"PointCloud: expected labels of {tuple(present.shape)} points, as they are "
-                f"present, got {tuple(labels.present.shape)}"
+                "PointCloud: expected labels for all points, of the shape of present, "
+                f"{tuple(present.shape)}, got {tuple(labels.present.shape)}"
             )
         deviation = None if std is None else float_tensor(std, "PointCloud.std").to(points)
         if deviation is not None and deviation.shape != present.shape[:-1]:
             raise ObservationError(
-                f"PointCloud: expected std of {tuple(present.shape[:-1])} moments, metres, got "
-                f"{tuple(deviation.shape)}"
+                "PointCloud: expected one std in metres per moment, of the shape "
+                f"{tuple(present.shape[:-1])}, got {tuple(deviation.shape)}"
             )
         self._settle(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,

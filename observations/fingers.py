@@ -26,7 +26,7 @@ def body_points_only(names: Sequence[str]) -> bool:
 def fingers_apart(
     points: Any, positions: Any, visible: Any, std: Any
 ) -> tuple[Any, Any, Any, Any, Float[Tensor, "*batch moments 42 4"]]:
-    """The arguments of a sensor without the points of hands, and these with their visibility.
+    """Split a sensor's arguments into those of body points, and hand points with visibility.
 
     Args:
         points: a layout with the ending `+hands`, or names.

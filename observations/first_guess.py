@@ -109,7 +109,7 @@ def guessed(
         raise ObservationError(
             "observations share one frame, and only some say that its z = 0 is the ground "
             f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
-            "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
+            "ground='known' or 'unknown'; a camera states it by its pose, T_camera_world"
         )
     if start is None:
         seen = with_labelled_clouds(observations)

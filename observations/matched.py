@@ -32,7 +32,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True)
 class Discs(TensorStruct):
-    """The discs of pairs, before a pose and a shape move them."""
+    """Surface discs, one paired with each point of a cloud, before pose and shape move them."""
 
     weights: Float[Tensor, "*batch moments 22 points"]
     """Skinning weights."""
@@ -48,7 +48,7 @@ class Discs(TensorStruct):
     def of(
         cls, surfels: Surfels, body: BodyModel, pairs: Int[Tensor, "*batch moments points"]
     ) -> "Discs":
-        """The discs of these numbers."""
+        """The discs whose numbers are in `pairs`."""
         like, index = body.template, torch.from_numpy(surfels.vertices).to(pairs.device)
 
         def taken(table: Float[Tensor, "discs rows"]) -> Float[Tensor, "*batch moments rows p"]:
@@ -243,7 +243,7 @@ class MatchedCloud(TensorStruct):
     def _at_own_times(
         self, values: Float[Tensor, "*batch time rows 3"], motion: Motion
     ) -> tuple[Float[Tensor, "*batch covered rows 3"], "MatchedCloud"]:
-        """Values of a motion's frames at the moments that are kept and covered, and these."""
+        """A motion's values at the moments of the cloud that it covers, and the cloud there."""
         values, seen = at_observation_times(
             values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )
@@ -262,7 +262,7 @@ class MatchedCloud(TensorStruct):
         )
 
     def add_surface_curvature(self, weight: float, model: ClipModel) -> None:
-        """Add the Gauss-Newton Hessian of one clip's energy, moments counting for their frame.
+        """Add one clip's Gauss-Newton Hessian; a moment counts for its nearest frame.
 
         A distance changes as its foot, the nearest place of the disc, moves along the line to the
         point.

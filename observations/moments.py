@@ -40,7 +40,7 @@ def as_streamed(given: Any) -> Tracker:
             raise ObservationError("a stream needs cameras that stand still, got a moving one")
     elif one.std is not None:
         raise ObservationError(
-            "a stream counts all points alike: leave out std, and give recon.Stream the noise"
+            "a stream weights all points equally: leave out std, and give recon.Stream the noise"
         )
     if not one.ground_known:
         raise ObservationError(
@@ -92,7 +92,7 @@ def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
 
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
-    """The sensor with one more frame appended."""
+    """The sensor with the frame at `row` replaced by a moment, appended if `row` is the end."""
     later = frames_between(sensor, row + 1, sensor.moments)
     return joined_in_time(
         joined_in_time(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later

@@ -32,7 +32,7 @@ def estimate_noise(
     visible: Bool[Tensor, "*batch time points"],
     limits: tuple[float, float] = LIMITS,
 ) -> float:
-    """Standard deviation of every coordinate, in its unit, within limits.
+    """Standard deviation of a coordinate's noise from the data, in their unit, within limits.
 
     Bodies move smoothly and white noise does not: third differences in time hold little but
     noise, and their median does not see outliers. Where no point is visible four frames in a row,

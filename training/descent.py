@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def drawn_code(mean: Tensor, log_variance: Tensor, random: torch.Generator | None) -> Tensor:
-    """A draw of a normal distribution, differentiable in its parameters; None: its mean."""
+    """Draw from a normal distribution, differentiably; without random numbers its mean."""
     if random is None:
         return mean
     noise = torch.randn(mean.shape, generator=random).to(mean)
@@ -42,7 +42,7 @@ class Muon(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """One step against the gradients that are there."""
+        """Take one step against the gradients of the parameters that have one."""
         del closure
         for group in self.param_groups:
             for parameter in group["params"]:

@@ -170,7 +170,7 @@ def _thinned(motion: Motion, step: int) -> Motion:
 def foot_slide(
     movement: Movement,
 ) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
-    """Horizontal speed of the slowest point of the feet near the ground, and where there is one.
+    """Horizontal speed of the slowest foot point near the ground, and a mask of frames with one.
 
     Whoever walks has such a point at rest in every moment, and whoever runs while not in the air.
     """
@@ -183,7 +183,7 @@ def foot_slide(
 
 
 def _off_ground(movement: Movement) -> Bool[np.ndarray, " time"]:
-    """Frames in which something that is not the ground carries, or soles are under the ground.
+    """Mask of frames in which something else than the ground carries, or soles are below it.
 
     A sole stands higher than the ground, or no foot is near it for longer than a flight lasts.
     """

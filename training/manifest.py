@@ -43,7 +43,7 @@ class ManifestRow:
 
 
 def write_manifest(rows: Iterable[ManifestRow], corpus: Path) -> Path:
-    """Write the manifest of a corpus in one step; its path."""
+    """Write the manifest of a corpus atomically; returns its path."""
     path = corpus / MANIFEST
     write_rows(path, [
         {k: int(v) if isinstance(v, bool) else v for k, v in asdict(row).items()} for row in rows

@@ -150,7 +150,7 @@ class Run(Generic[S, N]):
         return ((self.settings.steps, self.settings.rate),)
 
     def further_state(self) -> dict[str, Any]:
-        """Further content of a run's checkpoint, besides weights and losses."""
+        """Entries that a prior adds to a run's checkpoint, besides weights and losses."""
         return {}
 
     def resume(self, state: Mapping[str, Any]) -> None:
@@ -163,7 +163,7 @@ class Run(Generic[S, N]):
         self.step, self.rows, self.sums = state["step"], state["rows"], state["sums"]
 
     def save(self) -> None:
-        """Write the checkpoint in one step."""
+        """Write the checkpoint atomically: a cut run leaves the old file or the new one."""
         self._write(
             CHECKPOINT,
             settings=plain_settings(self.settings),
@@ -257,7 +257,7 @@ def read_state(path: Path) -> dict[str, Any] | None:
 
 
 def trained_state(path: Path) -> dict[str, Any]:
-    """A file that a run must have written before its networks can be exported.
+    """Read the state that a run has written, from which its networks are exported.
 
     Raises:
         FileNotFoundError: when it has not.

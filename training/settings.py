@@ -51,7 +51,7 @@ class CorpusSettings:
     def stretches_that_teach(
         self, part: Part, lesson: Lesson, with_contacts: bool = True
     ) -> Iterator[tuple[str, Path, MotionFile]]:
-        """Name, file and stretches of the clips of one part that teach something.
+        """Name, file and stretches of the clips of one part that may teach a lesson.
 
         Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
         slopes, where heights mean nothing.
@@ -67,8 +67,8 @@ class CorpusSettings:
                 rows = manifest.get(name)
                 if rows is None:
                     raise ValueError(
-                        f"{self.corpus / MANIFEST}: knows no clip {name}; write it anew by "
-                        "python -m training.conversion"
+                        f"{self.corpus / MANIFEST}: lists no clip {name}; write the manifest "
+                        "again by python -m training.conversion"
                     )
             elif lesson != "poses" and not is_flat(path):
                 continue
@@ -117,7 +117,7 @@ _CONTENTS = "sha256:"
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
-    """A dataclass of settings as a checkpoint holds it."""
+    """The dictionary of plain values as which a checkpoint holds settings."""
     found = dataclasses.asdict(settings)
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
 

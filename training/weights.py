@@ -37,7 +37,7 @@ def save_checkpoint(
     tensors: Mapping[str, Tensor],
     settings: Mapping[str, Any],
 ) -> None:
-    """Write weights in one step.
+    """Write a weights file atomically.
 
     Args:
         path: ends in .safetensors by custom.

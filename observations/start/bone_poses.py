@@ -47,7 +47,7 @@ def gradient_by_turns(
 def hessian_by_turns(
     bones: Float[Tensor, "rows 22 3 4"], stiffness: Float[Tensor, "rows 22 4 4"]
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3 66"], Float[Tensor, "rows 66 66"]]:
-    """Gauss-Newton Hessian: by two translations, by a translation and a turn, by two turns.
+    """Blocks of the Gauss-Newton Hessian: translation twice, translation and turns, turns twice.
 
     With the points x that hang from joint b, which is a or hangs from it, weighed by w, and
     U = Σ w (x - p_a) (x - p_b)ᵀ, those by turns about a and b are tr(U) - Uᵀ, as in a body's

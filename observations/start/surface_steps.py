@@ -33,7 +33,7 @@ labels do not count, and 5.6 and more where they count six times as much."""
 
 
 def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
-    """Costs of labelled points for `nearest_alike`, up to a constant per point."""
+    """Costs of matching labelled points with each kind of surfel, up to a constant per point."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
     size = torch.full_like(sure, _PLACE_WEIGHT)
@@ -42,7 +42,7 @@ def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
 
 
 def kinds_of_surfels(surfels: Surfels, body: BodyModel) -> Float[Tensor, "surfels 16"]:
-    """Kinds of surfels for `nearest_alike`, which multiplies them with `label_costs`."""
+    """Features of surfels whose product with `label_costs` is the cost of matching a point."""
     index = torch.from_numpy(surfels.vertices).to(body.template.device)
     regions = Regions.of(body)
     place = regions.places[index]

@@ -54,7 +54,7 @@ class Anchors(TensorStruct):
 
     @property
     def full_rotations(self) -> Float[Tensor, "*batch anchors 22 3 3"]:
-        """All joints, toes at rest."""
+        """Rotations of all joints, those of the toes at rest."""
         shape = (*self.rotations.shape[:-3], len(JOINTS), 3, 3)
         every = torch.eye(3).to(self.rotations).expand(shape).clone()
         every[..., POSED, :, :] = self.rotations
@@ -163,7 +163,7 @@ class CycleBasis(TensorStruct):
     def normalised(
         self, rows: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
-        """Rows chi in the units of the losses."""
+        """Rows chi of cycles, scaled to the units of the training losses."""
         span = self.high - self.low
         rest = (rows[..., POSE_NUMBERS:] - self.low) / span
         rest = torch.cat((2 * rest[..., :3] - 1, rest[..., 3:]), -1)
@@ -201,7 +201,7 @@ class CycleBasis(TensorStruct):
     def synthesise(
         self, coefficients: Float[Tensor, "*batch basis"]
     ) -> Float[Tensor, "*batch 100 124"]:
-        """Normalised rows of coefficients."""
+        """Normalised rows of the cycles that have these coefficients."""
         return self.from_codes(self.mean + (coefficients * self.scale) @ self.directions)
 
 

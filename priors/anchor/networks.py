@@ -59,7 +59,7 @@ class AnchorNetworks(nn.Module):
     def normalised(
         self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch 100 124"]:
-        """Aligned cycles in the units of the losses."""
+        """Decode latent codes to aligned cycles, in the units of the training losses."""
         bent = self.decoder(torch.cat((latent, shape), -1))
         return self.basis.synthesise(latent @ self.from_code.mT + bent)
 

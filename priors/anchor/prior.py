@@ -45,7 +45,7 @@ _SINK = 0.03
 
 @dataclass(frozen=True)
 class AnchorVariables(TensorStruct):
-    """One cycle per clip."""
+    """Variables of the anchor-frame prior: one cycle of gait per clip."""
 
     latent: Float[Tensor, "*batch latent"]
     """Whitened code: z = mean + root · latent."""
@@ -109,7 +109,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         return self.weights.spread.typical
 
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
-        """The path of the pelvis in each typical cycle, at even moments, metres."""
+        """The path of the pelvis in each typical cycle, at evenly spaced moments, metres."""
         rows = self.weights.networks.decode(self.typical, shape.expand(len(self.typical), -1))
         return rows[..., -4:-1] + rest_pelvis(self.body, shape)
 

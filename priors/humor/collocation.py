@@ -226,7 +226,7 @@ class Collocation(Prior[PoseVariables]):
         limbs = replace(limbs, proposals=LookedLimbs(network, unseen))
         if not bool(unseen.never.any()):
             return root, poses, limbs, feet
-        # imported here: seldom is a limb never seen
+        # imported here: only fits with limbs that the data never show need it
         from priors.humor.likely import LikelyStates, time_factor
         from recon.physics.support import SupportEnergy
 

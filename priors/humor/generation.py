@@ -159,7 +159,7 @@ def roll_from(
     footing: FootingSettings | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
-    """Given states followed by random continuations; axes (clips, frames), 30 Hz.
+    """Continue given states by random steps; axes (clips, frames), 30 Hz.
 
     Args:
         humor: in the states' precision and on their device.
@@ -223,7 +223,7 @@ def predict(
     temperature: float = TEMPERATURE,
     footing: FootingSettings | None = _FOOTING,
 ) -> Decoded:
-    """Motions that continue the last frame of given ones; axes (samples · clips, frames), 30 Hz.
+    """Continue motions from their last frames; axes (samples · clips, frames), 30 Hz.
 
     The first frame is the motion's last. All clips of the first sample come first.
 
@@ -241,7 +241,10 @@ def predict(
         ValueError: when a clip is padded or shorter than two frames.
     """
     if not bool(motion.valid.all()):
-        raise ReconError("expected clips that exist to their last frame; predict each alone")
+        raise ReconError(
+            "expected clips without missing frames at their ends; predict clips of unequal length "
+            "one by one"
+        )
     humor = humor.like(motion.translation)
     end = motion.window(max(motion.frames - 2, 0), motion.frames)
     first = states_of(end, humor.body)[:, -1]
@@ -308,7 +311,7 @@ def first_states(
     random: torch.Generator,
     temperature: float = 1.0,
 ) -> tuple[State, Float[Tensor, "clips shape"]]:
-    """Canonical states and the shapes of their bodies.
+    """Draw canonical first states from the mixture, and the shapes of their bodies.
 
     The mixture knows no rotations. They and the shape are fitted to the drawn joints under the
     pose prior; the state's joints are those of the fitted body.
@@ -318,7 +321,8 @@ def first_states(
     """
     if not torch.equal(initial.features.cpu(), distinct_features()):
         raise ValueError(
-            "first states need a mixture over independent features; the released one is over all"
+            "expected a mixture over the independent features of a state, from which first states "
+            "can be drawn; that of the released weights is over all features"
         )
     drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)

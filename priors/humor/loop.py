@@ -112,7 +112,7 @@ class FrozenDecoder:
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
     def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
-        """Layer by layer."""
+        """Split the inputs of all layers into one tensor for each layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
     def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:
@@ -258,7 +258,8 @@ class _Unroll(torch.autograd.Function):
         quarter = _derivatives_by_heading(inputs)[..., None]
         heading = _heading_adjoints(turns)
 
-        # gradients by a step's start, raw output and rotations; the next step's is added to them
+        # gradients by each step's start, raw output and rotations; going backwards, every step
+        # adds what the step after it passes on
         starts = gradients[0].clone()
         raws = torch.cat((gradients[1], gradients[3]), -1)
         ends = gradients[2].flatten(2).contiguous().clone()

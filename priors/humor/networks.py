@@ -106,7 +106,8 @@ class HumorNetworks(nn.Module):
         super().__init__()
         if width < 64 or width % 32 != 0:
             raise ValueError(
-                f"width must be a multiple of 32 from 64 on, for groups of units; got {width}"
+                "width must be a multiple of 32 and at least 64, so that units form groups for "
+                f"normalisation; got {width}"
             )
         hidden = [width] * 4
         self.encoder = Perceptron([2 * STATE, *hidden, 2 * LATENT])

@@ -61,7 +61,7 @@ class HumorVariables(TensorStruct):
     start_time: float
 
     def carried(self, T: Float[Tensor, "clips 4 4"], body: BodyModel) -> "HumorVariables":
-        """Variables of a motion that begins in the first state after a rigid transform.
+        """Variables of the same motion after a rigid transform of its first state.
 
         Latents are changes as the body sees them and stay. Where the transform tilts, the
         roll-out from there is another motion, because the decoder knows where up is.

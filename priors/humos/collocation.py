@@ -42,7 +42,7 @@ class CollocatedHumos(Prior[PoseVariables]):
     poses: PosePrior = field(default_factory=PosePrior.load)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """The motion itself; exact."""
+        """Variables that encode the motion exactly."""
         return self.poses.encode(motion)
 
     def decode(self, variables: PoseVariables) -> Decoded:

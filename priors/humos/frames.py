@@ -219,7 +219,7 @@ class LappedBasis(TensorStruct):
 
     @property
     def scale(self) -> Float[Tensor, " basis"]:
-        """Metres that one unit of a coefficient is."""
+        """Metres that one unit of each coefficient stands for."""
         return self.deviation.clamp(min=_LEAST * float(self.deviation[0]))
 
     def analyse(
@@ -250,7 +250,7 @@ def existing_windows(
 
 
 def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*batch windows all"]:
-    """Windows of the motion, flattened."""
+    """Overlapping windows of a motion's rows, each flattened to a vector."""
     frames = rows.shape[-2]
     count = window_count(frames)
     place = torch.arange(-HOP, count * HOP, device=rows.device).clamp(0, frames - 1)

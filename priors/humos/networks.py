@@ -26,7 +26,7 @@ _HEADS = 4
 
 
 class WindowNetworks(nn.Module):
-    """A code for every window of 0.8 s, 0.4 s apart."""
+    """Encoder and decoder of a motion, with a latent code per window of 0.8 s, 0.4 s apart."""
 
     def __init__(
         self, basis: LappedBasis, latent: int, shape: int, width: int, layers: int,

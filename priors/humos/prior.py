@@ -49,7 +49,7 @@ _SLOW = 4.0
 
 @dataclass(frozen=True)
 class HumosVariables(TensorStruct):
-    """One motion per clip."""
+    """Variables of the HUMOS prior: latent codes and details, one motion per clip."""
 
     latent: Float[Tensor, "*batch memory latent"]
     """Whitened codes, 0.4 s apart, or one."""

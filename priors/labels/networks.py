@@ -105,7 +105,7 @@ def local_patches(
 def smallest_axes(
     entries: Float[Tensor, "*shape 6"],
 ) -> tuple[Float[Tensor, "*shape 3"], Float[Tensor, "*shape"], Float[Tensor, "*shape"]]:
-    """Unit eigenvector of the least eigenvalue of symmetric matrices, the least, the middle one.
+    """Of symmetric matrices: eigenvector of the smallest eigenvalue, smallest, middle eigenvalue.
 
     Eigenvalues by the trigonometric solution of the cubic (Smith 1961), the vector as the longest
     cross product of two rows of A - λI: thousands at once, where a library would take them one by
@@ -262,7 +262,7 @@ class Layer(nn.Module):
 
 
 class LabelNetwork(nn.Module):
-    """Regions and places of the points of clouds."""
+    """The network that finds the body region and place of every point of a cloud."""
 
     def __init__(self) -> None:
         """Random weights."""

@@ -101,7 +101,7 @@ class UnseenLimbs(TensorStruct):
 
 
 def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape 22"]:
-    """Joints below which all joints are missing; the pelvis, if all are."""
+    """Mask of joints whose descendants are all missing; of the pelvis if all joints are."""
     found = torch.zeros_like(missing)
     found[..., 0] = missing.all(-1)
     for joint in range(1, len(JOINTS)):
@@ -202,7 +202,7 @@ def with_seen_rotations(
     known: Float[Tensor, "time 22 3 3"],
     seen: Bool[Tensor, "time 22"],
 ) -> Float[Tensor, "hypotheses time 22 3 3"]:
-    """Proposed rotations R, brought to those that are known, K, without a jump between them.
+    """Proposed rotations R, equal to known ones K where seen, and blended to them in between.
 
     The result is R exp(δ), with δ = log(Rᵀ K) where a rotation is seen, and interpolated
     elsewhere; so it is K where that is known.
@@ -213,7 +213,7 @@ def with_seen_rotations(
 def between_seen(
     away: Float[Tensor, "hypotheses time joints n"], seen: Bool[Tensor, "time joints"]
 ) -> Float[Tensor, "hypotheses time joints n"]:
-    """Vectors where they are seen, elsewhere interpolated linearly in time between these.
+    """Vectors kept where they are seen, and elsewhere interpolated linearly over time.
 
     They are constant beyond the first and the last, and zero where they are never seen.
     """

@@ -57,7 +57,7 @@ class LookAtPoints:
 
     @classmethod
     def load(cls, weights: str | Path = "open", body: BodyModel | None = None) -> "LookAtPoints":
-        """With its trained weights, or those of a file of `python -m training look`."""
+        """Load the bundled weights, or those of a file by `python -m training look`."""
         del body
         return cls(load_network(weights))
 
@@ -144,10 +144,10 @@ def seen_points(
             "leave the method out to fit them, or give such points alone"
         )
     if not any(bool(one.shown.any()) for one in named):
-        raise ObservationError("the method look: no point is visible at any time; nothing to see")
+        raise ObservationError("the method look: expected visible points, but none is visible")
     start = min(one.start_time for one in named)
     stop = max(one.start_time + (one.moments - 1) / one.fps for one in named)
-    # both ends are included, so that the rate may be a little above 30 Hz
+    # both ends of the clip get a frame, so the rate may be slightly above 30 Hz
     steps = math.ceil((stop - start) * REFERENCE_FPS - 1e-3)
     fps = steps / (stop - start) if steps > 0 else REFERENCE_FPS
     times = start + torch.arange(steps + 1, dtype=torch.float64) / fps
@@ -266,7 +266,7 @@ class _Placement:
         pelvis: Float[Tensor, "time 3"],
         shape: Float[Tensor, " shape"],
     ) -> Float[Tensor, "time 3"]:
-        """The path of the pelvis, shifted by the mean distance of points near in time."""
+        """The path of the pelvis, shifted by the mean residual of points near in time."""
         found = self.points_on_bodies(rotations, pelvis, self.body.rest_joints(shape)[None])[0]
         away = self.seen.positions[0] - found
         weight = _robust_weights(away, self.seen.visible[0])

@@ -207,7 +207,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """The density of motions that stands for this prior beside data of this noise, metres.
+        """A Gaussian density in place of this prior, beside data with this noise in metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share `_TRUST` of it is believed.
@@ -368,7 +368,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
 @dataclass(frozen=True)
 class _Scales(TensorStruct):
-    """Scale of every variable: radians, metres, ... per unit."""
+    """The scale of each kind of variable: radians, metres, ... per unit."""
 
     translation: Float[Tensor, ""]
     root: Float[Tensor, "3 3"]

@@ -60,7 +60,7 @@ def toml_cameras(path: Path) -> dict[str, CameraFields]:
 
 
 def camera_table(name: str, camera: CameraArrays) -> str:
-    """A still camera as a table of TOML, as Pose2Sim writes it and `--camera` reads it.
+    """TOML table of a fixed camera, as Pose2Sim writes it and `--camera` reads it.
 
     Without a pose it has neither rotation nor translation.
     """
@@ -134,7 +134,7 @@ def load_cameras(
     if len(parts) == 0:
         raise FormatError(f"{path}: expected at least one camera, found none")
     cameras = {name: checked_camera(part, image_size, path) for name, part in parts.items()}
-    chosen, reason = _settle_unit(cameras, unit, path)
+    chosen, reason = _decided_unit(cameras, unit, path)
     turned = {
         name: _in_metres_z_up(camera, METRES[chosen], up or "z")
         for name, camera in cameras.items()
@@ -204,7 +204,7 @@ def _read_npz(path: Path) -> CameraFields:
     )  # fmt: skip
 
 
-def _settle_unit(
+def _decided_unit(
     cameras: Mapping[str, CameraArrays], unit: CameraUnit | None, path: Path
 ) -> tuple[CameraUnit, str]:
     if unit is not None:

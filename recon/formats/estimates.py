@@ -109,7 +109,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     if not known.any():
         raise FormatError(f"{path}: no frame of the person holds finite numbers")
     limits.POSITION.check(translation[known], path, "translation")
-    rotations, translation, known = _on_clock(path, arrays, rotations, translation, known)
+    rotations, translation, known = _held_at_every_frame(
+        path, arrays, rotations, translation, known
+    )
     axis = _up_axis_of(path, rotations[known], up, notes)
     betas = next((_numbers(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
     known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
@@ -155,7 +157,7 @@ def _read_tree(path: Path) -> Tree:
 
 
 def _by_person(tree: Tree) -> Tree:
-    """Regroup PHALP's records (4D-Humans), kept by image, by person; others stay as they are."""
+    """Regroup the records of PHALP (4D-Humans) from images to people; leave other files alone."""
     images = list(tree.values())
     if not images or not all(
         isinstance(one, dict) and {"tid", "smpl"} <= set(one) for one in images
@@ -278,14 +280,14 @@ def _numbers(value: Any) -> np.ndarray:
         return np.zeros(0)
 
 
-def _on_clock(
+def _held_at_every_frame(
     path: Path,
     arrays: Tree,
     rotations: np.ndarray,
     translation: np.ndarray,
     finite: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The estimate at even frames; frames without the person repeat the last one."""
+    """Rotations and translations at every frame, held where the person is missing, and a mask."""
     frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:

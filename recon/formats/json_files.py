@@ -137,7 +137,7 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     _JSON_FRAMES.check(len(entries), name)
     if strange := [one for one in entries if not isinstance(one, dict | list | None)]:
         raise FormatError(
-            f"{name}: expected a record or list of each frame, got {strange[0]!r:.40}"
+            f"{name}: expected each frame as an object or a list, got {strange[0]!r:.40}"
         )
     stated = [_stated_number(entry) for entry in entries]
     if all(number is None for number in stated):

@@ -106,7 +106,9 @@ def _read_values(path: Path) -> dict[str, Any]:
     text = decoded_text(read_bytes(path, CALIBRATION))
     starts = [found.start() for found in _KEY.finditer(text)]
     if len(starts) > _MOST_ENTRIES:
-        raise FormatError(f"{path}: expected cameras, got {len(starts)} entries")
+        raise FormatError(
+            f"{path}: expected at most {_MOST_ENTRIES} entries of cameras, got {len(starts)}"
+        )
     values: dict[str, Any] = {}
     for start, stop in zip(starts, [*starts[1:], len(text)], strict=False):
         name, value = _entry(path, text[start:stop])

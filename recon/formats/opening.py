@@ -113,7 +113,7 @@ _SAID = 200
 
 
 def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
-    """Files directly in a folder, by name, but hidden ones, which systems write beside others.
+    """Files directly in a folder, sorted by name, without hidden ones that systems add.
 
     Args:
         folder: that is there.
@@ -152,7 +152,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in names}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
-            raise FormatError(f"no arrays: {', '.join(foreign)}")
+            raise FormatError(f"{', '.join(foreign)} are not arrays")
         return arrays
     except DAMAGE as error:
         raise FormatError(

@@ -114,12 +114,10 @@ def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
                 raise ValueError(
                     f"{what} is the input {given}, which would be lost; write somewhere else"
                 )
-        # the folder that contains a symbolic link counts, too
+        # a symbolic link lies in two folders: its own and that of its target
         names = (real, Path(os.path.realpath(given.parent)) / given.name)
         if output.is_folder and any(name.is_relative_to(output.real) for name in names):
-            raise ValueError(
-                f"{output.path} holds the input {given}; write to a folder of its own"
-            )
+            raise ValueError(f"{output.path} holds the input {given}; write to another folder")
         if real.is_dir() and output.real.is_relative_to(real) and not output.inside_input:
             raise ValueError(
                 f"{output.path} lies in the input {given}, and would be read as part of it the "

@@ -33,7 +33,7 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
         KEYPOINTS.check(sum(counts), path, "COUNT, fields of a point: ")
         columns = [names.index(axis) for axis in "xyz"]
         if count < 0 or min(counts) < 1 or any(counts[column] != 1 for column in columns):
-            raise FormatError("impossible numbers of points or values")
+            raise FormatError("POINTS or COUNT of its header are impossible numbers")
         keyword = header["DATA"][0]
         if keyword == "ascii":
             points = _values_of_text(body, names, counts, columns, count)
@@ -97,7 +97,9 @@ def _decompressed(body: bytes, expected: int) -> bytes:
     """LZF decompression: runs of literal bytes and references to earlier output."""
     packed, size = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
     if size < expected:
-        raise FormatError(f"{expected} bytes of points are announced, {size} were compressed")
+        raise FormatError(
+            f"its header promises {expected} bytes of points, but {size} were compressed"
+        )
     source, out, place = body[8 : 8 + packed], bytearray(), 0
     if len(source) != packed:
         raise FormatError("the compressed data is cut off")
@@ -120,5 +122,5 @@ def _decompressed(body: bytes, expected: int) -> bytes:
         pattern = out[back : back + length + 2]
         out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:
-        raise FormatError(f"{size} bytes were compressed, {len(out)} came back")
+        raise FormatError(f"expected {size} bytes after decompression, got {len(out)}")
     return bytes(out)

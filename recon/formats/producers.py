@@ -276,7 +276,7 @@ PRODUCERS = (
 def producer_of(path: Path) -> Producer | None:
     """The program that wrote a file or folder, by endings and first bytes; None if unknown."""
     if not path.is_dir():
-        return _of_file(path) if path.is_file() else None
+        return _producer_of_file(path) if path.is_file() else None
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
     listed = "\n".join(one.name for one in (*inside, *path.glob("output_data/*"))).encode()
     for one in PRODUCERS:
@@ -285,11 +285,11 @@ def producer_of(path: Path) -> Producer | None:
     endings = Counter(one.suffix.lower() for one in inside if one.is_file()).most_common(1)
     alike = [one for one in inside if endings and one.suffix.lower() == endings[0][0]]
     # the largest file is examined, since a frame without people does not show the format
-    found = _of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
+    found = _producer_of_file(max(alike, key=lambda one: one.stat().st_size)) if alike else None
     return found if found is None or found.folder or len(alike) == len(inside) else None
 
 
-def _of_file(path: Path) -> Producer | None:
+def _producer_of_file(path: Path) -> Producer | None:
     ending, head = Path(path.name.lower().removesuffix(".xz")).suffix, None
     for one in PRODUCERS:
         if ending in one.endings:

@@ -40,7 +40,7 @@ class TimedScans:
     """What was assumed."""
 
 
-def timed(path: Path, files: list[Path]) -> TimedScans:
+def in_time_order(path: Path, files: list[Path]) -> TimedScans:
     """Order scan files by the times in a table, which may name them in any order.
 
     Raises:
@@ -196,7 +196,7 @@ class PointClock:
 def settled_clock(
     frame: Int[np.ndarray, " points"], fps: float, start_time: float, path: Path
 ) -> PointClock:
-    """Renumber the frames of points whose frames are nearly all empty.
+    """Renumber the frames of points if nearly all numbers between the first and last are unused.
 
     Numbers that are close to each other stay as they are. Others are counted from the first one
     and by their greatest common divisor, which changes no time; where that does not help, their

@@ -17,7 +17,7 @@ from recon.formats.opening import existing_file, files_of, load_array
 from recon.formats.pcd import read_pcd
 from recon.formats.producers import SCANS, producer_of
 from recon.formats.replacing import replacing, write_text
-from recon.formats.scan_times import timed
+from recon.formats.scan_times import in_time_order
 from recon.formats.texts import decoded_text, numbers_in, read_bytes, with_decimal_points
 
 _BYTES = {
@@ -177,7 +177,7 @@ def read_scans(
     times = folder / "times.csv"
     decisions: list[str] = []
     if times.exists():
-        clock = timed(times, paths)
+        clock = in_time_order(times, paths)
         paths, frames, fps = clock.files, clock.frames, clock.fps
         start, decisions = clock.start_time, clock.decisions
     elif fps is None:
@@ -266,7 +266,7 @@ def scan_paths(folder: Path) -> list[Path]:
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """Files of a folder that hold a cloud each; tables and arrays only where the first ones do."""
+    """Files of a folder with one cloud each; tables and arrays only if the first hold clouds."""
     kind = producer_of(folder)
     others = kind.endings if kind is not None and kind.holds == SCANS else ()
     found = files_of(folder, CLOUDS) or files_of(folder, others)
@@ -294,13 +294,13 @@ def thinned(
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outlier_deviations is not None:
-        cloud = cloud[~_is_outlier(cloud, outlier_deviations)]
+        cloud = cloud[~_outlier_mask(cloud, outlier_deviations)]
     if len(cloud) <= count:
         return cloud
     return cloud[np.sort(generator.permutation(len(cloud))[:count])]
 
 
-def _is_outlier(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.ndarray:
+def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.ndarray:
     """Mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
@@ -311,7 +311,7 @@ def _is_outlier(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.n
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Read the points of a cloud or mesh; several at zero are pixels that measured nothing.
+    """Read the points of a cloud or mesh, without the zeros of pixels that measured nothing.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
@@ -355,7 +355,7 @@ def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     CLOUD.check(count, path, "lines")
     try:
         if width < 3 or promised not in (None, count) or 2 * width * count > len(text) + 1:
-            raise ValueError(f"{width} numbers in the first of {count} lines")
+            raise ValueError(f"the first of its {count} lines has {width} numbers")
         found = numbers_in(text, width * count).reshape(count, width)[:, :3]
     except ValueError as error:
         raise FormatError(

@@ -35,7 +35,7 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
     try:
         return [row for row in _split(decoded_text(data)) if any(row)]
     except csv.Error as error:
-        raise FormatError(f"{path.name}: expected a table of commas, but {error}") from error
+        raise FormatError(f"{path.name}: expected a comma-separated table, but {error}") from error
 
 
 def _split(text: str) -> list[list[str]]:

@@ -99,7 +99,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     text = decoded_text(read_bytes(path, CALIBRATION))
     if _DEEP_KEY.search(text):
-        raise FormatError(f"{path}: expected plain names, got a key of 20 parts or more")
+        raise FormatError(f"{path}: expected keys of fewer than 20 parts, got a longer one")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

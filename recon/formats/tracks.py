@@ -72,7 +72,7 @@ def read_colmap(path: Path) -> "CameraTrack":
 
 
 def read_tum(path: Path) -> "CameraTrack":
-    """Read lines of a time and a pose (TUM); times are seconds, or frames if all are whole.
+    """Read a TUM file: lines of a time (seconds, or frame number if all are whole) and a pose.
 
     Raises:
         ValueError: when a line has not eight numbers, or times do not rise.

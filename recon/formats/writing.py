@@ -90,7 +90,7 @@ class _StagedOutput:
         return self.folder / self.output.report.relative_to(self.output.real.parent)
 
     def files(self) -> dict[str, Path]:
-        """Checksums of the written files, by their names in the report."""
+        """Temporary paths of the written files, keyed by their names in the report."""
         found = [self.path]
         if self.output.is_folder:
             found = [path for path in sorted(self.path.rglob("*")) if path.is_file()]

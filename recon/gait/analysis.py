@@ -77,7 +77,7 @@ class GaitCycle:
 
 
 def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCycle, ...]:
-    """All complete cycles in the order of their strikes.
+    """All complete cycles of gait in the order of their foot strikes.
 
     Args:
         feet: of one clip.

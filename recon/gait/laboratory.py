@@ -164,7 +164,7 @@ class LaboratoryReport:
 
 
 def outputs_of(page: Path) -> tuple[Output, Output]:
-    """The page, and the table next to it with the ending .csv, as outputs."""
+    """The two outputs of a report: the page, and next to it the table with the ending .csv."""
     return Output(page), Output(page.with_suffix(".csv"))
 
 

@@ -18,7 +18,7 @@ from recon.gait.feet import SIDES
 
 @dataclass(frozen=True)
 class PointResiduals:
-    """Residuals of one sensor by point, in its unit."""
+    """Residuals of each point of one sensor, in the sensor's unit."""
 
     name: str
     """The observation, as its report names it."""

@@ -121,7 +121,7 @@ def _laboratory_report(
 
 
 def _messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
-    """Messages of findings of one kind, without residuals, which are drawn."""
+    """Messages of all findings of one kind, except residuals, which have plots."""
     return [
         str(one["message"])
         for one in said.get(kind, ())

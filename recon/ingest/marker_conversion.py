@@ -141,7 +141,7 @@ def fitted_markers(
 
 
 def _refuse_unusual_places(recording: MarkerRecording, markers: MarkerSet, fit: MarkerFit) -> None:
-    """Refuse markers that were guessed to be others, and so lie far beside their places."""
+    """Refuse a guess of markers' names if the markers lie far from these names' usual places."""
     seen = torch.from_numpy(recording.visible).any(0)
     beside = float((fit.offsets - markers.nominal)[seen].norm(dim=-1).mean())
     astray = mean_residual(fit, recording)

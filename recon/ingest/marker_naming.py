@@ -55,13 +55,13 @@ class Naming:
         self._sum, self._count = np.zeros(shape), np.zeros(shape[0])
 
     def run(self) -> None:
-        """Find the body, follow it, fit it, and name the tracks; no track where there is none."""
+        """Find the body, follow and fit it, and name the tracks; without a body none is named."""
         found, at = self._beginning()
         if found.cost > _NOWHERE:
             return
         unknown, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
-        if unknown > _SURE:  # the person's shape and offsets, by the frames about the first
+        if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow(found, at, near)
             self._settle()
@@ -73,7 +73,7 @@ class Naming:
         self._follow(found, at, every)
         self._settle()
         if unknown > _SURE:
-            for _ in range(_ROUNDS):  # tables are right about places, not about offsets
+            for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 body = self._calibrated(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
@@ -83,11 +83,11 @@ class Naming:
         self._settle()
 
     def _beginning(self) -> tuple[FoundBody, int]:
-        """The body in the frame that it fits best, of some that show most points."""
+        """The body in the key frame that it fits best, and the number of this frame."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         found: list[tuple[FoundBody, int]] = []
-        for effort in (1, 3):  # unusual poses take longer
+        for effort in (1, 3):  # unusual poses need a longer search
             for part in parts:
                 at = int(part[counts[part].argmax()])
                 found.append((found_body(self._points(at)[0], self.bodies, effort), at))
@@ -105,14 +105,14 @@ class Naming:
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
     def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
-        """Carry the body from a key frame to others about it, and note what it says of tracks."""
+        """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
         for order in (keys[keys >= at], keys[keys < at][::-1]):
             pose = found.pose
             for k in order.tolist():
                 points, tracks = self._points(k)
-                if k != at:  # first by the tracks that are known, then by all
+                if k != at:  # pose by the tracks named so far, before new ones are named
                     pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
                 said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
                 held = self._assigned(self._mean(tracks) + said)
@@ -135,7 +135,7 @@ class Naming:
         return body.calibrated(x[some], seen[some], poses)
 
     def _mean(self, tracks: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points markers"]:
-        """What is known of tracks: mean log odds, weighted by their length."""
+        """Mean log odds of every marker for some tracks, weighted by the tracks' lengths."""
         count = self._count[tracks][:, None]
         return self._sum[tracks] / np.maximum(count, 1) * np.minimum(count, _WEIGHT)
 
@@ -194,7 +194,7 @@ class Naming:
         return x, seen
 
     def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
-        """Pose the body by the named markers, and note anew what another says of all tracks."""
+        """Pose one body by the named markers, and sum anew the log odds of tracks by another."""
         from scipy.interpolate import CubicSpline
 
         x, seen = self.named(self.keys)
@@ -214,7 +214,7 @@ class Naming:
             self._count[mine] += 1
 
     def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frames and tracks at which tracks are compared: some of every track."""
+        """Frames and tracks for comparing tracks: a sample of the frames of every track."""
         frames, numbers = list[np.ndarray](), list[np.ndarray]()
         for track, own in enumerate(self._frames_of_tracks()):
             pick = own[np.unique(np.linspace(0, len(own) - 1, int(_WEIGHT)).astype(int))]
@@ -226,7 +226,7 @@ class Naming:
 def _posed(
     body: MarkedBody, pose: Poses, points: np.ndarray, marker: Int[np.ndarray, " points"]
 ) -> Poses:
-    """The pose fitted to some points that are markers, from another pose."""
+    """Fit a pose to the points that are assigned to markers, starting from another pose."""
     held = np.flatnonzero(marker >= 0)
     if len(held) < 4:
         return pose
@@ -240,6 +240,6 @@ def _posed(
 def _log_odds(
     away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
-    """Logarithm of how much likelier points are where markers should be than in a cubic metre."""
+    """Log odds of every point being every marker, against lying anywhere in a cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)
     return np.maximum(near, _LEAST)

@@ -30,7 +30,7 @@ _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
 @dataclass(frozen=True)
 class FoundBody:
-    """A body among points."""
+    """A body that was found among points without names."""
 
     body: MarkedBody
     pose: Poses
@@ -99,7 +99,7 @@ def found_body(
 def _one_body(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, "some 3"], Bool[np.ndarray, " points"]]:
-    """The largest group of points apart from all others, and which they are."""
+    """The largest group of points that is apart from all others, and a mask of it."""
     from scipy.cluster.hierarchy import fclusterdata
 
     group = fclusterdata(points, _APART, "distance") if len(points) > 1 else np.ones(len(points))

@@ -35,7 +35,7 @@ def tracks_of(
 def _velocities(
     x: Float[np.ndarray, "time points 3"], visible: Bool[np.ndarray, "time points"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps to every point from the frame before, and from it to the next; 0 where unknown."""
+    """Displacements of points since the previous frame and to the next; 0 where unknown."""
     steps = np.where((visible[1:] & visible[:-1])[..., None], np.diff(x, axis=0), 0.0)
     none = np.zeros_like(x[:1])
     return np.concatenate((none, steps)), np.concatenate((steps, none))
@@ -49,7 +49,7 @@ def _linked(
     velocity: Float[np.ndarray, "time points 3"],
     reach: float,
 ) -> Int[np.ndarray, "time points"]:
-    """The tracks, with those joined of which one ends where another begins in the next frame."""
+    """Join a track that ends to one that begins near its expected place in the next frame."""
     from scipy.optimize import linear_sum_assignment
 
     former = np.arange(track.max() + 1)

@@ -27,7 +27,7 @@ _TABLES = (".toml", ".json")
 def placed_markers(
     recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
 ) -> tuple[MarkerRecording, MarkerSet]:
-    """A recording and its markers whose places on the body are known by their labels, or found.
+    """A recording, and its markers whose places on the body are known by labels or were found.
 
     In a recording without names, the body is found among the points and followed. A track gets
     the place of a marker, which the fit then moves over the skin; doubtful ones are left out.
@@ -76,7 +76,7 @@ def marker_recording(
 def body_like(
     trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
 ) -> MarkedBody:
-    """The body with its markers of a trial in which they have names.
+    """The body of a trial in which markers have names, with these markers on it.
 
     Raises:
         ReconError: when fewer than ten have one.
@@ -97,7 +97,7 @@ def named_tracks(
     bodies: list[MarkedBody],
     like: str,
 ) -> Naming:
-    """The tracks of some points of a recording, named by the body of those given that fits.
+    """Name the tracks of some points of a recording, by that of several bodies which fits.
 
     Args:
         seen: the recording.

@@ -82,7 +82,7 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     image = [_people(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
-        known = [  # people are followed in the image: world landmarks have the hips at the origin
+        known = [  # match people in the image, as all world landmarks have the hips at the origin
             [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
             for a, b in zip(found, image, strict=True)
         ]

@@ -48,7 +48,7 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 
 
 def hands_apart(points: Points3D) -> tuple[Points3D, Points3D | None]:
-    """The points without those of hands, and 42 points of hands (NaN: missing; None: no hands)."""
+    """Split points into the body's and 42 of hands (NaN where missing; None without hands)."""
     meant = [_point_of_hand(name) for name in points.names]
     rows = {one: k for k, one in enumerate(meant) if one is not None and one not in meant[:k]}
     if len(rows) < _FEWEST:

@@ -75,7 +75,9 @@ def read_sam3d_body(path: Path, person: int | None = None) -> Points3D:
     within = 2 * sum(added) > len(added)
     placed = [[_in_camera_frame(one, path, within) for one in people] for people in frames]
     middle = float(np.median([_depth_of_hips(one) for people in placed for one in people]))
-    tracks = tracks_of_people([[_in_image(one, middle) for one in people] for people in placed])
+    tracks = tracks_of_people(
+        [[_matching_coordinates(one, middle) for one in people] for people in placed]
+    )
     counts = [len(one) for one in tracks]
     chosen, several = chosen_person(counts, len(frames), person, path.name)
     seen = tracks[chosen]
@@ -101,8 +103,8 @@ def _depth_of_hips(points: np.ndarray) -> float:
     return float(points[_HIPS, 2].mean())
 
 
-def _in_image(points: np.ndarray, middle: float) -> np.ndarray:
-    """Points on the image plane at one depth, in metres; differences in depth count little."""
+def _matching_coordinates(points: np.ndarray, middle: float) -> np.ndarray:
+    """Coordinates for matching people: metres in a plane of one depth, and a reduced depth."""
     rays = points[:, :2] / points[:, 2:]
     return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
 
@@ -241,7 +243,7 @@ def _people_by_frame(path: Path) -> list[list[Any]]:
     if path.is_dir():
         return list(_people_in_folder(path))
     if path.suffix.lower() == ".npz":
-        return _stacked(_arrays(path), path)
+        return _people_of_arrays(_arrays(path), path)
     with path.open("rb") as file:
         content = read_pickle(file, path)
     if isinstance(content, np.ndarray):
@@ -270,8 +272,8 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         raise FormatError(f"{path}: cannot be read ({error!s:.200})") from error
 
 
-def _stacked(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
-    """Split arrays with leading axes (), (frames) or (frames, people) into people of frames.
+def _people_of_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> list[list[Any]]:
+    """Split arrays with leading axes (), (frames) or (frames, people) into a list per frame.
 
     Somebody whose points are NaN or zero was not found.
     """
@@ -308,7 +310,7 @@ def _people_in_folder(folder: Path) -> Iterator[list[Any]]:
     FRAMES.check(last - first + 1, folder)
     at: dict[int, list[Any]] = {}
     for file, number in zip(files, numbers, strict=True):
-        for people in _stacked(_arrays(file), file):
+        for people in _people_of_arrays(_arrays(file), file):
             at.setdefault(number[frame], []).extend(people)
     for k in range(first, last + 1):
         yield at.get(k, [])

@@ -43,7 +43,7 @@ class _Axes:
     def bones(
         self, estimate: LiveEstimate
     ) -> tuple[Float[np.ndarray, "22 3"], Float[np.ndarray, "22 4"]]:
-        """Positions (metres) and quaternions (x, y, z, w) to the parent; of the root, world."""
+        """Positions (m) and quaternions (x, y, z, w) of bones in parents, root in the world."""
         local = estimate.rotations.double().numpy()
         joints = estimate.joints.double().numpy()
         turned = local.copy()
@@ -69,7 +69,7 @@ _UNREAL = _Axes(
 
 
 class Link(AbstractContextManager[Any]):
-    """A UDP socket that estimates are sent by; it tells once what hinders packets, and goes on."""
+    """Sends estimates by UDP; reports each cause of lost packets once, and goes on."""
 
     def __init__(self, address: str, complain: Callable[[str], Any]) -> None:
         host, port = _host_and_port(address)
@@ -105,7 +105,7 @@ class Link(AbstractContextManager[Any]):
             try:
                 self._socket.send(packet)
             except ConnectionRefusedError as error:
-                # that is said of the packet before; this one was not sent yet
+                # the error is about the previous packet; the present one was not sent yet
                 self._tell(error, "nobody listens there yet; packets are sent all the same")
                 self._socket.send(packet)
         except ConnectionRefusedError:
@@ -146,7 +146,7 @@ class VmcLink(Link):
         ).OscMessageBuilder
 
         def head(address: str, *values: str | int | float) -> bytes:
-            """A message without its floats, which are the last 4 bytes each."""
+            """The bytes of a message without those of its floats, 4 each at its end."""
             message = builder(f"/VMC/Ext/{address}")
             for value in values:
                 message.add_arg(value)
@@ -158,7 +158,7 @@ class VmcLink(Link):
         self._time = head("T", 0.0)
         pose = [0.0] * 7
         self._root = head("Root/Pos", "root", *pose) + _floats([*pose[1:], 1.0])
-        # VRM's names of these bones are Unity's, but for capitals
+        # VRM names these bones as Unity does, except for the capital first letter
         vrm = renamed(JOINTS, "vrm")
         self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
 
@@ -174,7 +174,7 @@ class VmcLink(Link):
             self._send_bundles([tracked, self._time + _floats([one.time]), self._root, *bones])
 
     def _send_bundles(self, messages: Sequence[bytes]) -> None:
-        """Send messages in as few bundles, to be acted on at once, as fit into packets."""
+        """Send messages in as few bundles as possible; a bundle fits into one packet."""
         bundle = head = b"#bundle\0" + bytes(7) + b"\1"
         for message in messages:
             if len(bundle) + len(message) > _BUNDLE_BYTES:
@@ -256,7 +256,7 @@ def _host_and_port(address: str) -> tuple[str, int]:
         parts = urlsplit(f"//{text}")
         host, port = parts.hostname, parts.port
         plain = parts.netloc == text and "@" not in text
-    except ValueError:  # its port is no number up to 65535
+    except ValueError:  # the port is not a number from 0 to 65535
         host = port = plain = None
     if not (host and port and plain):
         raise ReconError(

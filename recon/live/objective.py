@@ -46,7 +46,7 @@ class Window(TensorStruct):
         rotations: Float[Tensor, "time 22 3 3"],
         density: PoseDensity,
     ) -> "Window":
-        """The variables of a motion; exact."""
+        """The variables that encode a motion exactly."""
         return cls(translation, rotations[:, 0], density.coordinates(rotations[:, 1:]))
 
     @property
@@ -112,7 +112,7 @@ class StepEnergies(Protocol):
 
 @dataclass(frozen=True)
 class Equations:
-    """Second-order model of a window's energies about where it is.
+    """Second-order model of a window's energies about its present variables.
 
     E + gᵀ dx + hᵀ db + ½ (dxᵀ A dx + 2 dxᵀ G db + dbᵀ C db), with dx the steps of the active
     frames and db that of the shape.
@@ -161,7 +161,7 @@ class Objective:
 
     @property
     def rate(self) -> float:
-        """Multiplier of sums over frames, which weights take at 30 Hz."""
+        """Factor that scales sums over frames to 30 Hz, the rate that weights are for."""
         return REFERENCE_FPS / self.fps
 
     @property

@@ -90,7 +90,7 @@ class Stream:
         )
         self._tracking: Tracking | PreviewTracking | None = None
         self._last: float | None = None
-        self._follows_one = False  # whether one moment alone set the clock
+        self._follows_one = False  # whether only one moment was pushed, which set the clock
         self._other_clock: float | None = None
         self._given: float | None = None
         self._findings: list[Finding] = []
@@ -156,7 +156,7 @@ class Stream:
             raise
         except Exception as error:  # after bad input the stream continues with the next moment
             raise ObservationError(
-                f"these are no data of the sensors so far: {error!s:.300}"
+                f"the data do not fit the sensors of this stream: {error!s:.300}"
             ) from error
         self._sensors = sensors
         if last is None:
@@ -167,8 +167,8 @@ class Stream:
             steps = math.floor((moment.time - last) * sensors.fps + 0.5)
         self._other_clock = None
         if steps < 1 and self._follows_one:
-            # of two moments in the wrong order, the stamp of either may be wrong; what comes next
-            # would all be late if it were the first one's
+            # either of the two times may be wrong; if the first one is, all later moments would
+            # count as late: so begin again with the second
             self._end_tracking()
             self._add_finding(
                 "frame order",
@@ -217,7 +217,7 @@ class Stream:
     def _after_clock_jump(
         self, moment: Moment, last: float, sensors: StreamSensors
     ) -> LiveEstimate | None:
-        """A moment far from the last; one alone is taken for an error of its clock."""
+        """Handle a moment far from the last; a single one is taken for an error of its clock."""
         other = self._other_clock
         self._other_clock = moment.time
         if other is None or abs(moment.time - other) > GONE_S:

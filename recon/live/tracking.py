@@ -76,7 +76,7 @@ _LEARNED = 300
 
 @dataclass
 class TrackedPerson:
-    """What is known of a person in a stream before anything of a window is."""
+    """What a stream knows of a person before the first window is fitted."""
 
     sensors: StreamSensors
     lag: int
@@ -132,7 +132,7 @@ class Tracking(TrackedPerson):
             self._extend(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        # under the pose prior the energy is evaluated quickly, and unchecked steps may be too long
+        # the pose prior's energy is cheap to check, and its unchecked steps may be too long
         self.smoothed = self._now.refined(1) if self.prior is None else self._now.stepped()
         return self._final_estimates(self.lag)
 

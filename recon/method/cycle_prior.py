@@ -1,4 +1,4 @@
-"""A prior of whole cycles of gait, whose beginnings are searched."""
+"""The base class of priors that encode a whole cycle of gait as one latent code."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ from recon.method.terms import Term
 
 
 class CyclePrior(Prior[S]):
-    """A prior of whole cycles of gait, each of which is one code; beginnings are searched."""
+    """A prior of whole cycles of gait, one latent code each, fitted from many first guesses."""
 
     completes: ClassVar[bool] = True
 
@@ -25,7 +25,7 @@ class CyclePrior(Prior[S]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages from a cycle that is roughly right."""
+        """Stages that refine a cycle of gait which is roughly right."""
         del body, method
         return (*self.coded(data, noise), *self.details(data, noise))
 
@@ -41,7 +41,7 @@ class CyclePrior(Prior[S]):
 
     @abstractmethod
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
-        """The path of the pelvis in each typical cycle, at even moments, metres."""
+        """The path of the pelvis in each typical cycle, at evenly spaced moments, metres."""
 
     @abstractmethod
     def variables(
@@ -61,7 +61,7 @@ class CyclePrior(Prior[S]):
 
     @abstractmethod
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages from a cycle that is roughly right to the best of the prior's."""
+        """Stages that find the best latent code, starting from a cycle that is roughly right."""
 
     @abstractmethod
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:

@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 
 if TYPE_CHECKING:
     from recon.method.sensor import Sensor
-else:  # not imported when run: sensors need nothing of this module
+else:  # imported for type checkers only: sensors need nothing of this module
     from typing import Any as Sensor
 
 

@@ -162,7 +162,7 @@ _Clock = tuple[float, float, int]
 def _neighbouring_frames(
     sensor: _Clock, motion: _Clock, device: torch.device, dtype: torch.dtype
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"], bool]:
-    """The frames of a motion beside the moments of a sensor that lie within it.
+    """The frames of a motion between which the moments of a sensor lie.
 
     Computed once on the host, as a GPU would have to wait for their number.
 

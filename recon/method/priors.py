@@ -132,7 +132,7 @@ class Prior(ABC, Generic[S]):
         )
 
     def belief(self, noise: float) -> Density | None:
-        """The density of motions that stands for this prior beside data of this noise, metres.
+        """A Gaussian density in place of this prior, beside data with this noise in metres.
 
         Standard deviations of a fit follow from it; None, the usual answer, gives none.
         """
@@ -148,7 +148,7 @@ class Prior(ABC, Generic[S]):
         return None
 
     def from_steps(self, variables: S, steps: Float[Tensor, "clips time 69"]) -> S:
-        """The given variables, which are steps of zero, after these steps."""
+        """The variables after steps; the given variables stand for steps of zero."""
         raise NotImplementedError(
             f"{type(self).__name__} has a reach above 0, so it must define from_steps"
         )
@@ -191,7 +191,7 @@ def trait(kind: object, name: str) -> bool:
 
 
 def as_prior(given: PriorLike) -> Prior[Any]:
-    """A prior, or an object of version 0.2's form as one."""
+    """The prior itself, or a wrapper of a prior in the form of version 0.2."""
     if not isinstance(given, Prior):
         return _FormerPrior(given)
     try:

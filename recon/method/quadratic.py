@@ -77,7 +77,7 @@ class ClipModel:
         return self.estimate.body.model
 
     def hessian(self) -> Banded:
-        """The sum of all parts; to be called once."""
+        """The Hessian, the sum of all added parts; to be called once."""
         moved, shaped = self.jacobians_by_steps(CarriedPoints.joints(self.body, self.motion.shape))
         self.part.add_products(self.joints, moved.flatten(1, 2), shaped.flatten(1, 2))
         return self.part

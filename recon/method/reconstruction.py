@@ -28,7 +28,7 @@ _SLACK = 1e-3
 
 
 def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
-    """The start with all shape coefficients of the body, in its precision and on its device.
+    """The first motion, checked, with all shape coefficients and the body's dtype and device.
 
     It covers the time of at least one observation, at any rate; shape coefficients that are
     missing at the end are zero.
@@ -264,7 +264,7 @@ def reconstruct(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """A reconstruction from arguments that are known to fit each other; see `solve`."""
+    """Reconstruct from arguments that are known to fit each other; see `solve`."""
     if start is None:
         with torch.no_grad():
             start = observations[0].start(body)

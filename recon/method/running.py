@@ -108,7 +108,7 @@ class Hypotheses(Generic[S]):
         )
 
     def of(self, stage: Stage[S]) -> Stage[S]:
-        """The stage with the data of the clip of every row."""
+        """The stage with the data of each row's clip."""
         return stage if self.clip is None else stage.rows(self.clip)
 
     def estimate(self, body: BodyModel) -> Estimate:
@@ -181,7 +181,7 @@ def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> 
 def _solved(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
-    """The result of a stage, and its report."""
+    """The unknowns after a stage, and the solver's report."""
     if not stage.matches:
         return _minimised(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _ITERATION_SHARE)

@@ -98,7 +98,7 @@ class Sensor(TensorStruct):
     def expected(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """Predicted values, frame of the recording, and which frames of the data they are for."""
+        """Predicted values in the recording's frame, and the frames of data that they are for."""
         values = self.predicted(estimate)
         if self.vectors == "points":
             values = estimate.scene.to_recording(values)
@@ -197,17 +197,17 @@ class Sensor(TensorStruct):
 
     @property
     def named(self) -> TrackedPoints | None:
-        """The sensor, if it measures named points in space."""
+        """The sensor if it measures named points in space, else None."""
         return self._self_if_seeing("points")
 
     @property
     def view(self) -> Keypoints2D | None:
-        """The sensor, if it measures named points in the image of a camera."""
+        """The sensor if it measures named points in the image of a camera, else None."""
         return self._self_if_seeing("image")
 
     @property
     def cloud(self) -> PointCloud | None:
-        """The sensor, if it measures points anywhere on the surface."""
+        """The sensor if it measures points anywhere on the surface, else None."""
         return self._self_if_seeing("surface")
 
     def _self_if_seeing(self, what: str) -> Any:

@@ -42,7 +42,7 @@ class PriorEnergy:
     name: str
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """The part, as the prior decoded it."""
+        """The named part of -log p, as the prior decoded it."""
         return estimate.decoded.energies[self.name]
 
 
@@ -52,7 +52,7 @@ def prior_energy(name: str) -> PriorEnergy:
 
 
 def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """|betas|² per second of motion at 30 Hz: -2 log p of a unit-variance shape, per frame.
+    """|betas|², -2 log p of a unit-variance shape, times the number of frames at 30 Hz.
 
     HuMoR section 6.5: shape_prior, scaled by the number of frames.
     """
@@ -114,7 +114,7 @@ def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def lens_changed(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ log² of the focal length over the guessed one; without unit."""
+    """½ log² of the ratio of the focal length to the guessed one; without unit."""
     unknown = estimate.scene.lens
     assert unknown is not None, "the focal length is known: leave this term out"
     return 0.5 * (ZOOM * unknown.zoom).square()

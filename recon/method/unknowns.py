@@ -28,7 +28,7 @@ class Unknowns(TensorStruct, Generic[S]):
 
     @classmethod
     def of(cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel) -> "Unknowns[S]":
-        """The unknowns of a motion; both are in the frame of the recording."""
+        """The unknowns of a motion that is given in the frame of the recording."""
         if scene.ground is None or not prior.level:
             return cls(prior.encode(motion), scene)
         T = scene.ground.T_world_recording
@@ -43,7 +43,7 @@ class Unknowns(TensorStruct, Generic[S]):
         return cls.of(prior, _in_recording(motion, scene, body), scene, body)
 
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
-        """The motion of the variables; both are in the frame of the recording."""
+        """The motion of the variables, in the frame of the recording."""
         if self.scene.ground is None or not prior.level:
             return prior.decode(self.variables).motion
         return _in_recording(self.estimate(prior, body).motion, self.scene, body)
@@ -51,7 +51,7 @@ class Unknowns(TensorStruct, Generic[S]):
     def estimate(
         self, prior: Prior[S], body: BodyModel, portion: Callable[[S], S] | None = None
     ) -> Estimate:
-        """The input of energies: the motion in the world, for all or some of the clips."""
+        """The estimate that energies take: the motion in the world, of all or some clips."""
         variables: Any = self.variables
         ground = self.scene.ground
         if ground is not None:
@@ -68,7 +68,7 @@ class Unknowns(TensorStruct, Generic[S]):
 
 
 def _in_recording(motion: Motion, scene: Scene, body: BodyModel) -> Motion:
-    """A motion in the world, in the frame of the recording."""
+    """Transform a motion from the world to the frame of the recording."""
     if scene.ground is None:
         return motion
     T = so3.inverse_rigid(scene.ground.T_world_recording)
@@ -105,7 +105,7 @@ class Layout:
         return cls(tuple(paths), tuple(tensors[path].shape[1:] for path in paths))
 
     def flatten(self, unknowns: Unknowns[Any]) -> Float[Tensor, "batch n"]:
-        """The matrix of a record."""
+        """The optimised tensors of a record as a matrix, a row for each clip."""
         tensors = unknowns.tensors()
         rows = [tensors[path].reshape(len(tensors[path]), -1) for path in self.paths]
         return torch.cat(rows, 1)
@@ -124,7 +124,7 @@ class Layout:
 def rows_of(
     stage: Stage[S], unknowns: Unknowns[S], rows: Int[Tensor, " rows"]
 ) -> tuple[Stage[S], Unknowns[S]]:
-    """The data and unknowns of some clips, in ascending order."""
+    """The stage and the unknowns of some clips only, in ascending order."""
     if len(rows) == len(unknowns.scene.offsets):
         return stage, unknowns
     return stage.rows(rows), unknowns[rows]

@@ -148,7 +148,8 @@ def chamfer(
 
     if len(vertices) == 0 or len(points) == 0:
         raise ValueError(
-            f"expected vertices and points, got {len(vertices)} and {len(points)} of them"
+            "expected at least one vertex and one point, got "
+            f"{len(vertices)} vertices and {len(points)} points"
         )
     to_points = KDTree(points).query(vertices)[0].mean()
     to_vertices = KDTree(vertices).query(points)[0].mean()
@@ -168,7 +169,9 @@ def chamfer_of_clip(motion: Motion, body: BodyModel, scans: PointsFile) -> float
             are in the frame of a camera without pose.
     """
     if scans.camera is not None and scans.camera.T_camera_world is None:
-        raise ValueError("the points are given in the frame of a camera whose pose is unknown")
+        raise ValueError(
+            "expected points in the world, got points in the frame of a camera without a pose"
+        )
     frames, rows = np.unique(scans.frame, return_inverse=True)
     if len(frames) == 0:
         raise ValueError("expected scans with points, got none")

@@ -234,7 +234,7 @@ def _penetration_metrics(name: str, predicted: Tensor, truth: Tensor) -> dict[st
 
 
 def _toe_heights(posed: PosedBody) -> Tensor:
-    """Height of the toe joints less their height over the sole at rest, metres."""
+    """Height of the toe joints above their height on a flat standing foot, metres."""
     toes = list(TOES)
     return posed.joints[:, toes, 2] - rest_heights(posed.model, posed.shape)[toes]
 

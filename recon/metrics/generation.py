@@ -69,7 +69,7 @@ def stays_on_ground(
     rest_height: Float[Tensor, "*#batch 22"],
     fps: float,
 ) -> Bool[Tensor, "*batch"]:
-    """Whether the lower foot is within 8 cm of the ground, except above it during jumps.
+    """Whether the lower foot stays within 8 cm of the ground; it may be higher during jumps.
 
     Eight centimetres is the reach of a contact (`recon.body.contacts`), a jump 0.7 s.
     """

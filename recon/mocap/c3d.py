@@ -90,7 +90,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         else:
             raw = _markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
-        # an offset beyond the end of the file
+        # the file states an offset beyond its end
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
     point = groups.get("POINT", {})
     hint = " ".join(texts(point, "Y_SCREEN")).lower().lstrip("+") if header.points else "z"
@@ -148,7 +148,7 @@ def _markers(
 def chosen_points(
     header: Header, groups: Mapping[str, _Parameters]
 ) -> tuple[list[str], list[int]]:
-    """Names of all points, and which of them are no angles, forces and such."""
+    """Names of all points, and indices of those that are positions, not angles or forces."""
     names = _labels(point := groups.get("POINT", {}), header.points)
     outputs = {label for key in _OUTPUTS for label in texts(point, key)}
     return names, [k for k, name in enumerate(names) if name not in outputs]

@@ -108,23 +108,23 @@ class _Plate:
 def _wrench(
     analog: AnalogChannels, k: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
 ) -> Float[np.ndarray, "time 9"]:
-    """Force and moment about a plate's origin in its own axes, and what the surface adds; N, N m.
+    """Force, moment about the plate's origin and the moment's change at the surface; N, N m.
 
     Raises:
         FormatError: when its type or channels are not known.
     """
     if kind not in _CHANNELS:
-        raise FormatError(f"it is of type {kind}, and types 1 to 4 are read")
+        raise FormatError(f"expected a plate of type 1 to 4, got type {kind}")
     plates = len(analog.numbers("FORCE_PLATFORM", "TYPE", -1))
     channels = analog.numbers("FORCE_PLATFORM", "CHANNEL", plates, -1).astype(int) - 1
     rows = channels[k, : _CHANNELS[kind]] if len(channels) > k else np.zeros(0, int)
     if len(rows) < _CHANNELS[kind] or not 0 <= rows.min() <= rows.max() < analog.values.shape[-1]:
-        raise FormatError("its channels are not in the file")
+        raise FormatError("the file lacks the plate's channels")
     values = _frame_means(analog, rows)
     words = [word.lower() for word in analog.texts("ANALOG", "UNITS")]
     last = words[rows[-1]] if len(words) > rows[-1] else ""
     lever = 1e-3 if "mm" in last else 1.0 if "m" in last and "v" not in last else metres
-    # the surface as seen from the origin, which lies below it; some files turn the signs
+    # vector from the plate's origin up to its surface; some files store it with opposite signs
     surface = -origin if origin[2] > 0 else origin
     if kind == 4:
         matrix = analog.numbers("FORCE_PLATFORM", "CAL_MATRIX", -1, 6, 6)
@@ -148,7 +148,7 @@ def _wrench(
 
 
 def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, "time channels"]:
-    """Means about the time of every frame of some channels, less what they show unloaded.
+    """Mean signals of some channels around every frame, minus their values without load.
 
     FORCE_PLATFORM:ZERO names the samples of an empty plate, from 1; 0 is none.
     """
@@ -168,7 +168,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
 def _plate(
     wrench: Float[np.ndarray, "time 9"], corners: Float[np.ndarray, "4 3"]
 ) -> tuple[_Plate, list[str]]:
-    """A plate with its loads, and what was put right: signs, and the unit of moments.
+    """A plate with its loads, and notes on corrected signs and units of moments.
 
     Raises:
         FormatError: when its corners are no rectangle, or the centre of pressure is beside it.
@@ -178,7 +178,7 @@ def _plate(
     size = np.abs(corners).max()
     flat = size < 1e3 and min(sides) > 0.05 and abs(x @ y) < 0.05 * sides[0] * sides[1]
     if not flat:
-        raise FormatError("its corners are no rectangle")
+        raise FormatError("the plate's corners are no rectangle")
     z = np.cross(x, y)
     axes = np.stack((x, np.cross(z, x), z), -1)
     axes /= np.linalg.norm(axes, axis=0)
@@ -201,7 +201,9 @@ def _plate(
     near = {factor: (np.abs(p[loaded]) < edges).all(-1) for factor, p in places.items()}
     right = [factor for factor, on in near.items() if not loaded.any() or on.mean() > INSIDE]
     if not right:
-        raise FormatError("the centre of pressure lies beside it: check its channels and corners")
+        raise FormatError(
+            "the centre of pressure lies beside the plate: check the plate's channels and corners"
+        )
     factor = right[0]
     if _MOMENT_UNITS[factor]:
         notes.append(f"its moments are in {_MOMENT_UNITS[factor]}, whatever the file says")

@@ -110,7 +110,7 @@ def read_member(
         return parse_bvh(text, name, unit=unit, up=up)
     some = ", ".join([*list(seen)[:3], "..."] if seen else ["none"])
     raise FormatError(
-        f"{path}: expected BVH files, one of them chosen as {path.name}::NAME; it holds {some}"
+        f"{path}: expected BVH files, one of which is chosen as {path.name}::NAME; it holds {some}"
     )
 
 

@@ -114,7 +114,7 @@ class MarkerRecording:
         )
 
     def evenly_spread(self, count: int) -> "MarkerRecording":
-        """At most so many frames, evenly spread; their times do not count."""
+        """At most `count` evenly spread frames of the recording; their times mean nothing."""
         index = np.unique(np.linspace(0, self.frames - 1, count).round().astype(int))
         return dataclasses.replace(
             self, positions=self.positions[index], visible=self.visible[index]

@@ -79,7 +79,7 @@ class _SingleFit:
         )
 
     def zoomed(self, focal: float) -> Float[np.ndarray, "places 3"]:
-        """The places for another focal length: farther along the viewing axis, as it is longer."""
+        """The places for another focal length: a longer one moves them along the viewing axis."""
         return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
 
 

@@ -54,7 +54,7 @@ class People:
         return {"people": self.summary()}
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Seconds of the recording's clock, height, and median residuals, by file."""
+        """Every person's time span, height, residuals and number of warnings, by file name."""
         out: dict[str, dict[str, Any]] = {}
         for name, one in zip(self._names(), self.results, strict=True):
             motion = one.motion

@@ -98,7 +98,7 @@ def fit_people(
         views = [_only_view(clip) for clip in clips]
         if all(view is not None for view in views):
             alone = {name: value for name, value in arguments.items() if name in _ALONE}
-            first = _fitted(numbers, clips, prior, [alone] * len(clips))
+            first = _fit_each(numbers, clips, prior, [alone] * len(clips))
             shared = shared_camera(first)
             clips = [_with_shared_camera(clip, shared) for clip in clips]
             starts = list(shared.starts)
@@ -108,7 +108,7 @@ def fit_people(
         arguments if start is None else arguments | {"start": start} | {"shape": start.shape}
         for start in starts
     ]
-    results = _fitted(numbers, clips, prior, each)
+    results = _fit_each(numbers, clips, prior, each)
     if shared is not None:
         results = [_on_one_floor(one) for one in results]
     return People(tuple(results), numbers, shared is not None, tuple(notes))
@@ -197,7 +197,7 @@ def _with_shared_camera(clip: Clip, shared: SharedCamera) -> Clip:
     return replace(clip, observations=(posed,), T_recording_camera=T)
 
 
-def _fitted(
+def _fit_each(
     numbers: Sequence[int],
     clips: Sequence[Clip],
     prior: str | PriorLike,

@@ -248,7 +248,7 @@ def _smoothed(
 def _force_std(
     contact: Bool[Tensor, "time 2"], misfit: float, apart: Float[Tensor, " time"], fps: float
 ) -> Float[Tensor, "time 2 3"]:
-    """Standard deviations in shares of the weight.
+    """Standard deviations of the feet's forces, as shares of the body's weight.
 
     Two feet share it as well as the zero-moment point and the moment of the step are known: the
     first by the misfit over their distance, the second by the time of double support.
@@ -268,13 +268,13 @@ def _force_std(
 
 
 def held_at_ends(values: Tensor, step: int) -> Tensor:
-    """Values of the inner frames, the first and the last repeated at the ends."""
+    """Extend values of inner frames to all frames, repeating the first and the last."""
     ends = [values[:1].expand(step, *values.shape[1:]), values]
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))
 
 
 def _support_warnings(explained: Bool[np.ndarray, " time"], contact: Tensor) -> list[str]:
-    """Warnings where the feet do not carry the body."""
+    """Warnings about frames in which the feet do not carry the body."""
     if not bool(contact.any()):
         return ["no foot ever stands on the ground: there is no contact, and all forces are zero"]
     if explained.all():

@@ -26,7 +26,7 @@ _JOINTS = {"hip": "hip", "knee": "knee", "ankle": "ankle", "subtalar": "ankle"}
 
 @dataclass(frozen=True)
 class JointMoments:
-    """Moments of the legs' joints; they act on the distal segment, and grow the coordinate."""
+    """Joint moments of the legs on the distal segment; positive ones increase the coordinate."""
 
     moments: dict[str, Float[np.ndarray, " time"]]
     """Newton metres by coordinate, as `hip_flexion_r`."""

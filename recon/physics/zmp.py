@@ -118,7 +118,7 @@ def distances_to_support(
     vertices: Float[Tensor, "time vertices 3"],
     standing: Bool[Tensor, "time vertices"],
 ) -> tuple[Float[Tensor, "time kinds"], Bool[Tensor, " time"]]:
-    """Signed distances of points to the base of support of their frame, and a mask.
+    """Signed distances of points to their frame's base of support, and a mask of frames with one.
 
     Frames without a base have distance 0, as in HUMOS's released code.
     """

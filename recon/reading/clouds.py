@@ -52,7 +52,7 @@ class _PersonClusters:
 
 
 def one_person(clouds: list[np.ndarray], reach: float) -> tuple[list[np.ndarray], int]:
-    """One cluster per frame: the largest of the clearest frame, then the nearest from there on.
+    """Choose a cluster per frame: the largest in the clearest frame, then from there the nearest.
 
     The largest cluster of every frame would jump from one person to another.
 

@@ -68,7 +68,7 @@ class OrientedCloud:
 def rough_poses(
     views: Sequence[OrientedCloud], base: int, names: Sequence[str]
 ) -> Float[np.ndarray, "cameras 4 4"]:
-    """T_base_view of views that stand level on one ground, by the path of what moves.
+    """T_base_view of level views of one ground, by matching the paths of what moves in them.
 
     Views are turned about z in steps, with the middle of the path held. The best turn leaves the
     paths least apart and most points with a neighbour in the view that the others are brought to.

@@ -105,7 +105,7 @@ def settled(
 def _turned_hand_points(
     positions: Float[np.ndarray, "time 42 3"], turn: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "time 42 4"]:
-    """Points of hands after a linear map of a row, and whether each was seen."""
+    """Points of hands times a 3 x 3 matrix, and as fourth number 1 where a point was seen."""
     seen = np.isfinite(positions).all(-1, keepdims=True)
     return np.concatenate((np.where(seen, positions, 0.0) @ turn, seen), -1)
 

@@ -94,9 +94,9 @@ class _Person:
 
     def expected(self, frame: int) -> Float[np.ndarray, "points 2"]:
         """Places of the keypoints in a later frame."""
-        return self.pixels + self.coasted(frame) * self.velocity
+        return self.pixels + self.extrapolated_frames(frame) * self.velocity
 
-    def coasted(self, frame: int) -> int:
+    def extrapolated_frames(self, frame: int) -> int:
         """Number of frames over which the velocity is extrapolated; 0 when it is too old."""
         gone = frame - self.frame
         return gone if gone <= _COASTING else 0
@@ -210,7 +210,7 @@ class _Linking:
         return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
     def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
-        """Detections of a frame without duplicates of one person, of which the surest is kept."""
+        """Detections of a frame; of several that show one person the most confident is kept."""
         lately = [
             p.expected(frame)
             for p in people
@@ -231,7 +231,7 @@ class _Linking:
         return bool(away < _NEAR_PERSON * self.sizes[row])
 
     def _usual_spread(self) -> float:
-        """How much bodies change their pose from frame to frame, in body sizes; the median."""
+        """Median change of people's poses from frame to frame, in body sizes."""
         near: list[float] = []
         by_frame = [
             self.rows[self.seen.frame[self.rows] == f]
@@ -315,7 +315,7 @@ class _Linking:
     def _seen_again(self, person: _Person, row: int, frame: int) -> _Person:
         known, pixels = self.seen.confidence[row] > 0, self.seen.pixels[row]
         both, frames = person.known & known, frame - person.frame
-        kept = person.velocity if person.coasted(frame) else np.zeros(2)
+        kept = person.velocity if person.extrapolated_frames(frame) else np.zeros(2)
         moved = frames * kept
         if both.sum() >= FEWEST_KEYPOINTS:
             moved = np.median(pixels[both] - person.pixels[both], axis=0)
@@ -338,7 +338,7 @@ class _Linking:
         )
 
     def _best_distinct(self, assignments: list[_Assignment]) -> list[_Assignment]:
-        """The cheapest assignments; of those that differ only in people's numbers, one."""
+        """The cheapest assignments, without those that differ only in how people are numbered."""
         assignments.sort(key=lambda one: one.cost)
         kept: dict[frozenset[tuple[int, ...]], _Assignment] = {}
         for one in assignments:

@@ -161,7 +161,7 @@ def _places_on_body(
 def _turn_to_z_up(
     file: PositionsFile, path: str | Path, up: Up | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Rotation to axes with z up, and a note if it is one that the file does not say.
+    """Rotation to axes with z up, and a note if it was inferred, not stated in the file.
 
     Raises:
         ValueError: when the body stands along another axis than the file says, and may as well

@@ -145,7 +145,7 @@ def _normalised(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
 
 
 def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
-    """Change of the places from frame to frame; zero where a neighbour was not seen."""
+    """Change of image coordinates per frame; zero where a neighbouring frame lacks the point."""
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
@@ -153,7 +153,7 @@ def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"
 
 
 def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
-    """Frames by which each view begins after the first, with which their points agree best."""
+    """How many frames after the first each view begins, so that their points agree best."""
     coarse = max(1, longest // _COARSE)
     found = [0]
     for view in views[1:]:
@@ -186,7 +186,7 @@ def _essential_matrix(
     a: Float[np.ndarray, "points 2"], b: Float[np.ndarray, "points 2"], off: float = _OFF
 ) -> tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " points"]]:
     """The essential matrix of two views, and which points agree with it."""
-    cv2.setRNGSeed(0)  # samples at random
+    cv2.setRNGSeed(0)  # RANSAC draws random samples: the same input must give the same result
     found, inliers = cv2.findEssentialMat(a, b, np.eye(3), cv2.RANSAC, 0.999, off, _ROUNDS)
     if found is None or found.shape != (3, 3):
         return np.eye(3), np.zeros(len(a), dtype=bool)
@@ -198,7 +198,7 @@ def _first_poses(
     places: Float[np.ndarray, "views points 2"],
     seen: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "views 3 4"]:
-    """World to camera for every view; the pair that agrees best first."""
+    """Poses (world to camera) of all views, built up from the pair that agrees best."""
     found: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
     for a, b in combinations(range(len(names)), 2):
         both = seen[a] & seen[b]
@@ -236,7 +236,7 @@ def _second_camera_pose(
     places: Float[np.ndarray, "2 points 2"],
     agree: Bool[np.ndarray, " points"],
 ) -> Float[np.ndarray, "3 4"]:
-    """The pose of the second of two cameras, before both of which the points lie."""
+    """The pose of the second camera for which the points lie in front of both cameras."""
     mask = agree.astype(np.uint8)[:, None]
     _, turn, step, _ = cv2.recoverPose(matrix, places[0], places[1], np.eye(3), mask=mask)
     return np.concatenate((turn, step), 1)
@@ -252,7 +252,7 @@ def _pose_from_points(
     """
     share = 0.0
     if len(points) >= _FEWEST_POINTS:
-        cv2.setRNGSeed(0)  # samples at random
+        cv2.setRNGSeed(0)  # RANSAC draws random samples
         ok, turn, step, inliers = cv2.solvePnPRansac(
             points, places, np.eye(3), None, reprojectionError=_FIRST_OFF
         )
@@ -292,7 +292,7 @@ def _bundle_adjusted(
 ) -> tuple[
     Float[np.ndarray, "views 3 4"], Float[np.ndarray, " views"], Float[np.ndarray, " views"]
 ]:
-    """Poses, factors of the focal lengths, and frames by which views are late, that agree best."""
+    """Poses, focal length factors and delays (frames) of the views, by bundle adjustment."""
     view, point = np.nonzero(seen)
     ups = [one.up for one in views]
     told = [v for v, up in enumerate(ups) if up is not None]

@@ -157,7 +157,7 @@ def in_one_shot(
 def levelled(
     found: Detections, camera: CameraArrays, frames: Int[np.ndarray, " frames"], rate: float
 ) -> tuple[CameraArrays, str]:
-    """A camera with the path, vertical and focal length that its background shows.
+    """A camera with the path, up direction and focal length that the film's background shows.
 
     Straight lines tell the vertical, and points of the background how the camera moves. Unchanged,
     and without a note, where its pose is known or the background tells nothing.
@@ -249,7 +249,7 @@ def _with_motion(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        # a better guess, with which the path was found
+        # the path was found with this focal length, which is a better guess than the stated one
         guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
         return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"

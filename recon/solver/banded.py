@@ -51,7 +51,7 @@ class Banded:
     def add_frames(
         self, frame: Int[Tensor, " some"], curvature: Float[Tensor, "some n_and_m n_and_m"]
     ) -> None:
-        """Add second derivatives by the variables of one frame and of the border jointly."""
+        """Add Hessians by the variables of single frames and of the border."""
         n = self.inner.shape[-1]
         self.inner[:, 0].index_add_(0, frame, curvature[:, :n, :n])
         self.border.index_add_(0, frame, curvature[:, :n, n:])
@@ -182,7 +182,7 @@ class Factor:
         return self.solve_upper(self.solve_lower(right))
 
     def solve_lower(self, gradient: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
-        """L⁻¹ g, which turns a gradient by x into one by u."""
+        """L⁻¹ g: the gradient by x becomes the gradient by the whitened variables u = Lᵀ x."""
         frames, edge = self._frames_and_border(gradient)
         right = self._in_blocks(frames[..., None] * self._scale[..., None])
         found: list[Tensor] = []
@@ -196,7 +196,7 @@ class Factor:
         return torch.cat((whole[: frames.numel()], edge))
 
     def solve_upper(self, u: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
-        """L⁻ᵀ u, which turns a step of u into one of x."""
+        """L⁻ᵀ u: a step of the whitened variables u = Lᵀ x becomes a step of x."""
         frames, edge = self._frames_and_border(u)
         edge = self._corner.T.mv(edge)
         right = self._in_blocks(frames[..., None])
@@ -240,14 +240,14 @@ class Factor:
     def _frames_and_border(
         self, numbers: Float[Tensor, " numbers"]
     ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
-        """The parts of frames and of the border."""
+        """Split a vector into the numbers of the frames and those of the border."""
         time, n = self._frames
         return numbers[: time * n].view(time, n), numbers[time * n :]
 
     def _in_blocks(
         self, frames: Float[Tensor, "time n k"]
     ) -> Float[Tensor, "blocks *some size k"]:
-        """Rows of frames, block by block; zeros after the last frame."""
+        """Group the rows of frames into blocks of several frames, padded with zeros at the end."""
         time, n = self._frames
         missing = math.prod(self._shape) - time * n
         return pad(frames.flatten(0, 1), (0, 0, 0, missing)).view(*self._shape, frames.shape[-1])
@@ -267,7 +267,7 @@ def _upper_solution(
 
 
 def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n"]:
-    """One over the roots of the diagonal; one where nothing holds a variable."""
+    """1 / sqrt of the diagonal, a scale for each variable; 1 where the diagonal is zero."""
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     return torch.where(diagonal > 0, diagonal, 1.0).rsqrt()
 

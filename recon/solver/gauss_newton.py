@@ -48,14 +48,14 @@ class Problem(ABC, Generic[X]):
 
     @abstractmethod
     def model(self, x: X, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """The objectives about a state."""
+        """Quadratic models of some problems' objectives about a state."""
 
     @abstractmethod
     def moved(self, x: X, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> X:
-        """The whole state after steps of some problems, cut to where the model is good."""
+        """The whole state after some problems' steps, cut where their models stop being good."""
 
     def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
-        """The terms of the objectives.
+        """The terms of some problems' objectives at a state.
 
         No columns, as without an answer of its own, say that there is no objective: kernels shrink
         or correspondences are found anew from step to step. Then every step is taken, and what

@@ -178,7 +178,7 @@ def _reasons_to_end_at_start(
     value: Float64[np.ndarray, " batch"],
     largest: Float64[np.ndarray, " batch"],
 ) -> Int64[np.ndarray, " batch"]:
-    """Reasons to leave an element at its start."""
+    """For every element the reason to end before its first step, or GOES_ON."""
     return _first_reason(
         (~np.isfinite(value) | ~np.isfinite(largest), Termination.NONFINITE),
         (largest <= settings.tolerance_gradient, Termination.GRADIENT),
@@ -190,7 +190,7 @@ def _reasons_to_end_at_start(
 def _evaluate(
     objective: Objective, x: Float[Tensor, "active n"], element: Int64[Tensor, " active"]
 ) -> tuple[Float[Tensor, "active terms"], Float64[Tensor, "active n"]]:
-    """Terms and the gradient of their sum."""
+    """Evaluate the objective's terms and the gradient of their sum."""
     x = x.detach().requires_grad_()
     with torch.enable_grad():
         terms = objective(x, element)

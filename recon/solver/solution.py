@@ -47,7 +47,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Solution:
-    """The end of every element, the reason for it, and the trace of its energies."""
+    """The solution of every element of a batch, why it ended, and its energies on the way."""
 
     x: Float[Tensor, "batch n"]
     """The last iterate. Iterates are finite and never increase the objective."""

@@ -17,7 +17,7 @@ GOES_ON = -1
 
 @dataclass
 class ActiveElements:
-    """The elements still being worked on, one row each.
+    """The elements of the batch that have not ended yet, one row each.
 
     `x` is where an element's line search began, `best` the lowest point it has found.
     """
@@ -147,7 +147,7 @@ class BatchState:
         start: Float[Tensor, "batch n"],
         terms: Float64[Tensor, "batch terms"],
     ) -> "BatchState":
-        """Every element at its start, having been evaluated once."""
+        """The state when every element is at its start and was evaluated once."""
         batch = len(start)
         return cls(
             x=start.clone(),
@@ -172,7 +172,7 @@ class BatchState:
         self.trace[active.element[rows], iteration] = active.best_terms[rows]
 
     def close(self, active: ActiveElements, reason: Int64[np.ndarray, " active"]) -> None:
-        """Enter the end of the elements that have a reason to end."""
+        """Record the results of elements that have a reason to end."""
         done = reason != GOES_ON
         if not done.any():
             return
@@ -182,7 +182,7 @@ class BatchState:
         self.x[active.element[rows]] = active.best_x[rows]
 
     def progress(self, active: ActiveElements, evaluations: int) -> Progress:
-        """A copy of the numbers, for a callback to keep."""
+        """A copy of the batch's progress, which a callback may keep."""
         return Progress(
             evaluations, active.number.copy(), self.iterations.copy(), self.value.copy()
         )

@@ -65,7 +65,7 @@ def with_films(
     name: str,
     frame_rate: float | None = None,
 ) -> tuple[View, ...]:
-    """The views that have a film, with it.
+    """The views that have a film, each with its film.
 
     Films belong to cameras by their names, or, where these differ and there are as many of both,
     in their order.
@@ -108,7 +108,7 @@ def with_films(
 
 
 def _checked_film(film: Film, view: View, motion: Motion, name: str) -> FilmOnClock:
-    """The film of a camera.
+    """The film of a camera, after a check of its size and time.
 
     Raises:
         ValueError: as `with_films` does.

@@ -195,7 +195,7 @@ def _background(view: View, part: ImageRegion, across: int, photograph: Picture 
     else:
         rows, columns = photograph.shape[:2]
         scale = (edges[1] - edges[0]) / (columns, rows)
-        if (coarser := int(1 / scale.min())) > 1:  # warping takes no means
+        if (coarser := int(1 / scale.min())) > 1:  # shrink first, since warping does not average
             smaller = (columns // coarser, rows // coarser)
             photograph = cv2.resize(photograph, smaller, interpolation=cv2.INTER_AREA)
             scale = (edges[1] - edges[0]) / smaller
@@ -235,7 +235,7 @@ class _LitBody:
     def paint(
         self, part: ImageRegion, image: Float[np.ndarray, "height width 3"], opacity: float
     ) -> None:
-        """Paint it into a picture of a region of the camera's image."""
+        """Paint the surface into a picture of a region of the camera's image."""
         height, width = image.shape[:2]
         pixels = part.place(self.pixels, width)
         raster = rasterise(pixels, self.depth, self.faces, (width, height), self.light)

@@ -12,7 +12,7 @@ from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
-from recon.formats.scan_times import timed
+from recon.formats.scan_times import in_time_order
 from recon.formats.scans import cloud_files, naturally_sorted, read_cloud, scan_paths
 from recon.reading.places import files_of_views, view_name
 from recon.reading.tracks import tracks_of_people
@@ -149,7 +149,7 @@ def _describe_scans(path: Path) -> dict[str, Any]:
     paths = scan_paths(path)
     times, fps, decisions = path / "times.csv", None, []
     if times.exists():
-        fps = timed(times, paths).fps
+        fps = in_time_order(times, paths).fps
     else:
         decisions.append("no times.csv: give --frame-rate to fit")
     step = max(len(paths) // _LOOKED_AT, 1)

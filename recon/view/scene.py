@@ -126,22 +126,22 @@ class Figure:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         lost = ~self.observed.detach().cpu()
         lost[:, _TRUNK] &= lost[:, _ABOVE].all(1, keepdim=True)
-        return _with_limbs_above(lost)
+        return _limb_mask(lost)
 
     @cached_property
     def unsure_limbs(self) -> Bool[Tensor, "time 22"]:
-        """Mask of joints whose limb was seen and is unsure; none without `observed`."""
+        """Mask of joints whose limb was seen but has a large standard deviation."""
         if self.observed is None or self.joint_std is None:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         squared = self.joint_std.detach().cpu().square()
         apart = squared - squared.amin(
             1, keepdim=True
         )  # without the error of the body's place, common to all joints
-        return _with_limbs_above(apart > UNSURE_M**2) & ~self.inferred_limbs
+        return _limb_mask(apart > UNSURE_M**2) & ~self.inferred_limbs
 
 
-def _with_limbs_above(joints: Bool[Tensor, "time 22"]) -> Bool[Tensor, "time 22"]:
-    """The joints, and those above them, whose limbs they end; but for the trunk."""
+def _limb_mask(joints: Bool[Tensor, "time 22"]) -> Bool[Tensor, "time 22"]:
+    """Mask of these joints and of their parents, whose limbs end there, except in the trunk."""
     limbs = joints.clone()
     for joint, parent in enumerate(PARENTS):
         if parent >= 0 and parent not in _TRUNK:

@@ -83,7 +83,7 @@ class Viewpoint:
 
 
 def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """One viewpoint per frame: one that follows, or a fixed one if cameras are shown, too."""
+    """A viewpoint per frame, which follows the person, or is fixed if cameras are shown."""
     centres = [
         view.at(frame).T_world_camera[:3, 3].numpy()
         for view in show.cameras

@@ -92,7 +92,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert TABLE.markdown().splitlines() == [
         "| x | y | z |", "| --- | --: | --: |", "| one | 123.4 | 1.23 [1.00, 2.00] |",
         "| two | – | 3 of 4 |", "", "A note.", "",
-        "*`a`, commit 012345678, today.*",
+        "*Measured by `a`, commit 012345678, today.*",
     ]  # fmt: skip
 
 

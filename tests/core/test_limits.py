@@ -22,7 +22,7 @@ from recon.formats.depth_images import read_png
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import CameraArrays, PointsFile, load_observation, save_observation
 from recon.formats.opening import check_sizes
-from recon.formats.scan_times import timed
+from recon.formats.scan_times import in_time_order
 from recon.formats.scans import read_ply
 from recon.formats.smpl import load_smpl
 from recon.reading.places import load_silhouettes
@@ -283,10 +283,10 @@ def test_times_that_are_hardly_numbers(tmp_path: Path) -> None:
     files = [tmp_path / f"{k}.ply" for k in range(4)]
     (tmp_path / "times.csv").write_text("0\n1e-320\n2e-320\n1\n")
     with pytest.raises(ValueError, match=r"times\.csv.*frame rate"):
-        timed(tmp_path / "times.csv", files)
+        in_time_order(tmp_path / "times.csv", files)
     (tmp_path / "times.csv").write_text("0\n1\n2\n1e9\n")
     with pytest.raises(ValueError, match=r"times\.csv.*there is none for 1e\+09 s"):
-        timed(tmp_path / "times.csv", files)
+        in_time_order(tmp_path / "times.csv", files)
 
 
 def test_a_sparse_matrix_of_a_million_squared(tmp_path: Path) -> None:

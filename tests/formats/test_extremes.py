@@ -21,7 +21,7 @@ from recon.formats.observations import (
     load_observation,
     save_observation,
 )
-from recon.formats.scan_times import timed
+from recon.formats.scan_times import in_time_order
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from tests.formats.test_large_files import chain
@@ -206,7 +206,7 @@ def scans_by_the_clock_of_the_day(path: Path) -> None:
     files = [path / f"{k}.ply" for k in range(4)]
     times = "".join(f"{1_760_000_000 + k / 30:.6f}\n" for k in range(4))
     (path / "times.csv").write_text(times)
-    assert timed(path / "times.csv", files).fps == pytest.approx(30.0, rel=1e-3)
+    assert in_time_order(path / "times.csv", files).fps == pytest.approx(30.0, rel=1e-3)
 
 
 def cameras_around_a_stadium(path: Path) -> None:

@@ -105,10 +105,10 @@ def test_moments_in_another_unit_and_forces_on_the_plate_are_put_right(tmp_path:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"stated": 7}, "of type 7, and types 1 to 4 are read"),
-        ({"shift": 3}, "channels are not in the file"),
+        ({"stated": 7}, "expected a plate of type 1 to 4, got type 7"),
+        ({"shift": 3}, "lacks the plate's channels"),
         ({"corners": np.ones((4, 3))}, "corners are no rectangle"),
-        ({"moments": 1e7}, "centre of pressure lies beside it"),
+        ({"moments": 1e7}, "centre of pressure lies beside the plate"),
     ],
 )
 def test_plates_that_cannot_be_read_are_named(tmp_path: Path, more, said: str) -> None:

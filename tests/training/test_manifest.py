@@ -91,7 +91,7 @@ def test_trainings_take_what_the_manifest_allows(tmp_path: Path) -> None:
 def test_a_clip_that_the_manifest_does_not_know_is_told(tmp_path: Path) -> None:
     settings = CorpusSettings(corpus_with(tmp_path, "02_01", "35_01"), tmp_path / "out")
     write_manifest(rows_of("02_01"), tmp_path)
-    with pytest.raises(ValueError, match=rf"{MANIFEST}: knows no clip 35_01"):
+    with pytest.raises(ValueError, match=rf"{MANIFEST}: lists no clip 35_01"):
         settings.load_clips("train")
 
 

@@ -156,7 +156,7 @@ class CycleCorpus(TensorStruct):
         variation: CycleVariation,
         random: torch.Generator,
     ) -> Anchors:
-        """Mix some cycles with others that begin with the same foot, or give them their arms."""
+        """Mix some cycles with others that begin with the same foot, or take the others' arms."""
         count = len(left)
         columns = so3.to_6d(anchors.rotations)
         partner = _random_partners(left, random)

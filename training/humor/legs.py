@@ -131,7 +131,7 @@ _HANDS = (20, 21)
 
 
 def may_move_pelvis(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Windows in which neither hands nor knees nor the pelvis carry weight."""
+    """Mask of windows in which neither hands nor knees nor the pelvis carry weight."""
     return ~moments.ever_in_contact(0, *KNEES, *_HANDS)
 
 
@@ -168,7 +168,7 @@ def with_pelvis_moved(
 
 
 def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
-    """Random factors between a half and one over time: a lasting, varying displacement."""
+    """Random factors between 0.5 and 1 that vary over time, for displacements that last."""
     return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
 
 
@@ -198,7 +198,7 @@ _SIDES = ((1, 4, 7, 10), (2, 5, 8, 11))
 
 
 def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Windows in which a foot stands all the time, and neither hands nor knees carry weight."""
+    """Mask of windows in which one foot always stands and neither hands nor knees carry weight."""
     stands = _foot_stands(moments, 0) | _foot_stands(moments, 1)
     return stands & ~moments.ever_in_contact(0, *_HANDS, 4, 5)
 
@@ -296,7 +296,7 @@ _APART = 0.07
 
 
 def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
-    """Windows in which both feet stand on the ground all the time, and nothing else does."""
+    """Mask of windows in which both feet always stand on the ground, and nothing else does."""
     return moments.always_in_contact(*FEET) & ~moments.ever_in_contact(0, 4, 5, *_HANDS)
 
 

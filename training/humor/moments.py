@@ -57,7 +57,7 @@ def with_edited(
     edited: Moments,
     accepted: Bool[Tensor, " some"],
 ) -> Moments:
-    """Windows of which some rows are exchanged, where the edit was accepted."""
+    """Windows of which some rows are replaced by edited ones, where the edit was accepted."""
     kept = rows[accepted]
 
     def exchanged(old: Tensor, new: Tensor) -> Tensor:
@@ -157,7 +157,7 @@ def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
 
 
 def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether every joint is as high above z = 0 as flesh requires, or as in the recording."""
+    """Whether every joint is above z = 0 by the flesh around it, or as high as recorded."""
     before, after = (_joints(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]
     allowed = torch.minimum(after.new_tensor(least), before.amin(1) - 1e-3)

@@ -45,7 +45,7 @@ class Scaling(TensorStruct):
 
     @classmethod
     def of(cls, world: State, rest_pelvis: Float[Tensor, "windows 3"]) -> "Scaling":
-        """Scales of windows of consecutive states, axes (windows, frames)."""
+        """Means and standard deviations over windows of consecutive states (windows, frames)."""
         past, future = world[:, :-1], world[:, 1:]
         frame = Frame.of(past)
         before = frame.to_frame(past, rest_pelvis[:, None])

@@ -103,7 +103,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         return ScaledNetworks.around(learned, scaling, settings.noise)
 
     def losses(self) -> dict[str, Tensor]:
-        """Losses of drawn windows, with the weights of this moment of the run."""
+        """Losses of a random batch of windows, with the weights of the run's present step."""
         settings = self.settings
         windows = self.learned.draw(
             settings.windows, settings.frames, settings.variation, self.random

@@ -117,7 +117,7 @@ def with_arms_moved(
 
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether elbows and wrists are as far from the trunk as flesh requires, or as recorded."""
+    """Whether elbows and wrists are outside the trunk's flesh, or as near as recorded."""
     before, after = (_distances_from_trunk(m.posed()[1]) for m in (old, new))
     allowed = before.amin(1, keepdim=True).clamp(max=_TRUNK) - 1e-3
     return (after > allowed).flatten(1).all(1)
@@ -168,7 +168,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
 
 
 def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
-    """Orientations of the pelvis less its heading."""
+    """Orientations of the pelvis without its heading."""
     root = moments.rotations[:, :, 0]
     return so3.heading(root) @ root
 

@@ -49,7 +49,7 @@ def encoded(
 def reconstruction(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel
 ) -> Float[Tensor, ""]:
-    """½ mean |error|² / σ² of the numbers, of the joints, and of the joints' steps.
+    """½ mean |error|² / σ² of features, joints, and joints' displacements between frames.
 
     The first is HUMOS's loss of rotations and translation in metres, the others are what feet
     need: orientations a degree off move a foot by centimetres.
@@ -70,7 +70,7 @@ def reconstruction(
 def numbers_error(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch
 ) -> Float[Tensor, ""]:
-    """½ mean |error|² / σ² of the numbers alone, for transfers to a body and back."""
+    """½ mean |error|² / σ² of features alone, for transfers to another body and back."""
     return 0.5 * _mean((rows - batch.frames.pack()).square(), batch.valid[..., None]) / _NUMBER**2
 
 

@@ -107,7 +107,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
 
     @property
     def parts(self) -> tuple[tuple[int, float], ...]:
-        """The auto-encoder, then the way to another body and back."""
+        """Two parts of the run: the auto-encoder, then transfers to another body and back."""
         settings = self.settings
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
 
@@ -156,7 +156,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
 
     @torch.no_grad()
     def errors(self) -> dict[str, float]:
-        """Errors on other people, there and back, and physics of the motion on another body."""
+        """Errors on held-out people, also after transfer and back; physics on other bodies."""
         networks, checked, body = self.averaged, self.checked, self.learned.body
         frames, exists = self.settings.frames, checked.windows
         codes = encoded(networks, checked.frames.pack(), checked.shape, exists, None)
@@ -274,7 +274,7 @@ def fitted_codes(
     codes: Float[Tensor, "codes latent"], variance: Float[Tensor, " latent"],
     pairs: tuple[Float[Tensor, "pairs latent"], Float[Tensor, "pairs latent"]],
 ) -> CodeDensity:  # fmt: skip
-    """Moments of all posteriors, and covariances of neighbours.
+    """The density of codes: mean and covariance of all posteriors, and of successive codes.
 
     Stationary: rest restᵀ = I - follow followᵀ, so that u has unit variance at any time.
 

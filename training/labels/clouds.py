@@ -93,7 +93,7 @@ class CloudCorpus:
         return len(self.clouds.points)
 
     def draw(self, windows: int, variation: CloudVariation, random: Generator) -> LabelledClouds:
-        """Some windows in random variations, all with the same number of rows of points.
+        """Draw random windows and augment them; all get the same number of points per frame.
 
         At times their moments are windows of their own, of as many more windows.
         """
@@ -230,7 +230,7 @@ def _beyond_plane_or_box(clouds: LabelledClouds, which: Tensor, random: Generato
 
 
 def _in_hidden_regions(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
-    """Points of regions of which nothing is seen, drawn for every window."""
+    """Mask of points in body regions that are hidden, which are drawn for every window."""
     gone = torch.rand(len(which), len(REGIONS) + 1, generator=random) < 0.25
     gone[:, -1] = False
     lost = gone.gather(1, clouds.regions.flatten(1) % (len(REGIONS) + 1))
@@ -238,7 +238,7 @@ def _in_hidden_regions(clouds: LabelledClouds, which: Tensor, random: Generator)
 
 
 def _random_rotations(count: int, random: Generator) -> Float[Tensor, "count 3 3"]:
-    """Rotations drawn evenly: unit quaternions of normal numbers."""
+    """Uniformly random rotations, from normalised Gaussian quaternions."""
     w, x, y, z = torch.nn.functional.normalize(
         torch.randn(count, 4, generator=random), dim=-1
     ).unbind(-1)

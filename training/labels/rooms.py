@@ -101,7 +101,7 @@ def glimpse(
     left_over: str,
     random: np.random.Generator,
 ) -> Glimpse:
-    """The points that the sensor measures of a person and of things not cut out.
+    """Points that the sensor measures of a person, and of things left in the cloud.
 
     Args:
         vertices: of the person, metres.
@@ -155,7 +155,7 @@ def all_around(
     count: int,
     random: np.random.Generator,
 ) -> Glimpse:
-    """Points that scanners from all sides see, with noise and a few that belong to nothing."""
+    """Points that scanners on all sides see, with noise and a few stray points."""
     drawn = sampled_on_surface(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
     points, shown = drawn[:, :3] + random.normal(0.0, noise, (count, 3)), drawn[:, 3:]

@@ -164,7 +164,7 @@ def outputs_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabe
 
 
 def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str, Tensor]:
-    """Cross entropies, and the negative log-density of places; `total` is their weighted sum.
+    """Cross entropies and negative log-densities by name; `total` is their weighted sum.
 
     Errors of the coordinates of a place are Laplace-distributed with standard deviation s:
     -log p = |e| √2 / s + log(√2 s). The points of a moment may have left and right exchanged, all

@@ -124,7 +124,7 @@ class Seeing:
     def _points_of_random_limbs(
         self, draw: "_Draws", bone: Tensor, whole: float
     ) -> Bool[Tensor, "windows points"]:
-        """Points of random limbs, or with a probability `whole` all points."""
+        """Mask of the points of random limbs, or with probability `whole` of all points."""
         count = len(bone)
         table = torch.tensor(
             [[joint in limb for joint in range(len(JOINTS))] for limb in _LIMBS],
@@ -162,7 +162,7 @@ class _Draws:
         return self.uniform(*size) < share
 
     def spells(self, count: int, time: int, least: float, most: float) -> Tensor:
-        """One spell of `least` to `most` seconds in every window, as a mask of frames at 30 Hz."""
+        """Mask of frames at 30 Hz: one stretch of `least` to `most` seconds in every window."""
         length = 30 * (least + (most - least) * self.uniform(count, 1))
         first = (time + length) * self.uniform(count, 1) - length
         frame = torch.arange(time, device=self.like.device)

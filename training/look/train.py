@@ -148,7 +148,7 @@ def losses_of(
     body: BodyModel,
     weights: LookWeights,
 ) -> dict[str, Tensor]:
-    """Losses of a batch by name, each of the likely nearest hypothesis; and `total`."""
+    """Losses of a batch by name, each for the hypothesis likely to be nearest; and `total`."""
     found = network(seen, body, half=True)
     true = windows.states.rotations[:, None]
     target = windows.states.joints[:, None]
@@ -188,7 +188,7 @@ def _over_time(values: Tensor, exists: Float[Tensor, "clips time"]) -> Tensor:
 
 
 def _negative_log_density(away: Tensor, log_std: Tensor) -> Tensor:
-    """-log of the Gaussian density; only standard deviations learn from it."""
+    """-log of a Gaussian density; it has a gradient by the standard deviations only."""
     squared = away.detach().square().sum(-1).clamp(max=4.0)
     return 3 * log_std + 0.5 * squared * (-2 * log_std).exp()
 
