@@ -72,9 +72,9 @@ class Keypoints2D(PointsOfBody):
     offset_rows: tuple[int, int] | None = None
     """First row, and the row after the last, of `Scene.offsets` that these points own, in units
     of `OFFSET_UNIT`: constant offsets of the keypoints on this person. None estimates none."""
-    focal_known: bool = True
-    """Whether the camera's focal length is known. If not, it is a guess, which `Scene.lens` of a
-    fit to this one view corrects; the camera's pose must not be known either."""
+    focal_std: float = 0.0
+    """Standard deviation of the camera's focal length as a share of it; 0 where it is known. Else
+    `Scene.lens` of a fit to this one view corrects it; the camera's pose must not be known."""
     level: bool | None = False
     """Whether the z axis of the recording's frame points up where its ground is not known."""
     unit_known: bool = True
@@ -97,7 +97,7 @@ class Keypoints2D(PointsOfBody):
         sigma: float = SIGMA,
         ground_known: bool = True,
         offset_rows: tuple[int, int] | None = None,
-        focal_known: bool = True,
+        focal_std: float = 0.0,
         level: bool = False,
         unit_known: bool = True,
         lens: tuple[float, ...] = (),
@@ -117,15 +117,15 @@ class Keypoints2D(PointsOfBody):
             pixels=pixels, confidence=confidence, points=points,
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive_number(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
-            offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
+            offset_rows=offset_rows, focal_std=focal_std, level=level, unit_known=unit_known,
             lens=lens, fingers=None if fingers is None else checked_fingers(fingers, pixels, 3),
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":
         """The view with the focal length of the scene, which is then taken as known."""
-        if self.focal_known or scene.lens is None:
+        if self.focal_std == 0 or scene.lens is None:
             return self
-        return self.derived(camera=scene.lens.of(self.camera), focal_known=True)
+        return self.derived(camera=scene.lens.of(self.camera), focal_std=0.0)
 
     @property
     def values(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]

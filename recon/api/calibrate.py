@@ -82,7 +82,7 @@ class CameraRig:
         return (Path(out),)
 
     def __repr__(self) -> str:
-        """The cameras, where they stand and their focal lengths."""
+        """A summary: position and focal length of every camera."""
         seen = "a board" if self.person is None else f"a person of {self.person:.2f} m"
         lines = [f"{len(self.cameras)} cameras that saw {seen}"]
         for name, camera in self.cameras.items():
@@ -161,7 +161,7 @@ def calibrate(
     files = _on_one_clock(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
-    poses, tall = _on_ground(rig, files, people, BodyModel.load())
+    poses, tall = _poses_above_ground(rig, files, people, BodyModel.load())
     scale = 1.0 if height is None else height / tall
     cameras: dict[str, CameraArrays] = {}
     for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
@@ -184,17 +184,17 @@ def calibrate(
 
 
 def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) -> CameraRig:
-    from recon.films.board import Board, cameras_of_board  # decoders are needed here only
+    from recon.films.board import Board, cameras_of_board  # imported here: it loads decoders
 
     known = Board.of(board, square)
     if others := [str(path) for path in paths if not is_film(path)]:
-        raise ObservationError(f"board: expected films of it, got {', '.join(others)}")
+        raise ObservationError(f"board: expected films of a checkerboard, got {', '.join(others)}")
     cameras, error, said = cameras_of_board(paths, known)
     return CameraRig(cameras, dict.fromkeys(cameras, 0.0), error, None, said)
 
 
 def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
-    """Every camera's keypoints by its name, over the frames of all; unseen where a film has none.
+    """Keypoints of every camera on one clock, by its name; unseen before and after its film.
 
     Raises:
         ObservationError: when names, layouts or frame rates are not what they should be.
@@ -210,7 +210,7 @@ def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
         if len(told) > 1:
             raise ObservationError(
                 f"expected one {'frame rate' if what == 'fps' else what} for all views, got "
-                f"{', '.join(map(str, sorted(told)))}; detect, or film, all alike"
+                f"{', '.join(map(str, sorted(told)))}; film and detect all with the same settings"
             )
     first = min(view.first_frame for view in views)
     stop = max(v.first_frame + len(file.pixels) for v, file in zip(views, files, strict=True))
@@ -230,7 +230,7 @@ def _filmed_person(name: str, file: KeypointsFile) -> FilmedPerson:
     up = None if path is None or not path.level else path.T_world_camera[0, 2, :3]
     return FilmedPerson(
         name, file.pixels, file.confidence, float(matrix[[0, 1], [0, 1]].mean()),
-        file.camera.focal_known, matrix[:2, 2], up,
+        file.camera.focal_std, matrix[:2, 2], up,
     )  # fmt: skip
 
 
@@ -261,7 +261,7 @@ def _level_frame(
     return level_turn(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
-def _on_ground(
+def _poses_above_ground(
     rig: Rig, files: Mapping[str, KeypointsFile], people: Sequence[FilmedPerson], body: BodyModel
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], float]:
     """T_camera_world of every camera above the ground that a fit finds, and the person's height.

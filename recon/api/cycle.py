@@ -23,7 +23,7 @@ _FEW_MOMENTS = 4
 def cycle_report(
     found: ClipFit, medians: Sequence[float | None]
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Numbers of the first clip's cycle; warnings if it is not gait or was hardly seen.
+    """Numbers that describe the first clip's gait cycle, and warnings where it is doubtful.
 
     The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once

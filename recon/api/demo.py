@@ -95,10 +95,10 @@ def demo(out: Path | str = "demo", *, overwrite: bool = False) -> Demo:
     with writing(Output(place, OutputKind.FOLDER), report=report, overwrite=overwrite) as (
         staged,
     ):
-        return Demo(_demo(staged), place)
+        return Demo(_fit_cases(staged), place)
 
 
-def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
+def _fit_cases(out: Path) -> dict[str, dict[str, Metrics]]:
     body = BodyModel.load()
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         truth = load_motion(path).motion

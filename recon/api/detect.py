@@ -19,7 +19,7 @@ from recon.reading.tracks import Track, tracks_of_people
 
 @dataclass(frozen=True, repr=False)
 class DetectedPeople:
-    """Everybody in a film, frame by frame."""
+    """The 2D keypoints of everybody in a film, by frame and by person."""
 
     detections: Detections
     """2D keypoints; people are numbered as `--person` takes them."""
@@ -93,6 +93,7 @@ def detect(
     frame_rate: float | None = None,
     layout: str | None = None,
     detector: str | None = None,
+    fingers: bool = False,
     detections: str | None = None,
 ) -> DetectedPeople:
     """Detect people in a film: 33 keypoints of everybody in every frame, to look at before a fit.
@@ -107,6 +108,7 @@ def detect(
         layout: of the keypoints of a detector of your own, where their number does not tell.
         detector: the file of other landmarks of BlazePose (pose_landmark_heavy.tflite), or a
             class of your own, "package.module:Class"; None is BlazePose with landmarks `full`.
+        fingers: whether hands are looked for, too, which takes half as much time again.
         detections: folder in which detections are kept, so that what was interrupted goes on.
 
     Raises:
@@ -116,14 +118,14 @@ def detect(
     """
     found = read_film(
         Path(film), frame_rate=frame_rate, layout=layout, detector=detector,
-        kept=None if detections is None else Path(detections),
+        fingers=fingers, kept=None if detections is None else Path(detections),
     )  # fmt: skip
     tracks = tracks_of_people(found)
-    return DetectedPeople(_numbered(found, tracks), tracks)
+    return DetectedPeople(_with_person_numbers(found, tracks), tracks)
 
 
-def _numbered(found: Detections, tracks: tuple[Track, ...]) -> Detections:
-    """The detections of all tracks, by frame, with the number of their person."""
+def _with_person_numbers(found: Detections, tracks: tuple[Track, ...]) -> Detections:
+    """The detections of all tracks in the order of frames, with the numbers of their people."""
     frame = np.concatenate([one.frame for one in tracks])
     order = np.argsort(frame, kind="stable")
     return replace(
@@ -131,14 +133,14 @@ def _numbered(found: Detections, tracks: tuple[Track, ...]) -> Detections:
         frame=frame[order],
         pixels=np.concatenate([one.pixels for one in tracks])[order],
         confidence=np.concatenate([one.confidence for one in tracks])[order],
-        hands=_hands_of(tracks, order),
+        hands=_hand_points_of(tracks, order),
         identity=np.repeat([one.number for one in tracks], [len(one.frame) for one in tracks])[
             order
         ],
     )
 
 
-def _hands_of(
+def _hand_points_of(
     tracks: tuple[Track, ...], order: Int[np.ndarray, " rows"]
 ) -> Float[np.ndarray, "rows 42 3"] | None:
     hands = [one.hands for one in tracks if one.hands is not None]

@@ -33,7 +33,7 @@ def estimate_given(
     hand: Hand | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
-    """The estimate on our body with z up, the mask of its frames, and notes on assumptions.
+    """Read an estimate onto our body with z up; also the mask of its known frames, and notes.
 
     Args:
         motion: as of `recon.refine`, and so are the others.
@@ -97,7 +97,7 @@ def estimate_given(
 def _unmirrored(
     translation: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time 22 3 3"], up: Up
 ) -> tuple[Float[np.ndarray, "time 3"], Float[np.ndarray, "time 22 3 3"]]:
-    """The same motion in right-handed coordinates.
+    """Convert a motion from left-handed to right-handed coordinates.
 
     A horizontal axis of the world is turned round, and the axis that the body's rest pose has
     from right to left, SMPL's x.
@@ -120,10 +120,7 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
 def _shape_to_hold(
     read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
 ) -> tuple[Tensor, tuple[str, ...]]:
-    """The shape that the fit holds.
-
-    The given one, the file's on the user's own body, or the average.
-    """
+    """The shape to hold: the given one, the file's on the user's own body, or the average."""
     if given is not None:
         return given, ()
     if own_body:

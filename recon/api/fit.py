@@ -19,7 +19,7 @@ from recon.api.given import (
     shape_known,
 )
 from recon.api.observations import ClipInFitFrame, GroundChoice, ObservationsLike
-from recon.api.pipeline import fitted, observed
+from recon.api.pipeline import fit_and_check, observations_to_fit
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_number, positive_number, usable_device, usable_rate
@@ -132,7 +132,7 @@ def fit(
     if paths and _is_estimate(paths):
         from recon import refine  # imported here: it imports this module
 
-        _refuse_others(paths[0], how_read, start)
+        _refuse_unused_options(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
             frame_rate=how_read.frame_rate, unit=how_read.unit, up=how_read.up,
@@ -142,7 +142,7 @@ def fit(
             callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
     model = body_given(body).to(device="cpu", dtype=torch.float32)
-    sighting = observed(
+    sighting = observations_to_fit(
         observations, model, how_read, ground=ground, between=between, robust=robust
     )
     clip = sighting.clip
@@ -170,7 +170,7 @@ def fit(
     if callback is not None or max_seconds is not None:
         limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
-    examined = fitted(
+    examined = fit_and_check(
         clip.observations, clip.names, options, model, stopper,
         _start_in_fit_frame(start, sighting, model), checks,
     )  # fmt: skip
@@ -223,12 +223,12 @@ def complete(
 
 
 def _is_estimate(paths: Sequence[Path]) -> bool:
-    from recon.formats.producers import is_estimate  # only needed for paths of files
+    from recon.formats.producers import is_estimate  # imported here: only for files
 
     return is_estimate(paths)
 
 
-def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
+def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
     given = [name for name in options.changed_names() if name not in heeded]

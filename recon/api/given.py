@@ -56,7 +56,7 @@ def paths_given(given: Any) -> tuple[Path, ...]:
 
 
 def body_given(given: BodyLike) -> BodyModel:
-    """The body, read where a path is given.
+    """The body model that an argument stands for: itself, a file's, or the bundled one.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -70,7 +70,7 @@ def body_given(given: BodyLike) -> BodyModel:
 def motion_given(
     given: Any, body: BodyModel, name: str = "motion", remedy: str = ""
 ) -> GivenMotion:
-    """A motion in the precision of the body, with all of its shape coefficients.
+    """The motion that an argument stands for, in the body's precision, with all coefficients.
 
     Args:
         given: a `MotionLike`; a leading axis of length one is taken off, padding cut off.
@@ -154,14 +154,14 @@ class Shape:
     """Standard deviation of every coefficient about those; people differ by 1."""
 
     def prior(self, body: BodyModel) -> ShapePrior:
-        """The density over the shapes of a body.
+        """The prior density of the shape coefficients of a body.
 
         Raises:
             ReconError: when nothing is given, a number is none that it can be, or no body has it.
         """
         if self.height is None and self.like is None:
             raise ReconError(
-                "Shape: expected height or like, the shape that the person's is near; got neither"
+                "Shape: expected height, or a similar shape as like, or both; got neither"
             )
         from recon.body.identities import identity
         from recon.method.shape_prior import ShapePrior

@@ -1,4 +1,4 @@
-"""The step of a fit after the body: fingers from the points of hands that observations have."""
+"""Fit fingers after the body, to the points of hands that observations have."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ def with_fingers(
         T_world_recording: from the frame of the observations to that of the motion, metres.
     """
     seen = [
-        _in_frames_of(motion, body, one, fitted, T_world_recording.double())
+        _hands_at_frames(motion, body, one, fitted, T_world_recording.double())
         for one, fitted in zip(given, compared, strict=True)
         if getattr(one, "fingers", None) is not None
     ]
@@ -104,10 +104,10 @@ def with_fingers(
     )
 
 
-def _in_frames_of(
+def _hands_at_frames(
     motion: Motion, body: BodyModel, one: Any, fitted: Any, T: Float[Tensor, "4 4"]
 ) -> _SeenHands:
-    """The points of one sensor at the nearest moments to the frames of the motion.
+    """The points of hands of one sensor, at its moments nearest to the motion's frames.
 
     Points that are relative to the body are moved to where the body is.
     """
@@ -118,7 +118,7 @@ def _in_frames_of(
     rows = points[numbers]
     values, confidence, camera = rows[..., :-1], rows[..., -1] * there[:, None], None
     if one.view is None:
-        noise = _noise(points, _NOISE_M)
+        noise = _hand_noise(points, _NOISE_M)
         values = values @ T[:3, :3].mT + T[:3, 3]
         if not one.placed:
             own = one.positions[0, numbers].double() @ T[:3, :3].mT + T[:3, 3]
@@ -126,16 +126,16 @@ def _in_frames_of(
             away = (one.predict(body.pose(motion)).double() - own) * counts
             values = values + away.sum(1, keepdim=True) / counts.sum(1, keepdim=True).clamp(min=1)
     else:
-        noise = _noise(points, _NOISE_PX)
+        noise = _hand_noise(points, _NOISE_PX)
         camera = fitted.camera.moved(T.numpy()).map(lambda x: x[0].double().cpu())
         if camera.T_camera_world.shape[0] > 1:
             camera = camera.at(numbers)
     return _SeenHands(values * (confidence > 0)[..., None], confidence, camera, noise)
 
 
-def _noise(points: Float[Tensor, "moments 42 numbers"], known: tuple[float, ...]) -> float:
+def _hand_noise(points: Float[Tensor, "moments 42 numbers"], limits: tuple[float, ...]) -> float:
     """Standard deviation of a coordinate; a usual value where there are too few frames."""
-    least, most, usual = known
+    least, most, usual = limits
     if len(points) < _FRAMES:
         return usual
     return estimate_noise(points[None, ..., :-1], points[None, ..., -1] > 0, (least, most))
@@ -240,7 +240,7 @@ def _hand_finding(hand: int, what: str) -> Finding:
 def _wrist_distance(
     seen: Sequence[_SeenHands], hand: int, place: Float[Tensor, "time 3"]
 ) -> float:
-    """Median distance of a hand from a wrist of the body, metres: of its wrist, if seen.
+    """Median distance of a hand (its wrist, if seen) from a wrist of the body, metres.
 
     In an image it is that across the line of sight, at the depth of the wrist.
     """

@@ -82,8 +82,8 @@ class LabelledMarkers:
             raise FormatError(f"{out}: expected a name in .c3d, .trc or .csv for named markers")
         if kind == ".c3d" and (self.source is None or self.source.suffix.lower() != ".c3d"):
             raise FormatError(
-                f"{out}: a C3D file is written as a copy of one, but {self.recording.name} was "
-                "read from none; write .trc or .csv"
+                f"{out}: a C3D file is written as a changed copy of the one that was read, but "
+                f"{self.recording.name} is from another kind of file; write .trc or .csv"
             )
         output = Output(Path(out), OutputKind.FILE)
         with writing(output, report=report or self.report(), overwrite=overwrite) as (staged,):
@@ -125,20 +125,20 @@ def label(
     """
     seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
-        bodies, like_what = _bodies(like, set, unit, up)
-    outputs = _outputs(seen.marker_names, bodies[0].markers.labels)
+        bodies, like_what = _marked_bodies(like, set, unit, up)
+    outputs = _model_outputs(seen.marker_names, bodies[0].markers.labels)
     naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled(seen, outputs, naming, like_what, source)
 
 
-def _bodies(
+def _marked_bodies(
     like: str | Path | SkeletonRecording | MarkerRecording | None,
     set: str | Path | None,
     unit: Unit | None,
     up: Up | None,
 ) -> tuple[list[MarkedBody], str]:
-    """Bodies with markers whose names are known, and where from."""
+    """Bodies with named markers, and the trial or set that the names are from."""
     body = BodyModel.load()
     markers = None if set is None else markers_of_set(set, body)
     if like is None:
@@ -152,8 +152,8 @@ def _bodies(
     return [body_like(trial, body, markers)], trial.name
 
 
-def _outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
-    """Points of a trial that has names which are no markers; none of a trial without names."""
+def _model_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
+    """Mask of named points that are outputs of a model, no markers; false without any names."""
     known = np.isin(names, markers)
     if known.sum() < FEWEST_MARKERS:
         return np.zeros(len(names), bool)
@@ -167,7 +167,7 @@ def _labelled(
     like: str,
     source: Path | None,
 ) -> LabelledMarkers:
-    """The recording in columns of names, of tracks that stayed open, and of a model's outputs."""
+    """The recording with a column for every name, unnamed track and output of a model."""
     names, track = naming.bodies[0].markers.labels, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()
@@ -185,7 +185,8 @@ def _labelled(
     kept = np.flatnonzero(outputs)
     columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
     labels += [seen.marker_names[k] for k in kept.tolist()]
-    seldom = np.where(columns >= 0, columns, np.nan)  # in the order of the file
+    # columns are ordered as their points are in the file
+    seldom = np.where(columns >= 0, columns, np.nan)
     shown = (columns >= 0).any(0)
     order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]
     order = np.concatenate((np.flatnonzero(shown)[order], np.flatnonzero(~shown)))

@@ -45,7 +45,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
             clips.
     """
     if not isinstance(given, Sensor | Clip | Iterable):
-        raise _no_observation(given)
+        raise _no_observation_error(given)
     if isinstance(given, Clip):
         seen, names = given.observations, given.names
     else:
@@ -129,7 +129,7 @@ def _observation_names(seen: Sequence[Any]) -> tuple[str, ...]:
     """A name for every observation: its kind, numbered where there are several of one kind."""
     for one in seen:
         if not isinstance(one, Sensor):
-            raise _no_observation(one)
+            raise _no_observation_error(one)
     kinds = [one.kind for one in seen]
     count, number = Counter(kinds), Counter[str]()
     names: list[str] = []
@@ -139,7 +139,7 @@ def _observation_names(seen: Sequence[Any]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _no_observation(given: object) -> ObservationError:
+def _no_observation_error(given: object) -> ObservationError:
     if is_geometry(given):
         return ObservationError(
             "expected either geometries of Open3D, one per frame, or observations, got both; make "

@@ -1,6 +1,7 @@
 """The steps of a fit, from the observations of one clip to a motion with checks and uncertainty.
 
-`recon.fit` says what its arguments mean, calls `observed` and `fitted`, and describes the result.
+`recon.fit` says what its arguments mean, calls `observations_to_fit` and `fit_and_check`, and
+describes the result.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from recon.core.arrays import finite_number, geometries_given
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
-from recon.fitting.clip import posed
+from recon.fitting.clip import clip_problem
 from recon.fitting.methods import FitOptions, is_preview, loaded_prior
 from recon.fitting.records import ClipFit, clip_between
 from recon.fitting.settings import FitSettings, ReadOptions
@@ -24,7 +25,7 @@ from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 
-def observed(
+def observations_to_fit(
     given: Any,
     body: BodyModel,
     how_read: ReadOptions,
@@ -61,7 +62,8 @@ def observed(
             ground = "auto"  # the reader already placed a camera of unknown pose above the ground
     elif names := how_read.changed_names():
         raise ReconError(
-            f"{', '.join(names)}: options for reading files, but the observations are read already"
+            f"{', '.join(names)}: options for reading files, but the observations are not files; "
+            "leave them out"
         )
     clip = clip_of(given, body)
     if between is not None:
@@ -71,7 +73,7 @@ def observed(
     return on_ground(clip, ground)
 
 
-def fitted(
+def fit_and_check(
     observations: Sequence[Sensor],
     names: Sequence[str],
     options: FitOptions,
@@ -114,23 +116,21 @@ def fitted(
     # check the data: repair faults that are certain, warn of the others
     clip = checked(clip, of_data if options.repair else ())
     if options.completes:
-        fit = _completed(clip.observations, options, body, watch)
+        fit = _completed_recording(clip.observations, options, body, watch)
     else:
         # data recorded faster than bodies move are averaged to a lower rate
         fewer = [paced(one) for one in clip.observations]
         found = clip.start if start is None else None
         start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import (
-                motion_in_room,
-            )  # imported here: treadmills are rare
+            from recon.diagnosis.movement import motion_in_room  # imported here: it is rare
 
             start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave
         seen, guess = guessed(fewer, body, start, options.starting_shape)
         guess = replace(guess, posed=found is not None)
         # the problem: residuals of each sensor over its noise; unknown ground and focal length
-        problem = posed(seen, guess, options, body, watch)
+        problem = clip_problem(seen, guess, options, body, watch)
         # minimise the stages of the prior, one after the other
         fit = problem.solved()
     # check the result: residuals, standard deviations, other hypotheses, plausible movement
@@ -149,10 +149,10 @@ def _start_at_data_rate(
     return found and found.resample(max(one.fps for one in seen if one.named))
 
 
-def _completed(
+def _completed_recording(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
-    """One cycle by a prior of cycles, or a whole recording."""
+    """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""
     # imported here: only priors of gait cycles need it
     from recon.fitting.cycles import complete
     from recon.fitting.recording import WholeRecording, complete_recording

@@ -19,7 +19,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.diagnosis.checks import guessed, residuals, size_and_soles, unseen
 from recon.diagnosis.examination import Check, CheckedClip, ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
-from recon.fitting.ground import ground_below, upright_ground
+from recon.fitting.ground import ground_by_feet, ground_by_posture
 from recon.fitting.methods import FitOptions, Method
 from recon.fitting.records import ClipFit
 from recon.method.laplace import Deviations
@@ -56,15 +56,15 @@ def preview(
     }  # fmt: skip
     if names := [name for name, given in unheeded.items() if given]:
         raise ReconError(
-            f"method: a preview is what a network proposes, which heeds no {', '.join(names)}; "
-            "leave that out, or leave the method out to fit"
+            f"method: a network that makes a preview does not use {', '.join(names)}; leave "
+            "these out, or leave the method out to fit"
         )
-    found, fit = _previewed(clip.observations, options, clip.body)
+    found, fit = _preview_fit(clip.observations, options, clip.body)
     examined = ExaminedClip.of(clip, fit)
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
         spread = torch.ones_like(fit.result.motion.shape[0])
-        known = 0.0 if options.shape is not None else 1.0  # the variation among people
+        known = 0.0 if options.shape is not None else 1.0  # coefficients of people have unit std
         own = Deviations(std, _ROOT * std.mean(-1), known * spread)
         examined = replace(examined, deviations=own)
     said = (
@@ -79,7 +79,7 @@ def preview(
 
 
 def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
-    """A network that proposes motions; a class is loaded as that of a prior.
+    """Load a network that proposes motions; a class is loaded as a prior's class is.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -96,13 +96,13 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
             found = found() if load is None else load(weights, body)
     if isinstance(found, type) or not callable(found):
         raise ReconError(
-            "method: expected what is called with observations and a body (recon.method.Look), "
+            "method: expected a function of observations and a body (recon.method.Look), "
             f"got {found!r:.80}"
         )
     return cast(Look, found)
 
 
-def likeliest(
+def likeliest_motion(
     look: Look, observations: Sequence[Sensor], body: BodyModel
 ) -> tuple[Motion, ProposedMotions]:
     """The likeliest motion (1, time) that a network proposes, and all that it returned.
@@ -122,7 +122,7 @@ def likeliest(
     return checked_start(motion.map(lambda tensor: tensor[None]), observations, body), found
 
 
-def _previewed(
+def _preview_fit(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel
 ) -> tuple[ProposedMotions, ClipFit]:
     """What the network returned, and its likeliest motion as a fit without stages.
@@ -132,19 +132,19 @@ def _previewed(
     assert options.method is not None
     look = loaded_look(options.method, options.weights, body)
     given = [options.noise_of(row) for row in range(len(observations))]
-    seen = in_space(
+    seen = with_triangulated_views(
         one.derived(rms_std=noise) if one.named and noise else one
         for one, noise in zip(observations, given, strict=True)
     )
     ground, T = None, torch.eye(4)[None]
     if not all(one.ground_known for one in observations):
         guess = seen[0].start(body)
-        below = ground_below if frame_is_level(observations) else upright_ground
+        below = ground_by_feet if frame_is_level(observations) else ground_by_posture
         ground = below(guess, body)
-        first, _ = likeliest(look, _carried(seen, ground), body)
+        first, _ = likeliest_motion(look, _carried_to_world(seen, ground), body)
         ground = ground.replace(lift=ground.lift - sole_heights(first, body))
         T = ground.T_world_recording
-    motion, found = likeliest(look, _carried(seen, ground), body)
+    motion, found = likeliest_motion(look, _carried_to_world(seen, ground), body)
     if (shape := options.starting_shape) is not None:
         motion = with_shape(motion, shape, body)
     scene = Scene.create(1, like=motion.translation).replace(ground=ground)
@@ -156,14 +156,14 @@ def _previewed(
     )  # fmt: skip
 
 
-def _carried(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
+def _carried_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> Sequence[Sensor]:
     if ground is None:
         return seen
     return [one.transformed(ground.T_world_recording[0].numpy()) for one in seen]
 
 
-def in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
-    """The observations, with views of calibrated cameras as the points where their rays meet.
+def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
+    """The observations, with views of calibrated cameras replaced by triangulated points.
 
     What cannot be triangulated stays as it is.
     """

@@ -8,7 +8,7 @@ from recon.api.estimates import LEAST_FRAMES, estimate_given
 from recon.api.fit import fit
 from recon.api.given import BodyLike, MotionLike, ShapeLike, body_given
 from recon.api.observations import GroundChoice
-from recon.api.pipeline import observed
+from recon.api.pipeline import observations_to_fit
 from recon.api.result import Result
 from recon.core.errors import ReconError
 from recon.core.units import Hand, Unit, Up
@@ -17,7 +17,7 @@ from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
 from recon.reading.estimate_in_film import people_of_film, view_of_estimate
 
-_OF_FILMS = ("camera", "camera_unit", "image_size", "layout", "detector", "detections")
+_OF_FILMS = ("camera", "camera_unit", "image_size", "layout", "detector", "fingers", "detections")
 """Options of reading that concern the film."""
 
 
@@ -84,7 +84,7 @@ def refine(
         reading: dict[str, Any] = dict(zip(names, values, strict=True))
         if not people:
             return fit([motion], prior, body=body, shape=shape, ground=ground, **reading, **how)  # pyright: ignore[reportArgumentType]
-        clip = observed([motion], model, ReadOptions.of(reading)).clip
+        clip = observations_to_fit([motion], model, ReadOptions.of(reading)).clip
         points: Any = clip.observations[0]
         view, said = view_of_estimate(people, points, model)
         result = fit([points, view], prior, body=model, shape=shape, ground=ground, **how)
@@ -111,7 +111,7 @@ def refine(
 
 
 def _is_keypoints(path: Path) -> bool:
-    """Whether a file holds keypoints to fit; refused when it cannot be refined either."""
+    """Whether a file holds keypoints, which are fitted; refuse files that cannot be refined."""
     from recon.formats.producers import holds_sam3d_body, refuse_others
 
     refuse_others(path, "refine")

@@ -52,10 +52,7 @@ def describe(
 
 
 def _stage_report(report: StageReport) -> dict[str, Any]:
-    """A stage in plain values.
-
-    Over several windows, the largest number of steps and summed energies.
-    """
+    """A stage as plain values; over windows, the most iterations and the sum of energies."""
     solution = report.solution
     energies = solution.trace[:, -1].sum(0).tolist()
     reasons = [reason for reason in Termination if reason in solution.termination]
@@ -327,7 +324,7 @@ def result_of(
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt, cameras = None, ()
     if views_of(found.observations):
-        from recon.api.filming import filming_cameras  # few observations are images
+        from recon.api.filming import filming_cameras  # imported here: few clips have images
 
         cameras = filming_cameras(examined, clip, T, motion)
     if examined.belt is not None:
@@ -336,7 +333,7 @@ def result_of(
         belt = path_of_belt(motion, examined.belt)
         motion = motion_in_room(motion, examined.belt)
     if any(getattr(one, "fingers", None) is not None for one in clip.observations):
-        from recon.api.hands import with_fingers  # few observations show hands
+        from recon.api.hands import with_fingers  # imported here: few clips show hands
 
         motion, said = with_fingers(motion, body, clip.observations, found.observations, T)
         examined = replace(examined, found=examined.found + said)

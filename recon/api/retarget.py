@@ -100,8 +100,8 @@ def retarget(
     source = raised_motion(given.motion, -level)
     if source.frames < max(SHORTEST_MOTION * source.fps, 2):
         raise ReconError(
-            f"{given.name}: lasts {source.frames / source.fps:.2f} s; a motion that is retargeted "
-            f"lasts {SHORTEST_MOTION:g} s or longer, and has two frames or more"
+            f"{given.name}: expected a motion of {SHORTEST_MOTION:g} s or longer and two frames "
+            f"or more, got {source.frames / source.fps:.2f} s"
         )
     told = asked is not None or given.file.ground is not None
     before = physics_samples(source.resample(RATE), model)

@@ -198,7 +198,9 @@ def simulate(
     truth = given.motion
     if frames is not None:
         if not 0 <= frames[0] < frames[1] <= truth.frames:
-            raise ReconError(f"{given.name}: has {truth.frames} frames, asked for {frames}")
+            raise ReconError(
+                f"{given.name}: expected frames within 0 to {truth.frames}, got {frames}"
+            )
         truth = truth.window(*frames)
     truth = truth if fps is None else truth.resample(positive_number(fps, "fps"))
     files = seen_by(

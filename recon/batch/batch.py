@@ -50,7 +50,7 @@ def fit_one(job: FitJob) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    # before reading, so that the next run notices later changes
+    # checksums are taken before reading, so that the next run notices later changes
     paths, settings = job.clip.observations, job.settings
     key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:

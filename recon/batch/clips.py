@@ -49,8 +49,8 @@ def fit_clips(
         return _fit_each(every, prior, arguments)
     if arguments.get("shape") is not None:
         raise ReconError(
-            "subject: estimates the shape that all clips share, but a shape is given; leave one "
-            "of them out"
+            "subject: one shape is estimated for all clips, but a shape is given; leave one of "
+            "them out"
         )
     first = {name: value for name, value in arguments.items() if name not in _FIRST}
     shapes = [one.motion.shape for one in _fit_each(every, "pose", first)]

@@ -112,8 +112,8 @@ def _clips_of_collection(folder: Path, root: Path) -> Iterator[SourceClip]:
         parts = clip.name.split("/")
         if any(part in ("", ".", "..") for part in parts) or "\0" in clip.name:
             raise ValueError(
-                f"{where}: the clip's name becomes that of a file below OUT, so not "
-                f"{clip.name!r}; give another one in a column clip"
+                f"{where}: expected a name of the clip that can be a path below OUT, got "
+                f"{clip.name!r}; give another one in the column clip"
             )
         yield clip
 

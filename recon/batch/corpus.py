@@ -199,7 +199,7 @@ class _Corpus:
                     suspected.append(half)
                 else:
                     result = found
-        # in the given order, on which a calibration depends
+        # the given order is kept, since a calibration depends on it
         kept = [clip for clip in some if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):

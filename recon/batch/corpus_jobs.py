@@ -190,7 +190,7 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
 def split_at_jumps(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
-    """The parts of a recording between jumps that last at least a second."""
+    """The parts of a recording between jumps of at least a second, and a row about the rest."""
     jumps = jump_frames(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]

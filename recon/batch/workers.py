@@ -117,7 +117,7 @@ class _Worker:
             self._process.join()
             return Failure("crashed", _exit_in_words(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
-            # the process is in an unknown state then
+            # after a failed allocation the process is in an unknown state
             self.stop()
             return result, False
         return result, True

@@ -38,9 +38,8 @@ def stance_height(
     motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
 ) -> float | None:
     """Mean distance of a standing foot's lowest skin from the ground, metres."""
-    stands = (
-        touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)
-    )  # ankle or toes of the left, the right foot
+    # a foot stands where its ankle or its toes touch the ground; axes: time, left and right
+    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)
     return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
 
 

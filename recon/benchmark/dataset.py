@@ -115,7 +115,10 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for name, path in sorted((_clip_name(path), path) for path in Path(corpus).rglob("*.npz")):
         if name in found:
-            raise ValueError(f"two clips are called {name}: {found[name]} and {path}")
+            raise ValueError(
+                f"expected different names of clips, got {name} for {found[name]} and {path}; "
+                "rename one"
+            )
         found[name] = path
     if len(found) == 0:
         raise FileNotFoundError(

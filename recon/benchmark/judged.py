@@ -77,7 +77,10 @@ def bench(
     )
     folders = {Path(folder).name: Path(folder) for folder in predictions}
     if TRUTH in {*made, *folders} or set(made) & set(folders) or len(folders) < len(predictions):
-        raise ReconError("methods and folders of predictions need different names")
+        raise ReconError(
+            "expected different names of methods and folders of predictions, none of them "
+            f"{TRUTH!r}; rename them"
+        )
     windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
     seen = seen_windows(asked, windows, body)
     rows: dict[str, list[Row]] = {}

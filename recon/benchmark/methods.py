@@ -123,7 +123,9 @@ def _interpolated_joints(seen: PositionsFile) -> np.ndarray:
     filled, times = seen.positions.copy(), np.arange(len(seen.positions))
     for point, shown in enumerate(seen.visible.T):
         if not shown.any():
-            raise ReconError(f"linear: {seen.names[point]} was never seen")
+            raise ReconError(
+                f"linear: expected every joint to be seen, but {seen.names[point]} never is"
+            )
         for axis in range(3):
             known = seen.positions[shown, point, axis]
             filled[:, point, axis] = np.interp(times, times[shown], known)

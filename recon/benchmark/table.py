@@ -53,7 +53,7 @@ def mean_with_interval(
         )
     groups = _by_clip(values, clips, subjects)
     if not groups:
-        raise ValueError("no window has a value")
+        raise ValueError("expected a value in at least one window, got none")
     random = np.random.default_rng(0)
     drawn = np.mean([_bootstrap_means(own, random) for own in groups.values()], axis=0)
     tail = 100 * (1 - LEVEL) / 2

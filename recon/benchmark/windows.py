@@ -64,7 +64,7 @@ class TrueWindows:
         )
 
     def take(self, rows: list[int]) -> "TrueWindows":
-        """Some of the windows."""
+        """The windows in the given rows."""
         return replace(
             self,
             truth=self.truth[rows],
@@ -111,7 +111,9 @@ def load_windows(
         subject, first = splits.subject(clip), round(seconds * FPS)
         room = whole[clip].frames
         if room < first + listed:
-            raise ReconError(f"{files[clip]}: no {listed} frames from {seconds} s on")
+            raise ReconError(
+                f"{files[clip]}: expected {listed} frames from {seconds} s on, got {room - first}"
+            )
         if subject not in shapes:
             generator = np.random.default_rng([seed, *subject.encode()])
             shapes[subject] = draw_girth(body, whole[clip].shape, generator)
@@ -154,9 +156,7 @@ def contacts_at(
 def draw_girth(
     body: BodyModel, shape: Float[Tensor, " shape"], random: np.random.Generator
 ) -> Float[Tensor, " shape"]:
-    """A random shape (girth) with about the same bone lengths as the given one.
-
-    Drawn from the conditional density of shapes.
+    """Draw a random shape with about the same bone lengths as the given one.
 
     Shapes are N(0, I) before and every coordinate of a bone is known to `BONE_ERROR`, so what is
     added to the fitted shape has covariance (I + JᵀJ / error²)⁻¹ with J the bones' derivative.

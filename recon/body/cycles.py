@@ -1,4 +1,4 @@
-"""Cycles of gait in any motion: dynamic time warping of the hips onto two templates."""
+"""Find gait cycles in a motion by dynamic time warping of hip flexion onto two templates."""
 
 import math
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Cycle:
-    """A part of a motion in which the hips go once through their cycle."""
+    """One gait cycle: when it begins and ends, the foot that begins it, and how well it fits."""
 
     start: float
     """Seconds of the motion's clock."""
@@ -53,7 +53,7 @@ class Cycle:
         return self.stop - self.start
 
     def of(self, motion: Motion, frames: int) -> Motion:
-        """The part of a motion of one clip that the cycle covers, at evenly spaced moments."""
+        """The motion of one clip during the cycle, resampled to that many even frames."""
         times = torch.linspace(self.start, self.stop, frames, dtype=torch.float64)
         return motion.at(times, (frames - 1) / self.duration)
 

@@ -52,7 +52,7 @@ class CarriedPoints:
 
     @classmethod
     def joints(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "CarriedPoints":
-        """The 22 joints themselves."""
+        """The 22 joints as carried points."""
         count = len(JOINTS)
         none = torch.zeros(0, dtype=torch.long, device=shape.device)
         eye = torch.eye(count, dtype=shape.dtype, device=shape.device)
@@ -60,7 +60,7 @@ class CarriedPoints:
         return replace(found, own_joints=tuple(range(count)))
 
     def some(self, rows: Sequence[int]) -> "CarriedPoints":
-        """Some of the points, by their numbers."""
+        """The points in the given rows, in that order."""
         order, own = cached_constant(tuple(rows), self.share.device), self.own_joints
         return CarriedPoints(
             self.share[order], self.place[order], self.place_by_shape[:, order],
@@ -81,7 +81,7 @@ class CarriedPoints:
         orientations: Float[Tensor, "*batch 22 3 3"],
         joints: Float[Tensor, "*batch 22 3"],
     ) -> Float[Tensor, "*batch points 3"]:
-        """The points on bones in these poses, metres."""
+        """Positions of the points for given world poses of the bones, metres."""
         return _offsets_in_world(self.place, orientations).sum(-2) + self.share @ joints
 
     def jacobian_by_rotations(
@@ -96,7 +96,7 @@ class CarriedPoints:
         )
         below = cached_constant(_BELOW, parts.device, parts.dtype)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
-        axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
+        axes = orientations.mT[:, None]  # of shape (time, 1, joints, axis, 3)
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
         return turned.flatten(2, 3).mT
 
@@ -115,7 +115,7 @@ class CarriedPoints:
         joints: Float[Tensor, "time 22 3 shape"],
     ) -> Float[Tensor, "time points 3 shape"]:
         """Derivatives by shape coefficients, from the derivatives of the joints; metres."""
-        # (time, 3, 22·3) @ (points, 22·3, shape)
+        # one matrix product of (time, 3, 22·3) with (points, 22·3, shape)
         turned = orientations.transpose(1, 2).flatten(2)[:, None]
         parts = turned @ self.place_by_shape.permute(1, 2, 3, 0).flatten(1, 2)
         return parts + (self.share @ joints.flatten(2)).unflatten(2, joints.shape[2:])

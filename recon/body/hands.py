@@ -52,7 +52,7 @@ what joints yield to a push and 5 degrees for the zero that the flat hand is."""
 
 @dataclass(frozen=True)
 class HandModel:
-    """Bones and axes of the left and the right hand of one person; double precision."""
+    """Finger bones and joint axes of a person's left and right hand, in double precision."""
 
     directions: Float[Tensor, "2 20 3"]
     """Of every bone in the flat hand, body axes, by the point that it ends in."""
@@ -81,8 +81,10 @@ class HandModel:
         bones = flat.flatten(1, 2)
         lengths = bones.norm(dim=-1)
         if not bundled:
-            lengths = lengths * _forearm(body, shape) / _forearm(own, shape.new_zeros(1))
-        axes = _axes(relaxed[0, 0], turns[0, 0, 0], flat[0, :, 1])
+            lengths = (
+                lengths * _forearm_length(body, shape) / _forearm_length(own, shape.new_zeros(1))
+            )
+        axes = _left_hand_axes(relaxed[0, 0], turns[0, 0, 0], flat[0, :, 1])
         both = torch.stack((axes, axes * axes.new_tensor([1.0, -1.0, -1.0])))
         return cls(bones / bones.norm(dim=-1, keepdim=True), lengths, both)
 
@@ -94,7 +96,7 @@ class HandModel:
         side: int,
         lengths: Float[Tensor, " 20"] | None = None,
     ) -> "PosedHand":
-        """One hand in every frame, given rotation and position of the wrist in the world."""
+        """Pose one hand by its joint angles (radians) and the wrist's rotation and position."""
         size = self.lengths[side] if lengths is None else lengths
         bones = self.directions[side] * size[:, None]
         points, local, axes, pivots, ways = [], [], [], [], []
@@ -120,7 +122,7 @@ class HandModel:
 
 @dataclass(frozen=True)
 class PosedHand:
-    """One hand in every frame: what it takes to derive its points, world, metres."""
+    """Points of one hand in every frame, and axes and pivots for their Jacobian; world, metres."""
 
     points: Float[Tensor, "time 20 3"]
     local: Float[Tensor, "time 15 3 3"]
@@ -133,10 +135,10 @@ class PosedHand:
     """Direction of every bone."""
 
 
-def _axes(
+def _left_hand_axes(
     thumb: Float[Tensor, "4 3"], turn: Float[Tensor, "3 3"], ahead: Float[Tensor, "5 3"]
 ) -> Float[Tensor, "22 3"]:
-    """Axes of the angles of the left hand.
+    """Unit vectors that the 22 angles turn about in the flat left hand.
 
     Args:
         thumb: bones of the relaxed thumb, which is bent and so tells how it bends.
@@ -157,7 +159,7 @@ def _axes(
     return torch.stack(rows)
 
 
-def _forearm(body: BodyModel, shape: Tensor) -> float:
+def _forearm_length(body: BodyModel, shape: Tensor) -> float:
     rest = body.rest_joints(shape[: body.shape_size].to(body.template))
     return float((rest[WRISTS[0]] - rest[joint_index("left_elbow")]).norm())
 
@@ -211,7 +213,7 @@ def pose_fingers(
 def finger_skin(
     motion: Motion, body: BodyModel
 ) -> tuple[Float[Tensor, "vertices 52"], Float[Tensor, "30 4 4"]]:
-    """Skinning weights of the 22 joints and the fingers, and the unposed skin seen from fingers.
+    """Skinning weights of body and finger joints, and inverse bind matrices of finger joints.
 
     The hand of the unposed skin is relaxed, not flat: the matrices take its points to the frames
     of the finger joints. A body other than the bundled one has no fingers in its skin.
@@ -236,7 +238,7 @@ def finger_skin(
 def hands_of_angles(
     angles: Float[Tensor, "time 2 22"], model: HandModel, lengths: Tensor | None = None
 ) -> Hands:
-    """Fingers with given angles (radians) of the left and the right hand."""
+    """Finger rotations and bone lengths for joint angles (radians) of left and right hand."""
     eye = torch.eye(3).to(angles).expand(len(angles), 3, 3)
     nowhere = angles.new_zeros(len(angles), 3)
     local = torch.stack([model.posed(angles[:, s], eye, nowhere, s).local for s in (0, 1)], 1)

@@ -83,7 +83,7 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
         return _coefficients(spec, words, body)
     if spec.strip().endswith(".npz") or Path(spec).is_file():
         return load_motion_of(Path(spec.strip()), body).motion.shape
-    return _shape_with(_measures_asked(spec, words), body)
+    return _shape_with_measures(_measures_asked(spec, words), body)
 
 
 def body_weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
@@ -138,7 +138,7 @@ def nearest_shape(
         if not float(away.norm()) < _MAX_STDS:
             break
         shape = base + away
-    raise ReconError("no body of this model has these measures; ask for milder ones")
+    raise ReconError("no body of this model has these measures; give some nearer to the average")
 
 
 def _all_numbers(words: list[str]) -> bool:
@@ -156,7 +156,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
             f"{len(values)}"
         )
     if not all(map(math.isfinite, values)):
-        raise ReconError(f"shape {spec!r}: coefficients are finite numbers")
+        raise ReconError(f"shape {spec!r}: expected finite numbers as coefficients")
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
@@ -172,7 +172,7 @@ def _measures_asked(spec: str, words: list[str]) -> _WantedMeasures:
         else:
             raise ReconError(f"shape {spec!r}: {word or 'nothing'!r} is not known; give {FORMS}")
         if slot in found:
-            raise ReconError(f"shape {spec!r}: says the {slot} twice")
+            raise ReconError(f"shape {spec!r}: gives the {slot} twice; give it once")
         found[slot] = wish
     return _WantedMeasures(**found)
 
@@ -192,7 +192,7 @@ def _parsed_measure(spec: str, name: str, value: str) -> float:
     return number
 
 
-def _shape_with(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
+def _shape_with_measures(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
     exact = body.to(dtype=torch.float64)
     base, free = _mean_of_sex(wanted.sex, exact)
     tall, heavy = exact.height, partial(body_weight, exact)

@@ -32,7 +32,7 @@ _REWEIGHTINGS = 30
 
 
 def standing_flat(feet: Float[Tensor, "time 4 3"], fps: float) -> Bool[Tensor, "time 2"]:
-    """Frames in which the left and right foot stand flat.
+    """Mask of the frames in which the left and the right foot stand flat.
 
     Ankle and toe are slow, and the ankle is as high above the toe as it is mostly in such frames
     (a foot on its toes is not flat).

@@ -47,7 +47,7 @@ def rotations_after_turns(
 def flat_world_vectors(
     local: Float[Tensor, "frames 22 3"], orientations: Float[Tensor, "frames 22 3 3"]
 ) -> Float[Tensor, "frames 66"]:
-    """Vectors in bone frames, rotated to the world and flattened as a step is, (xyz, joints)."""
+    """Rotate vectors from bone frames to the world, and flatten them as x, y, z of all joints."""
     return (orientations @ local[..., None])[..., 0].transpose(1, 2).flatten(-2)
 
 
@@ -176,7 +176,7 @@ class ShapeLevers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
-        """The matrices for some points; shape changes their places on bones and bone lengths."""
+        """The columns for points that the shape moves on their bones and with bone lengths."""
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
@@ -184,7 +184,7 @@ class ShapeLevers(TensorStruct):
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # zeros for positions
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # positions of bones add nothing
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
     def jacobian_by_shape(

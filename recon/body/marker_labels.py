@@ -54,7 +54,7 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     matched: dict[str, str] = {}
     unknown: list[str] = []
     for label, word in plain.items():
-        point = None if _joint_centres().get(word) in words else table.get(word)
+        point = None if _marker_of_joint_centre().get(word) in words else table.get(word)
         if point is None:
             unknown.append(label)
         else:
@@ -144,8 +144,8 @@ def _vertex_number(path: Path, label: str, point: object) -> int | None:
         return point
     if isinstance(point, dict):
         raise ReconError(
-            f"{path}: {label!r} became a table; labels with dots need quotes, "
-            f'like "{label}.ASIS" = "left_asis"'
+            f"{path}: expected a landmark for {label!r}, got a table; put labels with dots in "
+            f'quotes, like "{label}.ASIS" = "left_asis"'
         )
     raise ReconError(
         f"{path}, marker {label!r}: expected a landmark's name or a vertex number, got {point!r}"
@@ -154,7 +154,7 @@ def _vertex_number(path: Path, label: str, point: object) -> int | None:
 
 @cache
 def _landmark_of_label() -> Mapping[str, str]:
-    """Normalised label -> landmark, from `assets/markers.toml`."""
+    """The landmark of every normalised label, from `assets/markers.toml`."""
     sections = _label_sections()
     table: dict[str, str] = {}
 
@@ -176,8 +176,8 @@ def _landmark_of_label() -> Mapping[str, str]:
 
 
 @cache
-def _joint_centres() -> Mapping[str, str]:
-    """Normalised label of a computed joint centre -> label of the marker at the same joint."""
+def _marker_of_joint_centre() -> Mapping[str, str]:
+    """The marker at the same joint for every computed joint centre; both by normalised label."""
     pairs = cast("dict[str, str]", _label_sections()["centres"])
     return MappingProxyType(
         {

@@ -62,7 +62,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled_body()
-        from recon.formats.smpl import load_smpl  # most fits use the bundled body
+        from recon.formats.smpl import load_smpl  # imported here: only for files
 
         path = Path(path)
         arrays = load_smpl(path).of_body()
@@ -159,7 +159,7 @@ class PosedBody:
         unposed = self.model.rest_vertices(self.shape, vertices)
         homogeneous = torch.cat((unposed, torch.ones_like(unposed[..., :1])), -1)
         left = (weights[:, :, None] * homogeneous[..., :, None, :]).flatten(-2)
-        # (*batch time joints 4 3) -> (*batch joints·4 time·3)
+        # from the shape (*batch time joints 4 3) to (*batch joints·4 time·3), for one product
         right = self.bones.movedim(-4, -2).flatten(-4, -3).flatten(-2)
         skinned = (left @ right).unflatten(-1, (self.joints.shape[-3], 3)).movedim(-2, -3)
         if self.model.pose_directions is None:

@@ -1,4 +1,4 @@
-"""Motion files of one body."""
+"""Load motions for one body model, and move motions to another shape of it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> Moti
 def checked_for_body(
     file: MotionFile, path: object, body: BodyModel, remedy: str = WITH_BODY
 ) -> MotionFile:
-    """As `load_motion_of`, for a file that was read already; `path` is for messages.
+    """Check a file that was read already, as `load_motion_of` does; `path` is for messages.
 
     Raises:
         ValueError: when it was made with another body.

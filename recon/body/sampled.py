@@ -47,7 +47,7 @@ class SampledSurface(TensorStruct):
 
     @property
     def soles(self) -> tuple[slice, slice]:
-        """The rows, among points of soles, of the soles of the left and of the right foot."""
+        """Row ranges of the left and of the right sole among the points where `sole` is true."""
         left = int((self.part[self.sole] == PARTS.index("left_lower_leg")).sum())
         return slice(0, left), slice(left, int(self.sole.sum()))
 

@@ -53,16 +53,16 @@ class RestPoints:
     shape: Tensor
 
     def joint(self, name: str) -> Float[np.ndarray, "3"]:
-        """The centre of a joint."""
+        """Position of a joint, metres."""
         return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
 
     def mean(self, *names: str) -> Float[np.ndarray, "3"]:
-        """The middle of some landmarks of the skin."""
+        """Mean position of landmarks of the skin, metres."""
         index = torch.tensor([landmark(name) for name in names])
         points = self.body.rest_vertices(self.shape, index)
         return points.detach().double().numpy().mean(0)
 
-    def rightwards(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
+    def vector_to_right(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
         """The vector between two landmarks of one side; it points right if palms face forwards."""
         side = SIDES[end]
         across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
@@ -95,24 +95,24 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         wrist = points.mean(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
         hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
         ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
-        malleoli = points.rightwards(end, "ankle_medial", "ankle_lateral")
+        malleoli = points.vector_to_right(end, "ankle_medial", "ankle_lateral")
         tibia = _axes_along_z(malleoli, knee - ankle)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
             f"femur_{end}": axes_along_y(
-                hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
+                hip - knee, points.vector_to_right(end, "knee_medial", "knee_lateral")
             ),
             f"tibia_{end}": tibia,
             f"foot_{end}": axes_along_y(UP, tibia[:, 2]),
             f"humerus_{end}": axes_along_y(
-                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+                shoulder - elbow, points.vector_to_right(end, "elbow_medial", "elbow_lateral")
             ),
             f"forearm_{end}": axes_along_y(
                 elbow - points.mean(f"{side}_wrist_ulnar"),
-                points.rightwards(end, "wrist_ulnar", "wrist_radial"),
+                points.vector_to_right(end, "wrist_ulnar", "wrist_radial"),
             ),
             f"hand_{end}": axes_along_y(
-                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+                wrist - knuckles, points.vector_to_right(end, "pinky_knuckle", "index_knuckle")
             ),
         }
     return axes
@@ -187,7 +187,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     q3 = np.arctan2(-sign * r[:, a, b], r[:, a, a])
     first = np.stack((q1, q2, q3), -1)
     second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
-    # R = R_a(q1 ± q3) R_b(±90°)
+    # in gimbal lock R = R_a(q1 ± q3) R_b(±90°), so that only q1 ± q3 is known
     turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
     return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 
@@ -203,7 +203,7 @@ def elevation_angles(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarr
     q1 = np.arctan2(-r[:, 0, 1], -r[:, 2, 1])
     q3 = np.arctan2(-r[:, 1, 0], r[:, 1, 2])
     angles = np.stack((q1, np.arctan2(sine, r[:, 1, 1]), q3), -1)
-    # R = R_y(q1 ± q3) R_x(0° or 180°)
+    # in gimbal lock R = R_y(q1 ± q3) R_x(0° or 180°), so that only q1 ± q3 is known
     turned = np.arctan2(-r[:, 2, 0], r[:, 0, 0])
     return _without_jumps(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
 
@@ -230,7 +230,7 @@ def _without_jumps(
     steps = both[None, :, 1:] - both[:, None, :-1]
     steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
     branch = [0]
-    # for each solution of a frame, the nearer of the next frame's two
+    # for each of a frame's two solutions, the number of the next frame's nearer one
     for follows in steps.argmin(1).T.tolist():
         branch.append(follows[branch[-1]])
     return np.unwrap(both[branch, np.arange(len(branch))], axis=0)

@@ -24,7 +24,7 @@ _CHUNK = 2000
 
 @dataclass(frozen=True)
 class Soles:
-    """Vertices under the feet, left and right."""
+    """Vertex numbers of the soles, heels and balls of the left and the right foot."""
 
     points: Int[Tensor, "2 points"]
     heels: Int[Tensor, "2 patch"]

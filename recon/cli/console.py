@@ -76,16 +76,16 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 def print_facts(title: str, values: Mapping[str, Any]) -> None:
     """Print a command's result for people on stdout, a name and a value per row."""
-    _table(title, {name: {"value": value} for name, value in values.items()}, stderr=False)
+    _print_rows(title, {name: {"value": value} for name, value in values.items()}, stderr=False)
 
 
 def print_table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Print a table on stderr: rows by name, one column per key of the first row."""
     if not _quiet.get():
-        _table(title, rows, stderr=True)
+        _print_rows(title, rows, stderr=True)
 
 
-def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
+def _print_rows(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text  # plain text, in which rich interprets no markup

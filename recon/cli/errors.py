@@ -2,4 +2,4 @@
 
 
 class Failed(Exception):
-    """The work failed although the input was good; exit code 1."""
+    """The work of a command failed although its input was good; exit code 1."""

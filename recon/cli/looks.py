@@ -20,7 +20,7 @@ _HEAD = 1 << 16
 """Bytes at the start of a file that are looked at."""
 
 
-def look_at(given: Mapping[str, Any]) -> None:
+def refuse_unsuitable(given: Mapping[str, Any]) -> None:
     """Refuse arguments that cannot work: unknown priors, markers, and unsuitable files.
 
     Args:

@@ -77,7 +77,8 @@ def command_function(name: str, verb: Verb) -> Callable[..., None]:
     def run(**arguments: Any) -> None:
         running.run(verb.function_name, [place.parameter for place in verb.places], arguments)
 
-    for one in {run, unwrap(run)}:  # both, since the tests' type checker wraps functions
+    # the wrapped function, too, as the type checker of the tests wraps functions
+    for one in {run, unwrap(run)}:
         one.__name__, one.__doc__ = name, ast.get_docstring(function)
         one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
         vars(one)["__signature__"] = Signature(given)

@@ -9,7 +9,7 @@ from typing import Any
 from recon.cli import console
 from recon.cli.errors import Failed
 from recon.cli.films import draw_sheets, films_given, with_films_detected
-from recon.cli.looks import look_at
+from recon.cli.looks import refuse_unsuitable
 
 
 def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
@@ -25,7 +25,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         Failed: when a fit met nan or inf.
         FileNotFoundError, ValueError: for bad input.
     """
-    look_at(given)
+    refuse_unsuitable(given)
     if written and isinstance(out := given.get(written[0]), Path):
         given = with_films_detected(given, out)
     module, _, name = place.partition(":")
@@ -38,7 +38,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         return
     from recon.reading.inputs import input_checksums
 
-    options = {key: one for key, one in how.items() if not _is_read(known[key], one)}
+    options = {key: one for key, one in how.items() if not _is_input_file(known[key], one)}
     more = dict[str, Any]()
     settings = given.get("settings")
     if settings is not None:
@@ -136,7 +136,7 @@ def _print_result(found: Any, given: Mapping[str, Any]) -> None:
         console.print_last_line(str(found.place))
 
 
-def _is_read(parameter: Parameter, value: Any) -> bool:
+def _is_input_file(parameter: Parameter, value: Any) -> bool:
     """Whether an argument is an input file of the verb, and not a setting."""
     return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
 

@@ -55,14 +55,14 @@ def float_tensor(values: Any, name: str) -> Tensor:
     array = _as_array(values, name)
     if array.dtype.kind not in "fiub":
         raise ReconError(f"{name}: expected an array of numbers, got {_type_text(values, array)}")
-    with np.errstate(over="ignore"):  # too large for float32: infinite, refused later
+    with np.errstate(over="ignore"):  # too large numbers become infinite, and are refused later
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
 
 def geometries_given(given: Any) -> tuple[Any, ...]:
-    """Geometries of Open3D, one per frame, recognised by their attributes; empty if it is none.
+    """The Open3D geometries in an argument, one per frame; empty if it is something else.
 
-    Depth images are pairs (image, lens).
+    They are recognised by their attributes. A depth image is a pair (image, lens).
     """
     pair = isinstance(given, tuple) and hasattr(given[-1] if given else None, "intrinsic_matrix")
     several = tuple(given) if isinstance(given, list | tuple) and not pair else (given,)
@@ -70,19 +70,19 @@ def geometries_given(given: Any) -> tuple[Any, ...]:
 
 
 def is_geometry(one: Any) -> bool:
-    """Whether this is a cloud, a mesh or a pair of depth image and lens of Open3D."""
+    """Whether an object is an Open3D cloud or mesh, or a pair of depth image and lens."""
     if isinstance(one, tuple) and len(one) == 2 and hasattr(one[1], "intrinsic_matrix"):
         return hasattr(one[0], "depth")
-    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's own results
+    if hasattr(one, "motion") or hasattr(one, "fps"):  # recon's results are no geometries
         return False
     return any(hasattr(one, name) for name in ("points", "vertices", "point", "vertex", "depth"))
 
 
 def bool_tensor(values: Any, name: str) -> Tensor:
-    """A mask as a tensor of true and false; numbers must be 0 and 1.
+    """A mask as a boolean tensor; numbers must be 0 or 1.
 
     Raises:
-        ValueError: when these are neither.
+        ValueError: when there are other values.
     """
     if isinstance(values, Tensor) and values.dtype == torch.bool:
         return values
@@ -100,7 +100,7 @@ def bool_tensor(values: Any, name: str) -> Tensor:
 
 
 def index_tuple(values: Any, name: str) -> tuple[int, ...]:
-    """Whole numbers, zero or greater, as a tuple.
+    """A row of non-negative integers as a tuple.
 
     Raises:
         ValueError: when these are something else.
@@ -116,10 +116,10 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
 
 
 def usable_device(name: str) -> torch.device:
-    """A device by its name.
+    """The torch device of this name, once a tensor could be made on it.
 
     Raises:
-        ReconError: when there is none of this name, or torch cannot use it.
+        ReconError: when there is no such device, or torch cannot use it.
     """
     try:
         return torch.empty(0, device=name).device
@@ -129,7 +129,7 @@ def usable_device(name: str) -> torch.device:
 
 
 def positive_number(value: Any, name: str) -> float:
-    """The number, checked to be finite and above zero.
+    """The value as a float, which is checked to be finite and above zero.
 
     Raises:
         ValueError: when it is something else.
@@ -141,13 +141,13 @@ def positive_number(value: Any, name: str) -> float:
 
 
 def usable_rate(value: Any, name: str) -> float:
-    """The number, checked to be a frame rate in Hz; otherwise a ValueError."""
+    """The value as a float, which is checked to be a plausible frame rate in Hz (ValueError)."""
     FRAME_RATE.check(rate := positive_number(value, name), name)
     return rate
 
 
 def finite_number(value: Any, name: str) -> float:
-    """One finite number.
+    """The value as a float, which is checked to be finite.
 
     Raises:
         ValueError: when it is something else.
@@ -179,20 +179,20 @@ def require_shape(tensor: Tensor, name: str, shape: Sequence[str | int]) -> None
 
 
 def finite_median(values: Float[np.ndarray, "*shape samples"]) -> Float[np.ndarray, "*shape"]:
-    """Median of the finite values of every row, NaN where there are none; values may be NaN."""
+    """Median of the finite values of every row; NaN for a row without finite values."""
     ordered, count = np.sort(values, -1), np.isfinite(values).sum(-1)  # np.sort puts NaN last
     middle = np.stack(((count - 1) // 2, count // 2), -1).clip(min=0)
     return np.take_along_axis(ordered, middle, -1).mean(-1)
 
 
 def runs(flags: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
-    """First index, and the index after the last one, of every run of true values."""
+    """Index range [start, stop) of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def first_where(mask: Tensor) -> list[int]:
-    """Index of the first true element of a mask that has one."""
+def index_of_first_true(mask: Tensor) -> list[int]:
+    """Index, one number per axis, of the first true element; the mask must have one."""
     return mask.nonzero()[0].tolist()
 
 

@@ -13,7 +13,7 @@ Unity's humanoids, of Rigify's human metarig, or of the segments of Xsens' MVNX 
 
 @cache
 def names_of_joints() -> dict[str, dict[str, str]]:
-    """The name of every joint of body and fingers for every program, keyed by program."""
+    """Names of body and finger joints in other programs: {program: {our name: its name}}."""
     text = files("recon").joinpath("assets", "bone_names.txt").read_text(encoding="utf-8")
     (_, *programs), *rows = (line.split() for line in text.splitlines())
     return {
@@ -22,17 +22,17 @@ def names_of_joints() -> dict[str, dict[str, str]]:
     }
 
 
-def renamed(joints: tuple[str, ...], names: str) -> tuple[str, ...]:
-    """Joints, and tips called `<joint>_end`, with the names of another program.
+def joint_names_in(joints: tuple[str, ...], program: str) -> tuple[str, ...]:
+    """Translate names of joints, and of tips called `<joint>_end`, to those of a program.
 
     Raises:
         ReconError: when no such program is known; the message lists those that are.
     """
-    if names == "smpl":
+    if program == "smpl":
         return joints
-    if names not in (known := names_of_joints()):
-        raise ReconError(f"names: expected one of smpl, {', '.join(known)}, got {names!r:.60}")
-    theirs = known[names]
+    if program not in (known := names_of_joints()):
+        raise ReconError(f"names: expected one of smpl, {', '.join(known)}, got {program!r:.60}")
+    theirs = known[program]
     return tuple(
         theirs[joint.removesuffix("_end")] + "_end" * joint.endswith("_end") for joint in joints
     )

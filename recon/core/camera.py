@@ -118,9 +118,9 @@ class Camera(TensorStruct):
         return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
 
     def at(self, moments: range) -> "Camera":
-        """The camera at given frames of its clock; outside its poses it stands still.
+        """The camera at frame numbers of its clock; before its first and after its last it rests.
 
-        Its poses have an axis of frames, of length one for a fixed camera.
+        Its poses must have an axis of frames, of length one for a fixed camera.
         """
         poses = self.T_camera_world
         if poses.shape[-3] == 1:
@@ -164,12 +164,12 @@ class Camera(TensorStruct):
         return self.to_world(rays * depth[..., None])
 
     def in_image(self, pixels: Float[Tensor, "*batch points 2"]) -> Bool[Tensor, "*batch points"]:
-        """Pixels that lie inside the image."""
+        """Mask of the pixels that lie inside the image."""
         size = pixels.new_tensor(self.image_size)
         return ((pixels >= 0) & (pixels < size)).all(-1)
 
     def moved(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Camera":
-        """A camera in another world frame, to which the transform maps the old one."""
+        """The same camera in another world frame; `T_new_old` maps the old world to the new."""
         poses = self.T_camera_world
         back = torch.from_numpy(np.linalg.inv(T_new_old)).to(poses)
         return self.derived(T_camera_world=poses @ back)
@@ -235,8 +235,8 @@ def check_pose(pose: Any, source: object, key: str) -> None:
         bottom = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max()
     if mirrored.any() or not bottom < 1e-6:
         raise ReconError(
-            f"{source}: expected rigid transforms in {key} with a last row 0 0 0 1, got one that "
-            "mirrors or does not end so"
+            f"{source}: expected rigid transforms in {key} with a last row 0 0 0 1, got a "
+            "reflection or another last row"
         )
     limits.POSITION.check(T[..., :3, 3], source, key)
 
@@ -253,8 +253,8 @@ def pose_looking_at(
     right = torch.linalg.cross(forward, forward.new_tensor([0.0, 0.0, 1.0]))
     if not right.norm() > 1e-6:
         raise ReconError(
-            f"a camera at {position.tolist()} that looks at {target.tolist()} has no upright "
-            "image; move either one sideways"
+            f"a camera at {position.tolist()} must not look straight up or down, as it does at "
+            f"{target.tolist()}; move the camera or the target sideways"
         )
     right = right / right.norm()
     turn = torch.stack((right, torch.linalg.cross(forward, right), forward))

@@ -1,4 +1,4 @@
-"""Clouds of points: as arrays, and their unit and up axis, found from the person in them."""
+"""Point clouds as arrays; their unit and up axis, inferred from the person in them."""
 
 from typing import Any, get_args
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.arrays import is_geometry
-from recon.core.coordinates import along_axis
+from recon.core.coordinates import signed_axis
 from recon.core.errors import ReconError, UnitsError
 from recon.core.units import METRES, Up, to_z_up
 
@@ -54,7 +54,7 @@ def cloud_points(one: Any, name: str) -> np.ndarray:
     found = found.reshape(0, 3) if found.size == 0 else found
     if found.ndim != 2 or found.shape[1] != 3:
         raise ReconError(f"{name}: expected points (N, 3), got {found.shape}")
-    return found[~np.isnan(found).all(1)]  # pixels without depth in an organised cloud
+    return found[~np.isnan(found).all(1)]  # organised clouds have NaN at pixels without depth
 
 
 def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
@@ -76,8 +76,8 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
             if low <= size * METRES[unit] <= high:
                 return unit
     raise UnitsError(
-        f"{name}: the clouds measure {size:.3g} units, which is {_ROOM[0]} to {_ROOM[1]} m "
-        "neither in m nor in cm or mm; give it with --unit"
+        f"{name}: expected clouds that are {_ROOM[0]} to {_ROOM[1]} m large in m, cm or mm, got "
+        f"{size:.3g} units; give the unit with --unit"
     )
 
 
@@ -114,34 +114,35 @@ def up_of_clouds(
         if floors[0, 2] and floors.sum() == 1:
             return "z", ()
         raise UnitsError(
-            f"{name}: nobody in the clouds stands along an axis, and not only the lowest points "
-            f"stay at z = 0, so the up axis is unknown; {asked}"
+            f"{name}: the up axis is unknown, as the person in the clouds is not upright along "
+            f"any axis, and z = 0 need not be the floor; {asked}"
         )
     low, high = np.median(ends[:, :, axis], axis=0)
     whole = min(abs(low), abs(high), abs(low + high)) < _NEAR
     if whole and high - low < _SHORTEST and not unit_given:
         raise UnitsError(
-            f"{name}: who stands in the clouds is {high - low:.2f} m tall, which no adult is: "
-            "scans are often scaled to unit height. Multiply their points by the person's height "
+            f"{name}: the person who stands in the clouds is {high - low:.2f} m tall, less than "
+            "an adult; scans are often scaled to unit height. Multiply the points by the height "
             "in metres, or give --unit m for a child or a part of a body"
         )
-    evidence = _head_above_feet(shown, along_axis(axis, 1.0))
+    evidence = _head_above_feet(shown, signed_axis(axis, 1.0))
     usual = axis == 2 and evidence > -_SURE
     below = -high if usual or evidence > 0 else low
     if below > _BELOW and abs(evidence) < 2 * _SURE:
         raise UnitsError(
-            f"{name}: somebody stands along {along_axis(axis, 1.0)}, {below:.1f} m below the "
-            f"origin if the head is where it seems to be, which says the opposite; {asked}"
+            f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
+            f"unclear: with the head where it seems to be, the body lies {below:.1f} m below the "
+            f"origin; {asked}"
         )
     if usual:
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(
-            f"{name}: somebody stands along {along_axis(axis, 1.0)}, but which end is up is "
+            f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
             f"unknown; {asked}"
         )
-    up = along_axis(axis, evidence)
-    return up, (f"up axis {up}: who is in the clouds stands along it",)
+    up = signed_axis(axis, evidence)
+    return up, (f"up axis {up}: the person in the clouds stands along it",)
 
 
 def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
@@ -163,6 +164,6 @@ def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
 
 
 def _mean_horizontal_radius(points: Float[np.ndarray, "points 3"]) -> float:
-    """Mean horizontal distance of points from their centroid."""
+    """Mean horizontal distance of points from their centroid, plus `_SWAY` so as not to be 0."""
     level = points[:, :2]
     return float(np.linalg.norm(level - level.mean(0), axis=-1).mean()) + _SWAY

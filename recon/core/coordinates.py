@@ -80,8 +80,8 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     fitting = [unit for unit, metres in METRES.items() if low <= length * metres <= high]
     if len(fitting) != 1:
         raise UnitsError(
-            f"{name}: the bones from head to foot measure {length:.4g} units, which is "
-            f"{low} m to {high} m in none of {', '.join(METRES)}; give the unit with --unit"
+            f"{name}: expected bones of {low} m to {high} m from head to foot in one of the units "
+            f"{', '.join(METRES)}, got {length:.4g} units; give the unit with --unit"
         )
     metres = METRES[fitting[0]]
     return fitting[
@@ -89,14 +89,14 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
 
 
-def unusual_unit(size: float) -> str:
-    """A remark that names the unit in which a body of this size would be as tall as an adult."""
+def hint_at_unusual_unit(size: float) -> str:
+    """A hint, for messages, at the rare unit in which this size is an adult's; else empty."""
     found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
 
 def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
-    """Unit in which markers span as much as a person, and the reason.
+    """Unit in which the extent of all markers is that of a person, and the reason for it.
 
     Raises:
         ValueError: when no unit fits.
@@ -105,8 +105,8 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     fitting = [unit for unit in ("m", "cm", "mm") if low <= extent * METRES[unit] <= high]
     if len(fitting) != 1:
         raise UnitsError(
-            f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
-            f"of m, cm, mm{unusual_unit(extent)}; give the unit with --unit"
+            f"{name}: expected markers that span {low} m to {high} m in m, cm or mm, got "
+            f"{extent:.4g} units{hint_at_unusual_unit(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
@@ -133,9 +133,9 @@ def unit_of_path(
     up: Float[np.ndarray, "3"],
     name: str,
 ) -> tuple[str, tuple[str, ...]]:
-    """Unit of the body's path in which feet in contact stand still; the reason if not metres.
+    """The unit of a body's path in which feet in contact stand still; notes if not metres.
 
-    Of somebody who hardly goes anywhere it is that in which the feet are at height zero.
+    For somebody who hardly moves away, it is the unit in which the feet are at height zero.
 
     Args:
         path: of the body, in the unknown unit.
@@ -171,15 +171,15 @@ def unit_of_path(
         return level[0], (f"unit of the translation {level[0]}: the feet are on the floor by it",)
     raise UnitsError(
         f"{name}: the translation is not in metres: the body would be {far:.0f} m from the origin "
-        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if that "
-        "is so), or divide it by the scale of the body"
+        f"and its feet slide at {m:.1f} m/s. Give its unit, --unit cm or mm (m if this is "
+        "right), or divide it by the scale of the body"
     )
 
 
 def notes_on_missing_path(
     path: Float[np.ndarray, "time 3"], rotations: Float[np.ndarray, "time joints 3 3"]
 ) -> str:
-    """Notes on a body that moves although its path stays in one place; empty for other paths.
+    """A warning where the body moves but its translation is constant; empty otherwise.
 
     Args:
         path: of the body, in any unit.
@@ -196,12 +196,12 @@ def notes_on_missing_path(
     )
 
 
-def along_body(
+def vectors_up_body(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """Vector up the body in every frame that has its two ends, which are found by names.
+    """Vectors from the low to the high end of the body, found by names, in frames with both.
 
     It goes from the feet to the head and shoulders, or to the pelvis where neither is seen. Feet
     count where more than half of their points are seen: one foot alone may be a raised one whose
@@ -246,7 +246,7 @@ def settled_up(
     name: str,
     extent: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[Up, str]:
-    """The up direction: from feet to head, else the usual one of the format, else by the floor.
+    """The up direction, and the reason: from feet to head, else the format's, else the floor's.
 
     Args:
         names: of the points.
@@ -259,7 +259,7 @@ def settled_up(
     Raises:
         UnitsError: when none of these tells.
     """
-    vectors = along_body(names, positions, visible)
+    vectors = vectors_up_body(names, positions, visible)
     rise = vectors.mean(0) if len(vectors) else None
     if rise is not None and abs(rise).max() < _MOSTLY * np.linalg.norm(vectors, axis=-1).mean():
         rise = None
@@ -281,7 +281,7 @@ def settled_up(
 
 
 def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) -> tuple[Up, str]:
-    """The direction that is up by the vector from feet to head, and the reason for it.
+    """The up direction by the vector from feet to head, and the reason for it.
 
     Args:
         rise: mean vector from feet to head, in any unit; None when unknown.
@@ -294,7 +294,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     """
     if rise is not None:
         best, second = (int(k) for k in np.argsort(np.abs(rise))[:-3:-1])
-        found = along_axis(best, rise[best])
+        found = signed_axis(best, rise[best])
         if abs(rise[best]) >= 1.5 * abs(rise[second]):
             against = f" (the file hints at {usual})" if usual not in (None, found) else ""
             if rise[best] > 0:
@@ -312,7 +312,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     )
 
 
-def along_axis(axis: int, sign: float) -> Up:
+def signed_axis(axis: int, sign: float) -> Up:
     """The direction along the axis of this number, or against it for a negative sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
@@ -332,7 +332,7 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(rise).max())
-    ways: list[Up] = [along_axis(axis, rise[axis]) for axis in range(3)]
+    ways: list[Up] = [signed_axis(axis, rise[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
@@ -370,7 +370,7 @@ def corrected_up(
     seen is high above the declared floor, somebody with hidden legs may bend or lie down: then
     half of the frames must show the body, and it must keep that direction.
     """
-    vectors = along_body(names, positions, visible)
+    vectors = vectors_up_body(names, positions, visible)
     if not len(vectors):
         return None
     units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
@@ -385,4 +385,4 @@ def corrected_up(
         steady and 2 * len(vectors) > len(positions)
     ):
         return None
-    return along_axis(best, mean[best])
+    return signed_axis(best, mean[best])

@@ -24,7 +24,7 @@ TIPS = tuple(f"{s}_{finger}_tip" for s in SIDES for finger in _STORED)
 _ALL = (*JOINTS, *HAND_JOINTS, *TIPS)
 
 
-def _parent(name: str) -> int:
+def _parent_index(name: str) -> int:
     side, _, rest = name.partition("_")
     if rest.endswith("_tip"):
         return _ALL.index(f"{side}_{rest.removesuffix('_tip')}3")
@@ -32,7 +32,7 @@ def _parent(name: str) -> int:
     return _ALL.index(f"{side}_wrist" if order == 1 else f"{side}_{rest[:-1]}{order - 1}")
 
 
-HAND_PARENTS = tuple(_parent(name) for name in (*HAND_JOINTS, *TIPS))
+HAND_PARENTS = tuple(_parent_index(name) for name in (*HAND_JOINTS, *TIPS))
 """Number of the parent of every finger joint and then of every tip, among JOINTS + HAND_JOINTS."""
 OF_HAND = tuple(
     name.format(finger) for finger in FINGERS for name in ("{}1", "{}2", "{}3", "{}_tip")
@@ -50,7 +50,7 @@ HANDS = "+hands"
 
 @dataclass(frozen=True)
 class Hands(TensorStruct):
-    """The fingers of one body's motion, in the frames of the motion."""
+    """Finger rotations of one body in the frames of its motion, and lengths of finger bones."""
 
     rotations: Float[Tensor, "*batch time 30 3 3"]
     """Rotation of every joint of HAND_JOINTS relative to its parent; the identity is a straight
@@ -60,19 +60,19 @@ class Hands(TensorStruct):
     those of the body's shape."""
 
     def window(self, start: int, stop: int) -> "Hands":
-        """Frames start, ..., stop - 1."""
+        """The fingers in frames start, ..., stop - 1."""
         return self.replace(rotations=self.rotations[..., start:stop, :, :, :])
 
     def between(
         self, before: Int[Tensor, " times"], after: Int[Tensor, " times"], fraction: Tensor
     ) -> "Hands":
-        """The fingers at moments between two frames each, along the shortest arcs."""
+        """Interpolate between frames `before` and `after`, along the shortest arcs."""
         a, b = (self.rotations[..., k, :, :, :] for k in (before, after))
         share = fraction.to(a)[:, None].expand(len(before), a.shape[-3])
         return self.replace(rotations=so3.interpolate(a, b, share))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Rotation vectors (time, 90), as SMPL-H has them, and lengths, named as in files."""
+        """Arrays for a motion file: rotation vectors (time, 90) as of SMPL-H, and lengths."""
         turns = so3.log(self.rotations.detach().double().cpu()).to(self.rotations.dtype)
         found = {"pose_hand": turns.flatten(-2).numpy()}
         if self.lengths is not None:

@@ -14,7 +14,7 @@ from recon.core.errors import ReconError
 
 @dataclass(frozen=True)
 class Limit:
-    """The range of one quantity."""
+    """The plausible range of one quantity, both ends included."""
 
     quantity: str
     low: float
@@ -161,6 +161,7 @@ FOCAL_LENGTH = Limit(
     "focal length", 4.0, 1e6, "pixels",
     "a lens of 1,200 mm before an 8K sensor has 260,000; check that it is in pixels, not in mm",
 )  # fmt: skip
+FILM_FOCAL_LENGTH = Limit("focal length for 35 mm film", 8.0, 400.0, "mm", "no other films people")
 FIELD = Limit(
     "focal length over the image's longer side", 0.1, 200.0, "",
     "0.1 sees 157 degrees, which no lens without fisheye does; the longest telephoto lenses have "

@@ -60,7 +60,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Whether a frame and the frames `step` before and after it exist; without the ends."""
+        """Mask of the frames that exist as do those `step` before and after; ends left out."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after
@@ -87,9 +87,9 @@ class Motion(TensorStruct):
         )
 
     def at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
-        """The motion at other moments: positions linearly, rotations along the shortest arc.
+        """Interpolate at other times: positions linearly, rotations along the shortest arc.
 
-        A moment between an existing and a padded frame does not exist.
+        A moment between an existing and a padded frame is not valid.
 
         Raises:
             ValueError: when a moment lies outside the motion by more than a microsecond.

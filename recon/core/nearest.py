@@ -28,11 +28,11 @@ def nearest(
         tensor.flatten(0, -3 if tensor.is_floating_point() else -2)
         for tensor in (points, present, surface, allowed)
     ]
-    search = _by_trees if points.device.type == "cpu" else _by_distances
+    search = _nearest_by_trees if points.device.type == "cpu" else _nearest_by_distances
     return search(*frames).unflatten(0, points.shape[:-2])
 
 
-def _by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
+def _nearest_by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
     from scipy.spatial import KDTree
 
     found = np.zeros(present.shape, np.int64)
@@ -47,7 +47,9 @@ def _by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor)
     return torch.from_numpy(found)
 
 
-def _by_distances(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
+def _nearest_by_distances(
+    points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor
+) -> Tensor:
     found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
     rows = max(1, _CHUNK // max(points.shape[-2] * surface.shape[-2], 1))
     for some in torch.arange(len(points), device=points.device).split(rows):

@@ -64,7 +64,7 @@ def find_ground(
     """
     up = np.asarray(up, np.float64) / max(float(np.linalg.norm(up)), 1e-12)
     if not all(np.isfinite(cloud).all() for cloud in clouds):
-        raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
+        raise ValueError("expected clouds of finite points, got NaN or infinity; leave these out")
     generator = np.random.default_rng(0)
     sample, rejected = _SampledPoints.of(clouds, generator), "no plane"
     for normal, offset, rows in _planes_by_size(sample.points, generator):

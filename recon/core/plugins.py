@@ -43,7 +43,7 @@ def registered_places(group: str) -> Mapping[str, str]:
 
 
 def imported_object(place: str, what: str) -> Any:
-    """The class at "package.module:Class".
+    """Import the class at "package.module:Class".
 
     Args:
         place: of the class.
@@ -71,9 +71,9 @@ def lazy_names(
         module_of: the module of every name.
     """
 
-    def named(name: str) -> Any:
+    def import_name(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(module_of[name]), name)
 
-    return named, lambda: sorted([*vars(sys.modules[package]), *module_of])
+    return import_name, lambda: sorted([*vars(sys.modules[package]), *module_of])

@@ -53,7 +53,7 @@ class UnknownGround(TensorStruct):
 
     @classmethod
     def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
-        """An initial scene whose ground is z = 0 of the recording."""
+        """The first guess: the ground is z = 0 of the recording."""
         return cls(torch.zeros_like(pivot[..., :2]), torch.zeros_like(pivot[..., 0]), pivot)
 
     @property
@@ -113,7 +113,7 @@ class UnknownLens(TensorStruct):
 
 @dataclass(frozen=True)
 class Scene(TensorStruct):
-    """Unknowns shared by all frames of a clip, optimised together with the prior's variables."""
+    """Unknowns of a clip that all frames share, optimised with the prior's variables."""
 
     offsets: Float[Tensor, "*batch offsets 3"]
     """Constant offsets of tracked points from their place on the model, metres, in the frame of

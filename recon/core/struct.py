@@ -48,7 +48,7 @@ class TensorStruct:
         return cast(Any, self).map(Tensor.detach)
 
     def __getitem__(self: _S, index: Any) -> _S:
-        """Select along the leading batch axis, of every tensor alike."""
+        """The record with every tensor indexed along its leading batch axis."""
         return cast(Any, self).map(lambda tensor: tensor[index])
 
     def replace(self: _S, **fields: Any) -> _S:

@@ -52,7 +52,7 @@ def parse_unit(text: str) -> str | None:
 
 
 def check_override(unit: str | None) -> None:
-    """Refuse a unit that is not known.
+    """Refuse an unknown unit of length.
 
     Raises:
         ValueError: with the units that are.

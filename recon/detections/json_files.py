@@ -222,7 +222,7 @@ def _people_of_mediapipe(entry: Any, place: str) -> People | None:
 
 
 def _flat_hand(hand: list[Any], place: str) -> list[Any]:
-    """x, y and a confidence of one of all points of a hand, whose records know no visibility."""
+    """x, y and confidence 1 of the points of a hand in one list; records have no visibility."""
     if not _has_axes(hand, "xy"):
         raise FormatError(f"{place}: expected landmarks of a hand with x and y")
     return [number for one in hand for number in (one["x"], one["y"], 1.0)]

@@ -34,7 +34,7 @@ def read_keypoints(
     if path.is_dir():
         frames = read_frame_folder(path)
         if any(is_alphapose(entry) for _, entry in frames):
-            raise FormatError(f"{path}: give AlphaPose's file itself, not its folder")
+            raise FormatError(f"{path}: expected AlphaPose's file, got its folder; give the file")
         return read_frames(frames, str(path), layout, image_size)
     existing_file(path)
     match path.suffix.lower():

@@ -158,6 +158,8 @@ class Detections:
     """Frames per second, where the file tells."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the file tells."""
+    stated_focal: float | None = None
+    """Focal length for 35 mm film, millimetres, where the camera wrote it into a film."""
     lines: Float[np.ndarray, "lines 2 2"] | None = None
     """Ends of straight segments in some images of a film, pixels."""
     lines_frame: Int[np.ndarray, " lines"] | None = None

@@ -1,6 +1,7 @@
 """Reads 2D keypoints from CSV tables of DeepLabCut and SLEAP, and from .npz files."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,17 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
-from recon.core.limits import FRAME_RATE, FRAMES, JSON, KEYPOINTS, PEOPLE, PIXEL, SAMPLES
+from recon.core.limits import (
+    FILM_FOCAL_LENGTH,
+    FRAME_RATE,
+    FRAMES,
+    JSON,
+    KEYPOINTS,
+    PEOPLE,
+    PIXEL,
+    SAMPLES,
+    Limit,
+)
 from recon.detections.records import (
     Background,
     Detections,
@@ -201,20 +212,29 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
     if layout is None and "layout" in arrays and str(arrays["layout"]) in LAYOUTS:
         layout = str(arrays["layout"])
     found = detections_of_rows(path.name, numbers.tolist(), rows, layout=layout)
-    rate, size = (np.asarray(arrays.get(key, 0)).ravel() for key in ("frame_rate", "image_size"))
-    told = rate.dtype.kind in "fiu" and len(rate) == 1 and FRAME_RATE.holds(float(rate[0]))
+    size = np.asarray(arrays.get("image_size", 0)).ravel()
     sized = size.dtype.kind in "iu" and len(size) == 2 and (size > 0).all()
     shots = np.asarray(arrays.get("shots", [])).ravel()
     cut = shots.dtype.kind in "iu" and (np.diff(shots) > 0).all()
     return replace(
         found,
-        frame_rate=float(rate[0]) if told else None,
+        frame_rate=_one_number(arrays, "frame_rate", FRAME_RATE),
+        stated_focal=_one_number(arrays, "stated_focal", FILM_FOCAL_LENGTH),
         image_size=(int(size[0]), int(size[1])) if sized else None,
         shots=tuple(shots.tolist()) if cut else (),
         hands=found.hands if "hands" not in arrays else _hands(arrays, there, path),
         **_straight_lines(arrays, path),
         background=_background(arrays, path),
     )
+
+
+def _one_number(
+    arrays: Mapping[str, Shaped[np.ndarray, "..."]], key: str, within: Limit
+) -> float | None:
+    """A number of a file; None where it has none, or one that cannot be."""
+    value = np.asarray(arrays.get(key, np.nan)).ravel()
+    sound = value.dtype.kind in "fiu" and len(value) == 1 and within.holds(value)
+    return float(value[0]) if sound else None
 
 
 def _hands(
@@ -328,6 +348,7 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
         out["hands"][frames, column] = found.hands
     for key, value in (
         ("frame_rate", found.frame_rate), ("image_size", found.image_size),
+        ("stated_focal", found.stated_focal),
         ("shots", found.shots or None), ("lines", found.lines), ("lines_frame", found.lines_frame),
     ):  # fmt: skip
         if value is not None:

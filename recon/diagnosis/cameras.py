@@ -65,7 +65,7 @@ def lens_findings(name: str, found: ClipFit) -> Findings:
     factor = float(lens.factor[0])
     focal = float(view.camera.camera_matrix[0, ..., 0, 0].mean())
     message = (
-        f"{name}: the focal length was guessed as {focal / factor:.0f} pixels and found with the "
+        f"{name}: the focal length was taken as {focal / factor:.0f} pixels and found with the "
         f"motion as {focal:.0f} pixels; poses depend on it little, the distance of the camera as "
         "much as it is wrong. Give a calibration (--camera) where distances matter"
     )

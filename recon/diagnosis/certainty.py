@@ -1,4 +1,4 @@
-"""What a fit is unsure of: standard deviations, other motions, and joints that were not seen.
+"""Uncertainty of a fit: standard deviations, other hypotheses, and joints that were not seen.
 
 The standard deviations of every joint come from the curvature of the fit's objective.
 """
@@ -174,7 +174,7 @@ class AlternativeMotion:
     @property
     def excess(self) -> float:
         """By how much this motion's energy is larger, as a share of the chosen motion's."""
-        if self.chosen_energy <= 0:  # happens with data without noise
+        if self.chosen_energy <= 0:  # as with data without noise
             return math.inf
         return self.energy / self.chosen_energy - 1
 

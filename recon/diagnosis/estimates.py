@@ -39,9 +39,8 @@ def exchanged_frames(
         mirrored: the same with the limbs exchanged.
     """
     both = torch.stack((rotations, mirrored), 1).double()
-    step = (
-        both[1:, :, None] - both[:-1, None, :]
-    )  # axes: time, this frame as it is or exchanged, the frame before likewise, joints, 3, 3
+    # axes: time, hypothesis of the frame, hypothesis of the frame before, joints, 3, 3
+    step = both[1:, :, None] - both[:-1, None, :]
     squared = step.square().sum((-1, -2)).mean(-1) / 2  # radians², for small angles
     switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
     here = both.new_tensor([0.0, _STAY]).expand(len(both), 2)
@@ -124,7 +123,7 @@ def as_measurement(
         own=replace(OWN, jitter=max(share * OWN.jitter, jitter), slow=share * OWN.slow),
         path=replace(PATH, jitter=max(share * PATH.jitter, along), slow=share * PATH.slow),
         fps=motion.fps,
-        segment=_segments(points - path)[None],
+        segment=_segments_between_jumps(points - path)[None],
         start_time=motion.start_time,
     )
     alone = notes_on_missing_path(
@@ -183,7 +182,9 @@ def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
     return motion.replace(rotations=rotations), repairs
 
 
-def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time points"]:
+def _segments_between_jumps(
+    points: Float[Tensor, "time points 3"],
+) -> Float[Tensor, "time points"]:
     """For every point and frame, the index of the segment between two jumps that contains it."""
     none = points.new_zeros(points.shape[:-1])
     if len(points) < 4:

@@ -36,7 +36,7 @@ def unchanged(
     places: Float[np.ndarray, "*views moments points dims"],
     seen: Bool[np.ndarray, "*views moments points"],
 ) -> Bool[np.ndarray, "*views moments points"]:
-    """Points that are seen at this moment and the one before, at exactly the same place."""
+    """Mask of points that are seen at exactly the same place as at the moment before."""
     same = np.zeros_like(seen)
     same[..., 1:, :] = seen[..., 1:, :] & seen[..., :-1, :]
     same[..., 1:, :] &= (places[..., 1:, :, :] == places[..., :-1, :, :]).all(-1)

@@ -48,7 +48,7 @@ class ExchangedPair:
 
 
 def repaired_pairs(images: Images) -> tuple[Images, Findings]:
-    """The images with names of pairs exchanged back that single views tell, and the findings.
+    """Exchange names of pairs back where single views show an exchange; also the findings.
 
     Where one view is all there is, a fit must confirm what jumps tell; what it does not confirm
     is a warning.
@@ -233,7 +233,7 @@ def without_excursions(images: Images) -> Images:
 def extrapolated(
     images: Images,
 ) -> tuple[Float[np.ndarray, "views moments points 2"], Bool[np.ndarray, "views moments points"]]:
-    """Positions that earlier frames predict for the keypoints, and where there are any.
+    """Positions of keypoints that earlier frames predict, and a mask of the predicted ones.
 
     Where a keypoint was not seen two moments before, it would stay.
     """

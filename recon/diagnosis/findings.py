@@ -43,10 +43,10 @@ Code = Literal[
     "jump",  # the fitted body moves faster between two frames than the data
     "joint centres",  # points given as markers lie inside the body, as joints do
     "focal",  # the camera is not calibrated; its focal length was fitted with the motion
-    "proposed",  # how limbs began that were not seen
+    "proposed",  # a network proposed the motion of unseen limbs from which the fit began
     "preview",  # a network proposed the motion, which no fit has refined
     "unfamiliar",  # the data are far from what a network has learned from
-    "hand",  # points of a hand are of another, mirrored, too few, or not sure in depth
+    "hand",  # points of a hand are another hand's, mirrored, too few, or of uncertain depth
     "stopped",  # the caller ended the fit before it was done
 ]
 """The likeliest cause of a finding."""

@@ -204,6 +204,11 @@ _AROUND_CHANGE_S = 0.5
 _FALL = 0.8
 """Share of its objective to which a fit must fall without a change of names. On training people
 true changes fall to 0.7 at most, right names that are exchanged rise to 1.4 at least."""
+_EXCERPT_S = 6.0
+"""Seconds that tell whether all sides are exchanged."""
+_CLEARLY = 0.95
+"""Share of its objective to which a fit must fall with all sides exchanged. In rendered films of
+validation people, right names that are exchanged rise to between 1.01 and 1.6."""
 _KEEPS_FACING = 0.95
 """Share of the frames in which somebody who never turns faces the same side of the image."""
 
@@ -211,7 +216,7 @@ _KEEPS_FACING = 0.95
 def confirmed_sides(
     images: Images, flags: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """Those stretches of one view with left and right exchanged that fits of the body confirm.
+    """Mask of the frames of one view in which fits of the body confirm exchanged sides.
 
     A stretch from the first or to the last moment has one change only, and either side of it may
     be the wrong one: then the body must face the same side of the image throughout, too.
@@ -229,7 +234,7 @@ def confirmed_sides(
 def better_changes(
     images: Images, after: Images, changes: Int[np.ndarray, " changes"]
 ) -> Bool[np.ndarray, " changes"]:
-    """Whether a quick fit of the second around a change of names in one view is better without it.
+    """Whether each change of names in one view makes a quick fit of the second around it worse.
 
     Args:
         images: with the changes.
@@ -246,6 +251,24 @@ def better_changes(
     ]
     given, new = _costs_of_views(versions, images.body).reshape(2, -1)
     return new < _FALL * given
+
+
+def better_exchanged(images: Images) -> bool:
+    """Whether a body fits clearly better to one view with all its left and right exchanged.
+
+    Knees, feet and the face tell the front from the back, and with it the sides.
+    """
+    half = round(_EXCERPT_S * images.fps / 2)
+    count = np.cumsum(images.seen[0].sum(1))
+    middle = int(np.searchsorted(count, count[-1] / 2))
+    excerpt = range(max(middle - half, 0), min(middle + half, len(count)))
+    after = images.exchanged(np.ones((1, len(count)), dtype=bool))
+    (given,), (other,) = (
+        [view.derived(**view.some_frames(excerpt)) for view in one.sensors]
+        for one in (images, after)
+    )
+    costs = _costs_of_views([given, other], images.body)
+    return bool(costs[1] < _CLEARLY * costs[0])
 
 
 def keeps_facing(images: Images) -> bool:
@@ -291,7 +314,7 @@ def neighbours_on_limbs(images: Images) -> dict[tuple[int, int], int]:
 def length_saved(
     images: Images, view: int, pair: tuple[int, int]
 ) -> Float[np.ndarray, " moments"]:
-    """By how many metres bones are too long with the given names, less with exchanged ones.
+    """Metres by which bones are too long with the given names, minus those with exchanged ones.
 
     NaN where the limb is not seen whole; zero for keypoints that are no neighbours on a limb.
     """

@@ -34,7 +34,7 @@ from recon.diagnosis.odds import (
     single_view_explained,
 )
 from recon.diagnosis.points import exchanged_back, exchanged_names
-from recon.diagnosis.quick_fit import plausible
+from recon.diagnosis.quick_fit import without_implausible
 from recon.diagnosis.rays import Rays, scale_findings
 from recon.diagnosis.rigs import median_miss
 from recon.diagnosis.sides import repaired_by_rays, repaired_sides
@@ -285,7 +285,7 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
     if not {*named[0], *named[1]} <= {*images.points}:
         return ()
     shoulders, hips = (images.shown[:, :, [*map(images.points.index, some)]] for some in named)
-    # the world's z axis, as the image shows it
+    # the offset from hips to shoulders along the image of the world's z axis
     upwards = ((shoulders.sum(2) - hips.sum(2)) * images.pose[..., :2, 2]).sum(-1)
     said = (
         "the person is upside down nearly throughout: if y of the keypoints counts upwards, write "
@@ -315,7 +315,7 @@ def repaired_names(images: Images) -> tuple[Images, Findings]:
     points = np.where(exists[..., None], points, 0.0)
     given = Keypoints3D(points[None], exists[None], images.views[0].points, images.fps)
     named = NamedPoints.of(given, images.body)
-    pairs = exchanged_names(plausible(named), images.body)
+    pairs = exchanged_names(without_implausible(named), images.body)
     if not pairs:
         return images, NOTHING
     order = np.arange(len(images.points))
@@ -364,9 +364,9 @@ def screened(images: Images) -> tuple[Images, Findings]:
         repaired_sides, repaired_pairs,
     )  # fmt: skip
     images, more = run_checks(images, names)
-    images, grouped_views = checked_against_each_other(images)
-    found += more + grouped_views
-    if grouped_views.repairs:  # exchanged names are found only with right camera poses
+    images, contradictions = checked_against_each_other(images)
+    found += more + contradictions
+    if contradictions.repairs:  # exchanged names are found only with right camera poses
         images, more = repaired_sides(images)
         found += more
     jumps = () if disorder else identity_findings(images)

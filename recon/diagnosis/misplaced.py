@@ -10,14 +10,14 @@ from recon.core.skeleton import ARMS, MIRROR, PARENTS
 from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
 from recon.diagnosis.named_points import (
     NamedPoints,
-    Predicted,
+    PredictedPoints,
     distances,
     joint_pairs,
     out_of_reach,
     relative_body_size,
     rest_length,
 )
-from recon.diagnosis.quick_fit import plausible
+from recon.diagnosis.quick_fit import without_implausible
 
 _MAX_REMAINING_SHARE = 0.5
 """Share of the distance that may remain when two points exchange their names."""
@@ -128,8 +128,8 @@ def _cosine_across(points: NamedPoints, a: int, b: int) -> float:
     return float(np.median(cosine)) if seen.any() else 1.0
 
 
-def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
-    """Pairs of points that lie where the body has the other one, and in which frames."""
+def exchanged_moments(predicted: PredictedPoints, noise: float) -> Exchanges:
+    """Pairs of points that lie at each other's place on the body, and the frames of it."""
     points = predicted.points
     away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
     nearer = max(_NEARER, _NOISES * noise)
@@ -253,7 +253,9 @@ _MOVED = 0.2
 """Metres that the body moves a point meanwhile (largest from the middle)."""
 
 
-def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, list[Finding]]:
+def misplaced_points(
+    predicted: PredictedPoints, noise: float
+) -> tuple[NamedPoints, list[Finding]]:
     """The points without those that are displaced in all frames, and findings about these."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
@@ -264,7 +266,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
     if not points.are_joints:
         displaced |= _one_sided(points, offset)
-    unreached = out_of_reach(plausible(points), _OFFSET_JOINTS)
+    unreached = out_of_reach(without_implausible(points), _OFFSET_JOINTS)
     steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
     hidden = np.zeros_like(points.visible)
     for point in np.flatnonzero(points.visible.any(0)):
@@ -303,7 +305,9 @@ def _one_sided(
     return fixed & (apart > _ONE_SIDED) & (away > _ONE_SIDED) & (other < away / 2)
 
 
-def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding | None]:
+def without_outliers(
+    predicted: PredictedPoints, noise: float
+) -> tuple[NamedPoints, Finding | None]:
     """The points without positions far from the body, and a finding that says how many."""
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)

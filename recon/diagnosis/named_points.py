@@ -124,8 +124,8 @@ class NamedPoints:
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Observed named points, and their positions on the fitted body."""
+class PredictedPoints:
+    """Observed named points beside their positions on the fitted body."""
 
     points: NamedPoints
     positions: Float[np.ndarray, "moments points 3"]
@@ -141,7 +141,9 @@ class Predicted:
     """Median distance of single offsets from that, metres."""
 
     @classmethod
-    def of(cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate) -> "Predicted":
+    def of(
+        cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate
+    ) -> "PredictedPoints":
         """Predict the points from an estimate at the moments of the observation."""
         moments = observed.positions.shape[-3]
         with torch.no_grad():

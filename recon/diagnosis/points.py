@@ -38,16 +38,16 @@ from recon.diagnosis.misplaced import (
     exchanged_sides,
     exchanged_throughout,
     misplaced_points,
-    outliers,
+    without_outliers,
 )
 from recon.diagnosis.movement import belt_velocity
-from recon.diagnosis.named_points import NamedPoints, Predicted
+from recon.diagnosis.named_points import NamedPoints, PredictedPoints
 from recon.diagnosis.quick_fit import (
     QuickFit,
     middle_seconds,
-    plausible,
     quick_fits,
     with_second_start,
+    without_implausible,
 )
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 
@@ -82,7 +82,7 @@ def screen_points(points: TrackedPoints, body: BodyModel, *, grounded: bool = Tr
         return named.observation, found, None, None
     if disorder := frame_order(named):  # other checks need frames in order
         return named.observation, found + Findings(warnings=disorder), None, None
-    steady = plausible(named)
+    steady = without_implausible(named)
     flips = exchanged_sides(steady)
     steady = steady.permuted(steady.counterparts, flips)
     found += Findings(warnings=scale_findings(steady))
@@ -128,7 +128,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
         return ()
     versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
     # each version alone: fits of all together end early where the given names are nearly as good
-    excerpts = [middle_seconds(plausible(one).observation) for one in versions]
+    excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
     return groups[best - 1] if best and costs[best] <= _CLEARLY_BETTER * costs[0] else ()
@@ -144,11 +144,11 @@ def _sides_repaired(
         exchanged: where sides jumped, relative to the first moment.
         body: that is to be fitted.
     """
-    order, given = steady.counterparts, plausible(steady).observation
+    order, given = steady.counterparts, without_implausible(steady).observation
     if all(k == other for k, other in enumerate(order)):
         return steady, quick_fits([given], body)[0], NOTHING
     opposite = steady.permuted(order, np.ones_like(exchanged))
-    fits = quick_fits([given, plausible(opposite).observation], body)
+    fits = quick_fits([given, without_implausible(opposite).observation], body)
     best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
     wrong = exchanged if best.points is given else ~exchanged
     right, found = (steady if best.points is given else opposite), NOTHING
@@ -179,17 +179,17 @@ def _pairs_repaired(
 ) -> tuple[NamedPoints, QuickFit, Findings]:
     """Exchange pairs of points back whose names are exchanged for a while."""
     found, noise = NOTHING, temporal_noise(NamedPoints.of(fitted.points, body))
-    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
-    if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
+    if pairs or misplaced_points(predicted, noise)[1] or without_outliers(predicted, noise)[1]:
         # a better quick fit may reach the suspicious points, which are right then
         fitted = with_second_start(fitted, body)
-        pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
+        pairs = exchanged_moments(PredictedPoints.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
         named, said = exchanged_back(named, (pair,), moments)
         found += said
     if pairs:
-        (fitted,) = quick_fits([plausible(named).observation], body)
+        (fitted,) = quick_fits([without_implausible(named).observation], body)
     return named, fitted, found
 
 
@@ -217,14 +217,14 @@ def _compared_with_body(
 ) -> Screened:
     """Use a quick robust fit to find misplaced points, the height of the ground and the noise."""
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
-    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)
     bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
     limb = any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
     if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
         # a bad quick fit must not judge points: it rejected an acrobat's planted hand
         return named.observation, NOTHING, None, None
-    kept, wild = outliers(replace(predicted, points=kept), noise)
+    kept, wild = without_outliers(replace(predicted, points=kept), noise)
     # a point left out in all frames is a repair and a warning, since the fit must infer it
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given

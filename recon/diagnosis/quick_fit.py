@@ -35,7 +35,7 @@ _MOST_FRAMES = 7
 """Frames to either side that it is taken of at most, spread over those seconds."""
 
 
-def plausible(points: NamedPoints) -> NamedPoints:
+def without_implausible(points: NamedPoints) -> NamedPoints:
     """The points without those far from all others and those that jump away from their path."""
     away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
     return points.without(_far_from_others(points) | (np.nan_to_num(away) > _SPIKE))

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from recon.diagnosis.explanations import shifted
+from recon.diagnosis.explanations import shifted_in_time
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
@@ -53,7 +53,7 @@ class TwoViewCorrection:
 def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection:
     """Find the clock and rotation of the second view with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
-    turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
+    turns = _RayDistances(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
     for late in _first_offsets(images) if "clock" in parts else (0.0,):
         values = np.array([late, 0.0, 0.0, 0.0])
@@ -63,10 +63,10 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection
         if away < best[0]:
             best = (away, values)
     most = max(abs(late) for late in _first_offsets(images))
-    values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
+    values, _ = minimise(_RayDistances(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
-    corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
+    corrected = shifted_in_time(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
     return TwoViewCorrection(corrected, float(values[0]), angle, median_miss(corrected))
 
@@ -95,7 +95,7 @@ def _distances_of_rays(
         late: frames by which the second one's clock is put right.
         turns: rotation vectors of its camera about its centre, one for each result.
     """
-    rays, R = Rays.of(shifted(images, 1, late)), images.pose[1, :, :3, :3]
+    rays, R = Rays.of(shifted_in_time(images, 1, late)), images.pose[1, :, :3, :3]
     there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
     found: list[np.ndarray] = []
     for turn in turns:
@@ -114,7 +114,7 @@ def _median_size(away: Float[np.ndarray, "moments points"]) -> float:
 
 
 @dataclass(frozen=True)
-class _Rays(Problem[Float[np.ndarray, "4"]]):
+class _RayDistances(Problem[Float[np.ndarray, "4"]]):
     """Distances between rays of two views, as a function of the second one's clock and turn."""
 
     images: Images
@@ -194,7 +194,7 @@ def corrections(images: Images) -> CorrectedRig:
     """
     applied: tuple[ViewCorrection, ...] = ()
     for _ in range(len(images.names) - 2):
-        found = candidates(images)
+        found = candidate_corrections(images)
         if not found or not is_certain(found[0], images.fps):
             break
         best = found[0]
@@ -224,7 +224,7 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     return found.images, Findings(repairs, (said,))
 
 
-def candidates(images: Images) -> list[ViewCorrection]:
+def candidate_corrections(images: Images) -> list[ViewCorrection]:
     """Candidate corrections of single fixed views, sorted by the remaining error.
 
     None where every view agrees with the others.

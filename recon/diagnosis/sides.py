@@ -22,7 +22,12 @@ from recon.diagnosis.exchanged_pairs import (
     without_excursions,
 )
 from recon.diagnosis.findings import Finding, Findings, spans, stretches
-from recon.diagnosis.images import Images, confirmed_sides, neighbours_on_limbs
+from recon.diagnosis.images import (
+    Images,
+    better_exchanged,
+    confirmed_sides,
+    neighbours_on_limbs,
+)
 from recon.diagnosis.rays import Rays
 from recon.solver.viterbi import cheapest_path
 
@@ -55,13 +60,16 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
     """The images with left and right exchanged back, and the findings.
 
     Where one view is all there is, only continuity tells; then a fit must confirm every stretch,
-    and what it does not confirm is a warning.
+    and what it does not confirm is a warning. Which of the two sides is left in all frames is the
+    one with which a body fits better.
     """
     flags = exchanged_sides(without_excursions(images))
     doubted = np.zeros_like(flags)
     if len(flags) == 1 and flags.any():
         sure = confirmed_sides(images, flags[0])[None]
         flags, doubted = sure, flags & ~sure
+    if len(flags) == 1 and images.sided.any() and images.seen.any():
+        flags = flags ^ better_exchanged(images.exchanged(flags))
     found = list(zip(images.names, flags, strict=True))
     if len(flags) > 1 and (flags == flags[0]).all():
         found = [("all views", flags[0])]

@@ -10,7 +10,7 @@ from observations.noise import estimate_noise
 from recon.core.residuals import NORMAL_MAD
 from recon.diagnosis.findings import Code, Finding, spans, stretches
 from recon.diagnosis.named_points import NamedPoints, distances, joint_pairs, same_bone_pairs
-from recon.diagnosis.quick_fit import plausible
+from recon.diagnosis.quick_fit import without_implausible
 
 _MIN_LENGTHS = 8
 """Moments at which both ends of a bone must be seen."""
@@ -123,7 +123,7 @@ def _repeated_jumps_warning(points: NamedPoints) -> tuple[Finding, ...]:
     velocity are medians over the points, divided by what the median is for normal noise of one
     metre in each coordinate of the difference.
     """
-    kept = plausible(points)
+    kept = without_implausible(points)
     if len(kept.visible) < 4 or kept.visible.sum() < (1 - _WILD) * points.visible.sum():
         return ()  # many outliers may look like a jump of half of the points
     change = velocity_changes(np.where(kept.visible[..., None], kept.positions, np.nan))

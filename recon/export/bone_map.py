@@ -49,7 +49,7 @@ _CLAVICLES = ("shoulder", "clavicle", "collar", "clav", "scapula")
 
 @dataclass(frozen=True)
 class BoneMap:
-    """The nodes of a character that move like a person's bones."""
+    """The nodes of a character that stand for a person's joints."""
 
     nodes: Mapping[str, int]
     """Of our joints, of which spine, neck and fingers may be missing."""
@@ -60,7 +60,7 @@ class BoneMap:
     by_tree: tuple[str, ...]
     """Joints that were found by the tree, as their names told nothing."""
 
-    def told(self, names: Sequence[str]) -> dict[str, str]:
+    def names_by_joint(self, names: Sequence[str]) -> dict[str, str]:
         """Names of the nodes by joint."""
         chains = {"spine": self.spine, "neck": self.neck}
         joined = {name: ", ".join(names[k] for k in chain) for name, chain in chains.items()}
@@ -76,7 +76,7 @@ def map_bones(
     path: Path,
     given: Path | None = None,
 ) -> BoneMap:
-    """Find the bones of a person.
+    """Find the nodes of a character that stand for a person's joints.
 
     A file of the user goes before VRM's table, that before names, and names before the tree. Hips
     are the lowest node above thighs and head, the spine leads from there to the node above both
@@ -92,8 +92,11 @@ def map_bones(
     Raises:
         ReconError: when bones are missing or two are the same; the message has their names.
     """
-    found, by_tree = _of_vrm(document, len(tree.names)) or _by_names(tree, path), list[str]()
-    found |= _of_user(given, tree) if given is not None else {}
+    found, by_tree = (
+        _vrm_bones(document, len(tree.names)) or _bones_by_names(tree, path),
+        list[str](),
+    )
+    found |= _bones_of_user(given, tree) if given is not None else {}
     missing = [joint for joint in (*_NEEDED, "head") if joint not in found]
     if missing:
         guessed = bones_by_tree(tree, places)
@@ -115,18 +118,20 @@ def map_bones(
     if lacking:
         raise ReconError(
             f"{path}: no bones were found for {', '.join(lacking)}. Name them in a file for "
-            f'--bones, as left_knee = "bone"; its bones are {_listed(tree)}'
+            f'--bones, as left_knee = "bone"; its bones are {_names_of_bones(tree)}'
         )
-    return _completed(tree, found, tuple(by_tree), path)
+    return _completed_map(tree, found, tuple(by_tree), path)
 
 
-def _listed(tree: Tree) -> str:
+def _names_of_bones(tree: Tree) -> str:
     names = [tree.names[k] for k in sorted(tree.joints)]
     more = f" and {len(names) - 60} more" if len(names) > 60 else ""
     return ", ".join(f"{name!r:.40}" for name in names[:60]) + more
 
 
-def _completed(tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path: Path) -> BoneMap:
+def _completed_map(
+    tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path: Path
+) -> BoneMap:
     """Add hips, spine, neck and collars, which lie between the bones that were found.
 
     Raises:
@@ -169,7 +174,10 @@ def _completed(tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path
     used = [nodes[name] for name in chain]
     if len(set(used)) < len(used):
         twice = next(tree.names[k] for k in used if used.count(k) > 1)
-        raise ReconError(f"{path}: {twice!r:.40} would be two bones; name them with --bones")
+        raise ReconError(
+            f"{path}: expected one bone per joint, but {twice!r:.40} would be several joints; "
+            "name the right bones in a file for --bones"
+        )
     top = neck_base if neck_base in spine else chest
     neck = tuple(tree.between(top, nodes["head"])[:-1])
     chains = {"spine1", "spine2", "spine3", "neck"}
@@ -181,7 +189,7 @@ def _completed(tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path
     return BoneMap(kept, tuple(spine), neck, by_tree)
 
 
-def _of_user(given: Path, tree: Tree) -> dict[str, int]:
+def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
     """Bones that the user named.
 
     Raises:
@@ -199,13 +207,13 @@ def _of_user(given: Path, tree: Tree) -> dict[str, int]:
             count = "no node" if not nodes else f"{len(nodes)} nodes"
             raise ReconError(
                 f"{given}: {joint} = {name!r:.40}, but {count} of the character has this name; "
-                f"its bones are {_listed(tree)}"
+                f"its bones are {_names_of_bones(tree)}"
             )
         found[joint] = nodes[0]
     return found
 
 
-def _of_vrm(document: Mapping[str, Any], count: int) -> dict[str, int]:
+def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
     """Bones by the table of a VRM 1.0 or 0.x; empty where the file is none."""
     extensions = document.get("extensions")
     extensions = extensions if isinstance(extensions, dict) else {}
@@ -219,7 +227,7 @@ def _of_vrm(document: Mapping[str, Any], count: int) -> dict[str, int]:
             rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
         elif old and isinstance(told, list):
             rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
-            # VRM 0.x counts the joints of the thumb as those of fingers
+            # VRM 0.x names the joints of the thumb as those of the other fingers
             for side in SIDES:
                 ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
                 ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
@@ -232,7 +240,7 @@ def _of_vrm(document: Mapping[str, Any], count: int) -> dict[str, int]:
     }  # fmt: skip
 
 
-def _parts(name: str) -> tuple[str, list[str]]:
+def _side_and_words(name: str) -> tuple[str, list[str]]:
     """Side of a bone ("left", "right" or "") and the words of its name in lower case."""
     plain = re.split(r"[:|]", name)[-1][-80:]
     words, side = [], ""
@@ -244,13 +252,13 @@ def _parts(name: str) -> tuple[str, list[str]]:
     return side, words
 
 
-def _by_names(tree: Tree, path: Path) -> dict[str, int]:
+def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     """Bones by their names.
 
     Raises:
         ReconError: when two bones have names of the same one.
     """
-    told = {k: _parts(tree.names[k]) for k in sorted(tree.joints)}
+    told = {k: _side_and_words(tree.names[k]) for k in sorted(tree.joints)}
     told = {k: one for k, one in told.items() if not _OTHERS & set(one[1])}
     candidates: dict[str, list[tuple[int, int, int]]] = {}
     for node, (side, words) in told.items():
@@ -270,7 +278,7 @@ def _by_names(tree: Tree, path: Path) -> dict[str, int]:
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
         found["head"] = max(numbered, key=lambda k: len(tree.path(k)))
-    # `foot` is an ankle where no other bone is one, and then no toes
+    # a bone called foot is the ankle where no other bone is, and then it is not the toes
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
         if not free:
@@ -281,8 +289,8 @@ def _by_names(tree: Tree, path: Path) -> dict[str, int]:
         if len(top) > 1:
             both = " and ".join(f"{tree.names[k]!r:.40}" for k in top[:2])
             raise ReconError(
-                f"{path}: both {both} may be {joint}. Two characters go one by one; of one, name "
-                "the bones in a file for --bones"
+                f"{path}: expected one bone for {joint}, but {both} may be it; give one character "
+                "at a time, or name the bones in a file for --bones"
             )
         found[joint] = top[0]
     for side in SIDES:

@@ -37,7 +37,7 @@ class Tree:
 
 
 def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str, int]:
-    """Bones by branches of the tree and places: two legs down, two arms aside, a head above.
+    """Find bones by the tree's branches and places: two legs down, two arms aside, a head above.
 
     Hips are the joint under which two limbs reach the ground, the chest that from which two reach
     farthest aside. Toes tell the front; where there are none it is +z, as glTF wants.
@@ -117,12 +117,12 @@ def _arm(
         return []
     along = np.r_[0, np.linalg.norm(np.diff(places[chain], axis=0), axis=-1).cumsum()]
 
-    def uneven(first: int) -> tuple[float, int]:
+    def unevenness_and_elbow(first: int) -> tuple[float, int]:
         half = 0.5 * (along[first] + along[end])
         elbow = min(range(first + 1, end), key=lambda k: abs(along[k] - half))
         return abs(float(along[elbow] - half) / (along[end] - along[first])), elbow
 
     # upper arm and forearm are about as long as each other
-    first = int(end > 2 and uneven(1)[0] < uneven(0)[0])
-    elbow = uneven(first)[1]
+    first = int(end > 2 and unevenness_and_elbow(1)[0] < unevenness_and_elbow(0)[0])
+    elbow = unevenness_and_elbow(first)[1]
     return [chain[0] if first else -1, chain[first], chain[elbow], chain[end]]

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from recon.body.model import BodyModel
-from recon.core.bone_names import BoneNames, renamed
+from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
@@ -26,7 +26,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     the crown, the toes, the fingertips.
     """
     if motion.hands is not None:
-        return _with_fingers(motion, body, name)
+        return _skeleton_with_fingers(motion, body, name)
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
@@ -46,9 +46,9 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     )
 
 
-def _with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """As `skeleton_of`; fingers end in their tips, and wrists no more in one."""
-    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
+def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
+    """As `skeleton_of`, with fingers that end in tips; wrists have no tips of their own then."""
+    from recon.body.hands import finger_offsets, pose_fingers  # imported here: few have fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)
@@ -103,13 +103,13 @@ def write_bvh(
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
-    # decimals for a hundredth of a micrometre
+    # so many decimals that positions are exact to 0.01 micrometres
     decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
     # three.js finds no joint whose name has a colon
-    theirs = renamed(recording.joint_names, bones)
+    theirs = joint_names_in(recording.joint_names, bones)
     names = tuple(name.removeprefix("mixamorig:") for name in theirs)
     parents = recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()

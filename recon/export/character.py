@@ -15,7 +15,7 @@ from recon.core.errors import FormatError, ReconError
 from recon.export.bone_map import BoneMap, map_bones
 from recon.export.bone_tree import Tree
 from recon.export.glb_file import GltfFile, normalised
-from recon.export.nodes import chained, from_top, joints_of, nodes_of
+from recon.export.nodes import chained, joints_of, nodes_of, parents_first
 
 _UNEVEN = 0.01
 """Relative difference of scales along the axes of a bone that is refused."""
@@ -25,7 +25,7 @@ _WAYS = 32
 
 @dataclass(frozen=True)
 class Character:
-    """A character at rest. Matrices are of nodes; y is up, lengths are those of its scene."""
+    """A rigged character at rest: its bones, and transforms of its nodes; y up, scene units."""
 
     file: GltfFile
     bones: BoneMap
@@ -51,7 +51,7 @@ class Character:
         """
         file = GltfFile.read(path)
         tree, local = nodes_of(file)
-        order = from_top(tree.parents, path)
+        order = parents_first(tree.parents, path)
         world = chained(tree.parents, order, local)
         places = world[:, :3, 3]
         found = map_bones(tree, places, file.document, path, bones)
@@ -73,7 +73,7 @@ class Character:
     @cached_property
     def order(self) -> list[int]:
         """Nodes, parents before children."""
-        return from_top(self.tree.parents, self.file.path)
+        return parents_first(self.tree.parents, self.file.path)
 
     @property
     def driven(self) -> list[int]:
@@ -82,7 +82,7 @@ class Character:
         return [k for k in self.order if k in used]
 
     def check(self) -> None:
-        """Refuse scales under which rotations of bones mean something else.
+        """Refuse bones with zero, negative or uneven scales, which rotations would distort.
 
         Raises:
             ReconError: with the node.
@@ -117,7 +117,10 @@ class Character:
         aside = (legs[0] - legs[1]) + (arms[0] - arms[1])
         aside = aside - (aside @ up) * up
         if np.linalg.norm(aside) < 1e-6 * np.linalg.norm(place[nodes["head"]] - legs.mean(0)):
-            raise ReconError(f"{self.file.path}: left and right bones are at the same places")
+            raise ReconError(
+                f"{self.file.path}: expected left and right bones at different places, got equal "
+                "ones; name the right bones with --bones"
+            )
         aside = aside / np.linalg.norm(aside)
         return np.stack((aside, up, np.cross(aside, up)))
 
@@ -150,7 +153,7 @@ class Character:
             for one in (self.world, self.reference)
         ]
         if min(lengths) < 1e-9:
-            raise FormatError(f"{self.file.path}: its legs and arms have no length")
+            raise FormatError(f"{self.file.path}: expected legs and arms longer than zero")
         return float(lengths[0] / lengths[1])
 
     @cached_property
@@ -178,7 +181,7 @@ class Character:
         return {node: _outermost(np.concatenate(points)) for node, points in found.items()}
 
     def _skinned(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Of every readable part of the mesh: joints, inverse bind matrices, vertices, bones."""
+        """Joints, inverse bind matrices, vertices and their main joints, by part of the mesh."""
         file, parts = self.file, []
         meshes, skins = file.listed("meshes"), file.listed("skins")
         for node in file.listed("nodes"):
@@ -186,10 +189,10 @@ class Character:
                 continue
             skin = skins[file.index(node["skin"], len(skins), "skin")]
             mesh = meshes[file.index(node["mesh"], len(meshes), "mesh")]
-            joints, binds = joints_of(file, skin), _binds(file, skin)
+            joints, binds = joints_of(file, skin), _inverse_bind_matrices(file, skin)
             primitives = mesh.get("primitives")
             for one in primitives if isinstance(primitives, list) and binds is not None else ():
-                read = _primitive(file, one, len(joints))
+                read = _vertices_and_joints(file, one, len(joints))
                 if read is not None:
                     parts.append((joints, binds, *read))
         return parts
@@ -198,7 +201,7 @@ class Character:
     def lowest(self) -> float | None:
         """Height of the lowest vertex of the rest pose in `places`; None where it is not known."""
         up = self.frame[1] * self.scale
-        if self.reference is not self.world and (box := self._box()) is not None:
+        if self.reference is not self.world and (box := self._bounds_of_skin()) is not None:
             corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
             return float((corners @ up).min())
         low = [(self._at_rest(node, points) @ up).min() for node, points in self.skin.items()]
@@ -207,7 +210,7 @@ class Character:
     def _at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
         return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
 
-    def _box(self) -> Float[np.ndarray, "2 3"] | None:
+    def _bounds_of_skin(self) -> Float[np.ndarray, "2 3"] | None:
         """Smallest and largest coordinates of the vertices of the skin that has most bones."""
         file = self.file
         main, boxes = _main_skin(file, self.bones), []
@@ -235,7 +238,9 @@ def _main_skin(file: GltfFile, bones: BoneMap) -> int:
     return max(range(len(skins)), key=lambda k: len(skins[k]))
 
 
-def _binds(file: GltfFile, skin: dict[str, Any]) -> Float[np.ndarray, "joints 4 4"] | None:
+def _inverse_bind_matrices(
+    file: GltfFile, skin: dict[str, Any]
+) -> Float[np.ndarray, "joints 4 4"] | None:
     """Inverse bind matrices of a skin; None where they cannot be read."""
     count = len(joints_of(file, skin))
     if "inverseBindMatrices" not in skin:
@@ -256,7 +261,7 @@ def _bind_pose(
 ) -> Float[np.ndarray, "nodes 4 4"] | None:
     """The pose in which the skin was bound, in the skin's own axes; None where it is not known."""
     skin = file.listed("skins")[_main_skin(file, bones)]
-    binds = _binds(file, skin)
+    binds = _inverse_bind_matrices(file, skin)
     if binds is None or "inverseBindMatrices" not in skin:
         return None
     if np.abs(np.linalg.det(binds[:, :3, :3])).min() < 1e-15:
@@ -274,7 +279,7 @@ def _bind_pose(
     return made if (turned > 1e-15).all() else None
 
 
-def _primitive(
+def _vertices_and_joints(
     file: GltfFile, one: Any, joints: int
 ) -> tuple[np.ndarray, Int[np.ndarray, " vertices"]] | None:
     """Vertices and the joint that moves each most; None where they cannot be read."""
@@ -289,10 +294,12 @@ def _primitive(
     if places is None or slots is None or weights is None:
         return None
     if not len(places) == len(slots) == len(weights) or slots.shape != weights.shape:
-        raise FormatError(f"{file.path}: a mesh has vertices without weights")
+        raise FormatError(f"{file.path}: expected skinning weights for all vertices of a mesh")
     own = np.take_along_axis(slots, weights.argmax(1)[:, None], 1)[:, 0].astype(int)
     if len(own) and (own.min() < 0 or own.max() >= joints or not np.isfinite(places).all()):
-        raise FormatError(f"{file.path}: a mesh has vertices of no joint, or they are not finite")
+        raise FormatError(
+            f"{file.path}: expected finite vertices of a mesh, each bound to a joint of its skin"
+        )
     return places.astype(float), own
 
 
@@ -307,7 +314,7 @@ def _outermost(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "some
 
 
 def _nearest_axis(way: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The direction along or against an axis that is nearest to another."""
+    """The axis of coordinates, or its opposite, that is nearest to a direction."""
     at = int(np.abs(way).argmax())
     return np.eye(3)[at] * np.sign(way[at])
 

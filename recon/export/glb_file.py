@@ -36,7 +36,7 @@ _MEDIA = {
 
 @dataclass(frozen=True)
 class GltfFile:
-    """A glTF document with its binary data, whatever made it."""
+    """A glTF document of any program, with its binary data."""
 
     path: Path
     document: dict[str, Any] = field(repr=False)
@@ -154,7 +154,7 @@ class GltfFile:
                 document[kind] = [dict(one) for one in self.listed(kind)]
         for node, record in nodes.items():
             document["nodes"][node] = record
-        # data of other files goes into this one
+        # data that stand in other files are copied into this one
         for one in (*document["buffers"], *document.get("images", ())):
             if "uri" in one and not str(one["uri"]).startswith("data:"):
                 one["uri"] = _data_uri(_data_of(one, self.path), str(one["uri"]))
@@ -243,7 +243,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     while at + 8 <= length:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > length:
-            raise FormatError(f"{path}: a part of the file is longer than it; export it again")
+            raise FormatError(f"{path}: a chunk is longer than the file; export it again")
         found.setdefault(kind, data[at + 8 : at + 8 + size])
         at += 8 + size + -size % 4
     if _JSON not in found:
@@ -284,7 +284,9 @@ def _write_glb(path: Path, document: dict[str, Any], binary: bytes | None, sourc
         text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
         coded = text.encode()
     except ValueError as error:
-        raise FormatError(f"{source}: its JSON has numbers or text that none may have") from error
+        raise FormatError(
+            f"{source}: its JSON has NaN, infinity or broken text; export it again"
+        ) from error
     coded += b" " * (-len(coded) % 4)
     parts = struct.pack("<II", len(coded), _JSON) + coded
     if binary is not None:

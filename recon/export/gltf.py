@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.bone_names import BoneNames, renamed
+from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.units import to_z_up
@@ -55,7 +55,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
             translation=skeleton.offsets[j].tolist(),
             children=[c for c, p in enumerate(skeleton.parents) if p == j] or None,
         )
-        for j, name in enumerate(renamed(skeleton.names, names))
+        for j, name in enumerate(joint_names_in(skeleton.names, names))
     ]
     nodes.append(gltf.Node(name="body", mesh=0, skin=0))
     if avatar:
@@ -84,7 +84,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
         buffers=[gltf.Buffer(byteLength=len(file.data))],
     )
     if avatar:
-        document.extensions = _humanoid(renamed(skeleton.names, names))
+        document.extensions = _humanoid(joint_names_in(skeleton.names, names))
         document.extensionsUsed = list(document.extensions)
     document.set_binary_blob(bytes(file.data))
     with replacing(path) as beside:

@@ -50,12 +50,12 @@ class Contacts:
         steps = torch.nn.functional.pad(lowest_steps(points, points[..., 2]), (0, 0, 1, 0))
         speed = steps.norm(dim=-1) * fps
         near = (height < _NEAR) & (speed < _LEAVING)
-        return cls(height, steps[:, :2], _with_some(near, speed < MAXIMUM_SPEED))
+        return cls(height, steps[:, :2], _runs_with_slow_frame(near, speed < MAXIMUM_SPEED))
 
 
 @dataclass(frozen=True)
-class Person:
-    """What a character needs of our own body; z up, metres."""
+class PersonMotion:
+    """Hips, leg length and contacts of the person whom a character follows; z up, metres."""
 
     middle: Float[Tensor, "time 3"]
     """Between the hip joints."""
@@ -65,7 +65,7 @@ class Person:
     """Of feet, by ankles, and of hands, by wrists."""
 
     @classmethod
-    def of(cls, motion: Motion, body: BodyModel, ground: float) -> "Person":
+    def of(cls, motion: Motion, body: BodyModel, ground: float) -> "PersonMotion":
         """A person on level ground of some height."""
         posed, rest = body.pose(motion), body.rest_joints(motion.shape)
         sole = body.rest_vertices(motion.shape)[:, 1].min()
@@ -95,7 +95,9 @@ class Limb:
     is_arm: bool
 
     @classmethod
-    def of(cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: Person) -> "Limb":
+    def of(
+        cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: PersonMotion
+    ) -> "Limb":
         """The limb of a side, and the contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
@@ -111,7 +113,7 @@ class Limb:
         return float(places.diff(dim=0).norm(dim=-1).sum())
 
     def goal(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
-        """Where the end joint belongs in every frame, (time, 3).
+        """Target positions of the limb's end joint in the scene, (time, 3).
 
         While our foot stands, the character's lowest point moves with the speed of ours, times
         `ratio` where that is below 1, and between two stands what this takes is spread. Near the
@@ -119,22 +121,22 @@ class Limb:
         in the ground.
         """
         end, stands = posed[self.chain[2]][:, :3, 3], self.contacts.stands
-        away = self._outside(posed) - end[:, None]
+        away = self._end_points(posed) - end[:, None]
         depth = away[..., 1].amin(1)
         ours = self.contacts.steps * min(ratio, 1.0)
-        # x, y of ours are x, -z of the scene
+        # x and y of the person are x and -z of the scene
         ours = torch.stack((ours[:, 0], -ours[:, 1]), -1)
         moves = end.diff(dim=0) + lowest_steps(away, away[..., 1])
-        shift = _while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
+        shift = _shifts_while_standing(ours[1:] - moves[:, [0, 2]], stands, fps, self.is_arm)
         high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
         near = envelope(stands.double(), fps)
         if not self.is_arm:
-            near = near.maximum(1 - _smooth((self.contacts.height - _NEAR) / _LOW))
+            near = near.maximum(1 - _smooth_step((self.contacts.height - _NEAR) / _LOW))
         high = (high * near).maximum((ground - depth - end[:, 1]).clamp(min=0.0))
         return end + torch.stack((shift[:, 0], high, shift[:, 1]), -1)
 
-    def _outside(self, posed: Posed) -> Float[Tensor, "time points 3"]:
-        """Points of the skin of its end; where that cannot be read, the sole below joints."""
+    def _end_points(self, posed: Posed) -> Float[Tensor, "time points 3"]:
+        """Points on the skin of the foot or hand; of the sole below joints if unreadable."""
         points = self.rig.points(posed, list(self.tip))
         if points.shape[1]:
             return points
@@ -146,8 +148,8 @@ class Limb:
             found.append(posed[node][:, :3, 3] - float(depth) * turn[..., 1])
         return torch.stack(found, 1)
 
-    def missing(self, posed: Posed, goal: Float[Tensor, "time 3"]) -> Float[Tensor, " time"]:
-        """By how much the hips must sink so that it reaches its goal."""
+    def sink_needed(self, posed: Posed, goal: Float[Tensor, "time 3"]) -> Float[Tensor, " time"]:
+        """Distance that the hips must sink so that the limb reaches its goal, in every frame."""
         joints = torch.stack([posed[k][:, :3, 3] for k in self.chain], 1)
         length = _REACH * joints.diff(dim=1).norm(dim=-1).sum(1)
         way = joints[:, 0] - goal
@@ -184,14 +186,14 @@ class Limb:
 def lowest_steps(
     points: Float[Tensor, "time points 3"], heights: Float[Tensor, "time points"]
 ) -> Float[Tensor, "steps 3"]:
-    """How the lowest points move from frame to frame; points of like height share."""
+    """Displacement of the lowest point from frame to frame; a mean over points of like height."""
     share = torch.softmax((heights.amin(1, keepdim=True) - heights) / _SOFT, 1)
     between = 0.5 * (share[1:] + share[:-1])
     return (between[..., None] * points.diff(dim=0)).sum(1)
 
 
 def envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
-    """A smooth curve that is nowhere below values, and zero far from those that are not."""
+    """A smooth curve that is nowhere below `values`, and zero far from non-zero ones."""
     reach = max(1, round(_EASE / 2 * fps))
     rows = values[None, None]
     high = torch.nn.functional.max_pool1d(
@@ -204,18 +206,20 @@ def _unit(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp(min=1e-9)
 
 
-def _with_some(near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]) -> Bool[Tensor, " time"]:
-    """Stretches of true values without those in which another is never true."""
+def _runs_with_slow_frame(
+    near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]
+) -> Bool[Tensor, " time"]:
+    """The runs of `near` in which `slow` is true at least once."""
     kept = torch.zeros_like(near)
     for first, stop in runs(near.numpy()):
         kept[first:stop] = bool(slow[first:stop].any())
     return kept
 
 
-def _while_standing(
+def _shifts_while_standing(
     steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, fades: bool
 ) -> Float[Tensor, "time 2"]:
-    """Shifts that change by given steps while a foot stands, and smoothly between.
+    """Shifts of a foot that change by `steps` while it stands, and smoothly in between.
 
     They are zero on the average of every stand. With `fades` they go to zero between.
     """
@@ -231,17 +235,17 @@ def _while_standing(
         count = torch.arange(1, stop - first + 1, dtype=steps.dtype)[:, None]
         if fades:
             ease = max(1.0, _EASE * fps)
-            fall, rise = _smooth(1 - count / ease), _smooth(1 - count.flip(0) / ease)
+            fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one nothing else counts
-            rise = _smooth(count / (stop - first + 1)) if first else torch.ones_like(count)
+            # before the first stand and after the last one its own shift is kept
+            rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise
         found[first:stop] = before * fall + after * rise
     return found
 
 
-def _smooth(share: Tensor) -> Tensor:
-    """From 0 to 1 with level ends."""
+def _smooth_step(share: Tensor) -> Tensor:
+    """Smooth step: a cubic from 0 to 1 that is level at both ends."""
     share = share.clamp(0.0, 1.0)
     return share * share * (3 - 2 * share)

@@ -13,19 +13,19 @@ from recon.export.glb_file import GltfFile
 
 
 def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
-    """Nodes of the joints of a skin.
+    """Numbers of the nodes that are the joints of a skin.
 
     Raises:
         ValueError: when these are no nodes of the file.
     """
     joints, count = skin.get("joints"), len(file.listed("nodes"))
     if not isinstance(joints, list) or not joints:
-        raise FormatError(f"{file.path}: a skin has no joints")
+        raise FormatError(f"{file.path}: expected a list of joints in every skin, got none")
     return [file.index(one, count, "node") for one in joints]
 
 
 def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
-    """The tree of nodes and their transforms.
+    """The tree of all nodes, and the transform of each to its parent.
 
     Raises:
         ValueError: when there is no skin, or a node has two parents.
@@ -40,7 +40,7 @@ def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
     for k, node in enumerate(nodes):
         children = node.get("children", [])
         if not isinstance(children, list):
-            raise FormatError(f"{file.path}: the children of node {k} are no list")
+            raise FormatError(f"{file.path}: expected a list as children of node {k}")
         for child in children:
             at = file.index(child, len(nodes), "node")
             if parents[at] >= 0:
@@ -63,7 +63,7 @@ def local_matrix(node: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"]:
     made = np.eye(4)
     quaternion = _numbers(node.get("rotation", (0, 0, 0, 1)), 4, path)
     if quaternion @ quaternion < 1e-12:
-        raise FormatError(f"{path}: a node has the rotation zero")
+        raise FormatError(f"{path}: expected unit quaternions as rotations of nodes, got zeros")
     turn = Rotation.from_quat(quaternion).as_matrix()
     made[:3, :3] = turn * _numbers(node.get("scale", (1, 1, 1)), 3, path)
     made[:3, 3] = _numbers(node.get("translation", (0, 0, 0)), 3, path)
@@ -77,8 +77,8 @@ def _numbers(value: Any, count: int, path: Path) -> np.ndarray:
     return np.array(value, float)
 
 
-def from_top(parents: tuple[int, ...], path: Path) -> list[int]:
-    """Nodes, parents before children.
+def parents_first(parents: tuple[int, ...], path: Path) -> list[int]:
+    """Numbers of all nodes, parents before children.
 
     Raises:
         ValueError: when nodes are their own ancestors.
@@ -90,7 +90,7 @@ def from_top(parents: tuple[int, ...], path: Path) -> list[int]:
     for k in order:
         order += children.get(k, ())
     if len(order) < len(parents):
-        raise FormatError(f"{path}: its nodes lie below each other in a circle")
+        raise FormatError(f"{path}: expected a tree of nodes, but some are their own ancestors")
     return order
 
 

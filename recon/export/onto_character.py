@@ -15,16 +15,16 @@ from recon.core.fingers import HAND_JOINTS, SIDES
 from recon.core.motion import Motion
 from recon.core.units import to_z_up
 from recon.export.character import Character
-from recon.export.limbs import ARM, LEG, Limb, Person, envelope
-from recon.export.rig import Carried, CharacterRig, Posed, turns_of
+from recon.export.limbs import ARM, LEG, Limb, PersonMotion, envelope
+from recon.export.rig import CharacterPose, CharacterRig, Posed, turns_of
 from recon.export.skeleton import one_clip, quaternions
 
 _UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
-class Animated:
-    """A character that was animated, and what to know of it."""
+class AnimatedCharacter:
+    """How a character was animated: by which bones, at what scale, with what warnings."""
 
     bones: dict[str, str]
     """Names of its nodes, by our joints."""
@@ -41,7 +41,7 @@ def write_character(
     *,
     bones: Path | None = None,
     ground: float = 0.0,
-) -> Animated:
+) -> AnimatedCharacter:
     """Write a user's character as GLB with a motion as one animation more.
 
     Mesh, materials, other animations and extensions stay as they are in the file.
@@ -58,21 +58,21 @@ def write_character(
         FileNotFoundError: when a file is not there.
         ValueError: when the character is damaged, has no skin, or bones are missing.
     """
-    # read anew in double precision, since steps of feet are small differences
+    # in double precision, since steps of feet are small differences of large positions
     motion = one_clip(motion).to(dtype=torch.float64)
     read = Character.read(character, bones)
     rig, carried, ratio = carry(motion, body.to(dtype=torch.float64), read, ground)
-    posed, turned = rig.posed(carried), _fingers_and_all(read, motion)
+    posed, turned = rig.posed(carried), _animated_nodes(read, motion)
     tracks: list[tuple[int, str, np.ndarray]] = []
     records: dict[int, dict[str, Any]] = {}
     for node in turned:
         record = dict(read.file.listed("nodes")[node])
         if "matrix" in record:
-            record |= _parts(read.local[node])
+            record |= _decomposed(read.local[node])
             del record["matrix"]
             records[node] = record
         above = read.tree.parents[node]
-        over = _above(rig, posed, node)
+        over = _parent_poses(rig, posed, node)
         local = over[:, :3, :3].mT @ posed[node][:, :3, :3]
         if node == rig.hips:
             back = np.eye(4) if above < 0 else np.linalg.inv(read.world[above])
@@ -81,12 +81,14 @@ def write_character(
         tracks.append((node, "rotation", quaternions(local[:, None])[:, 0].numpy()))
     times = np.arange(motion.frames) / motion.fps
     read.file.write_with(path, "motion", times, tracks, records)
-    return Animated(read.bones.told(read.tree.names), ratio, _warnings(read, motion))
+    return AnimatedCharacter(
+        read.bones.names_by_joint(read.tree.names), ratio, _warnings(read, motion)
+    )
 
 
 def carry(
     motion: Motion, body: BodyModel, character: Character, ground: float
-) -> tuple[CharacterRig, Carried, float]:
+) -> tuple[CharacterRig, CharacterPose, float]:
     """Move a character as a person moves; also the ratio of its legs to the person's.
 
     Every bone turns as ours does, from a rest pose that is turned to ours. The middle of the hips
@@ -94,7 +96,7 @@ def carry(
     hands that touch the ground keep to it (`Limb.goal`): the hips sink where a leg is too short,
     rise where other parts would be in the ground, and the two bones above follow.
     """
-    rig, person = CharacterRig.of(character, motion, body), Person.of(motion, body, ground)
+    rig, person = CharacterRig.of(character, motion, body), PersonMotion.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
     turns = {node: up @ turn for node, turn in turns_of(character, motion, body).items()}
     legs = [Limb.of(rig, side, LEG, person) for side in SIDES]
@@ -103,12 +105,12 @@ def carry(
     low = 0.0 if character.lowest is None else character.lowest
     depth = float(np.mean([character.places[one.chain[2], 1] for one in legs])) - low
     ratio = (float(np.mean([leg.length for leg in legs])) + max(depth, 0.0)) / person.leg
-    free = Carried(turns, motion.translation * 0)
+    free = CharacterPose(turns, motion.translation * 0)
     posed = rig.posed(free)
     hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
     begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
     way = (begin + ratio * (person.middle - begin)) @ up.T
-    # where our soles are in the ground theirs are on it, and the hips as much higher
+    # where the person's soles are below the ground, the character is raised by as much
     soles = torch.stack([one.contacts.height for one in legs]).amin(0)
     raised = ratio * envelope((-soles).clamp(min=0.0), motion.fps)
     free = replace(free, hips=way - hips + raised[:, None] * _UP)
@@ -121,18 +123,23 @@ def carry(
             free = replace(free, hips=free.hips + envelope(sunk, motion.fps)[:, None] * _UP)
         posed = rig.posed(free)
         goals = [one.goal(posed, motion.fps, ratio, ground) for one in legs]
-        short = [one.missing(posed, goal) for one, goal in zip(legs, goals, strict=True)]
+        short = [one.sink_needed(posed, goal) for one, goal in zip(legs, goals, strict=True)]
         sinks = envelope(torch.stack(short).amax(0), motion.fps)
         free = replace(free, hips=free.hips - sinks[:, None] * _UP)
-        carried = _reaching(rig, free, legs, motion.fps, ratio, ground)
-        carried = _reaching(rig, carried, arms, motion.fps, ratio, ground)
+        carried = _with_limbs_at_goals(rig, free, legs, motion.fps, ratio, ground)
+        carried = _with_limbs_at_goals(rig, carried, arms, motion.fps, ratio, ground)
     return rig, carried, ratio
 
 
-def _reaching(
-    rig: CharacterRig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
-) -> Carried:
-    """The character with limbs that end where they belong."""
+def _with_limbs_at_goals(
+    rig: CharacterRig,
+    carried: CharacterPose,
+    limbs: list[Limb],
+    fps: float,
+    ratio: float,
+    ground: float,
+) -> CharacterPose:
+    """The pose with the limbs turned so that their ends reach their goals."""
     posed, turns = rig.posed(carried), dict(carried.turns)
     for one in limbs:
         goal = one.goal(posed, fps, ratio, ground)
@@ -141,7 +148,7 @@ def _reaching(
     return replace(carried, turns=turns)
 
 
-def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
+def _animated_nodes(character: Character, motion: Motion) -> list[int]:
     """Nodes that the animation turns: fingers only where the motion has some."""
     idle = {
         node for joint, node in character.bones.nodes.items()
@@ -150,8 +157,8 @@ def _fingers_and_all(character: Character, motion: Motion) -> list[int]:
     return [node for node in character.driven if node not in idle]
 
 
-def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
-    """Rotation of a node's parent in every frame; nodes between animated ones are at rest."""
+def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
+    """Pose of a node's parent in every frame; nodes between animated ones stay at rest."""
     character = rig.character
     path = character.tree.path(node)[1:]
     rest = character.world_turns
@@ -164,7 +171,7 @@ def _above(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 
     return so3.rigid(posed[driven][:, :3, :3] @ between, posed[driven][:, :3, 3])
 
 
-def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
+def _decomposed(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
     """Translation, rotation and scale of a matrix: animations move no matrices."""
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     turn = torch.from_numpy(matrix[:3, :3] / sizes)
@@ -176,7 +183,7 @@ def _parts(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
 
 
 def _warnings(character: Character, motion: Motion) -> tuple[str, ...]:
-    """What the user should know of how bones were found."""
+    """Warnings about bones, soles and fingers that were guessed or left out."""
     path, found = character.file.path, list(character.warnings)
     if character.bones.by_tree:
         found.append(

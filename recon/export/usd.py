@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.body.model import BodyModel
-from recon.core.bone_names import BoneNames, renamed
+from recon.core.bone_names import BoneNames, joint_names_in
 from recon.core.errors import ReconError, optional_module
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
@@ -60,7 +60,7 @@ def joint_paths(
 ) -> list[str]:
     """UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
     paths: list[str] = []
-    told = (re.sub(r"\W", "_", name) for name in renamed(joints, names))
+    told = (re.sub(r"\W", "_", name) for name in joint_names_in(joints, names))
     for name, parent in zip(told, parents, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths

@@ -40,7 +40,7 @@ not found, shadows and cars are fewer."""
 
 
 @dataclass
-class Followed:
+class FollowedPoints:
     """Points that are followed from picture to picture of a film."""
 
     frames: list[Int[np.ndarray, " points"]] = field(default_factory=list)
@@ -60,7 +60,7 @@ class Followed:
         places, numbers = np.zeros((0, 2), np.float32), np.zeros(0, np.int64)
         if self.pixels and shot == self._shot and len(self.pixels[-1]) > 0:
             before = ((self.pixels[-1] + 0.5) / scale - 0.5).astype(np.float32)
-            places, kept = self._into(grey, before)
+            places, kept = self._tracked_into(grey, before)
             places, numbers = places[kept], self.numbers[-1][kept]
         if len(places) < _FEWEST_POINTS:
             fresh = _corners(grey, places)
@@ -72,18 +72,18 @@ class Followed:
         self.numbers.append(numbers)
         self.pixels.append((places.astype(np.float64) + 0.5) * scale - 0.5)
 
-    def _into(
+    def _tracked_into(
         self, grey: UInt8[np.ndarray, "height width"], before: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], np.ndarray]:
         """Places of the points in the next image, and which of them are found."""
-        there, found, _ = _flow(self._grey, grey, before)
-        back, again, _ = _flow(grey, self._grey, there)
+        there, found, _ = _optical_flow(self._grey, grey, before)
+        back, again, _ = _optical_flow(grey, self._grey, there)
         inside = ((there >= 0) & (there < grey.shape[::-1])).all(-1)
         returned = np.linalg.norm(back - before, axis=-1) < _RETURN
         return there, (found[:, 0] > 0) & (again[:, 0] > 0) & inside & returned
 
 
-def _flow(one: Any, other: Any, places: np.ndarray) -> Any:
+def _optical_flow(one: Any, other: Any, places: np.ndarray) -> Any:
     return cv2.calcOpticalFlowPyrLK(
         one, other, places, cast(Any, None), winSize=_WINDOW, maxLevel=_LEVELS
     )

@@ -75,7 +75,7 @@ class Board:
         return np.stack((x, y, 0 * x), -1).reshape(-1, 3).astype(np.float32) * self.square
 
     def seen_in(self, image: UInt8[np.ndarray, "height width 3"]) -> Corners | None:
-        """The corners in an image, from that of the board that has a dark square inside of it."""
+        """The corners in an image, beginning with the one at which a dark square lies."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, found = cv2.findChessboardCornersSB(grey, (self.columns, self.rows))
         if not there:
@@ -189,7 +189,7 @@ def _calibrated(
 ) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
     """The camera, the error of every moment, pixels, and the focal length's relative deviation."""
     places = [one.reshape(-1, 1, 2).astype(np.float32) for one in seen]
-    guess = guessed_camera(film.image_size)
+    guess = guessed_camera(film.image_size, film.stated_focal)
     _, matrix, distortion, _, _, stds, _, off = cv2.calibrateCameraExtended(
         [board.points] * len(places), places, film.image_size, guess.camera_matrix.copy(),
         np.zeros(5), flags=_LENS,

@@ -70,7 +70,7 @@ class SeenBackground:
         return np.einsum("nij,nj->ni", self.R[k], X[:, :3]) + self.t[k] * X[:, 3:]
 
     def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-        """How far from their places points should be seen; infinite behind a camera."""
+        """Reprojection errors on the plane z = 1; infinite for points behind a camera."""
         there = self.in_cameras(rows)
         front = there[:, 2] > _CLOSEST
         seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
@@ -87,7 +87,7 @@ class SeenBackground:
         np.add.at(square, self.point[rows], A.swapaxes(1, 2) @ A)
         chosen = np.bincount(self.point[rows], minlength=len(self.X)) >= 2
         self.X[chosen] = np.linalg.eigh(square[chosen])[1][:, :, 0]
-        # of the two signs the one in front of the first camera that sees the point
+        # a homogeneous point has two signs: one lies in front of the first camera that sees it
         first = rows[np.unique(self.point[rows], return_index=True)[1]]
         first = first[chosen[self.point[first]]]
         self.X[self.point[first]] *= np.sign(self.in_cameras(first)[:, 2:])
@@ -130,7 +130,7 @@ class SeenBackground:
         value, damping = problem.cost(), 1e-4
         for _ in range(steps):
             kept, step = (self.R, self.t, self.X, self.focal), problem.linearised()
-            while not (now := self._after(step, damping, problem)) < value:
+            while not (now := self._cost_after(step, damping, problem)) < value:
                 self.R, self.t, self.X, self.focal = kept
                 damping *= 10
                 if damping > _MOST_DAMPING:
@@ -140,7 +140,7 @@ class SeenBackground:
             if gain < _SMALL_GAIN * value:
                 return
 
-    def _after(
+    def _cost_after(
         self, step: Callable[[float], None], damping: float, problem: "_Adjustment"
     ) -> float:
         step(damping)
@@ -182,12 +182,12 @@ class _Adjustment:
         z = np.where(front, there[:, 2], 1.0)[:, None]
         seen = there[:, :2] / z
         off = it.focal * seen - it.places[rows]
-        # root of the weight (1 + r²)⁻² of iterated least squares
+        # square root of the weight (1 + r²)⁻² of iteratively reweighted least squares
         root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
         off, root = off * root[:, None], root[:, None, None]
         D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)
         D *= it.focal * root / z[:, None]
-        # a picture turns about its own place, then moves
+        # derivatives by a rotation of the camera about its centre, then by its translation
         cross = so3.hat(torch.from_numpy(there)).numpy()
         poses = np.concatenate((-D @ cross, D * it.X[p, 3][:, None, None]), 2)
         count = int(self.moved.sum())
@@ -259,7 +259,7 @@ class _Adjustment:
 
 
 def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:
-    """Sparse matrix with a pair of rows for every block, which stands in a column of blocks."""
+    """Sparse matrix of blocks (2, n): block k stands in rows 2 k and column `number[k]`."""
     rows, _, n = values.shape
     columns = np.broadcast_to(n * number[:, None, None] + np.arange(n), values.shape)
     ends = np.arange(0, values.size + 1, n)
@@ -267,7 +267,7 @@ def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: in
 
 
 def _perpendicular(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:
-    """Orthonormal bases of what is perpendicular to unit vectors, by reflections."""
+    """Orthonormal bases of the complements of unit vectors, by Householder reflections."""
     v = X + np.where(X[:, :1] >= 0, 1.0, -1.0) * np.eye(4)[0]
     v /= np.linalg.norm(v, axis=1, keepdims=True)
     return (np.eye(4) - 2 * v[:, :, None] * v[:, None, :])[:, :, 1:]

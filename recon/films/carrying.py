@@ -51,7 +51,7 @@ def find_path(
     known: bool,
     rate: float,
 ) -> CameraMotion | str:
-    """How a carried camera moves, up to the unit of its path; else why that cannot be told.
+    """The motion of a carried camera, up to the unit of its path; else why it is unknown.
 
     Args:
         frame: number of the picture of each row.
@@ -64,17 +64,17 @@ def find_path(
     frames, picture = np.unique(frame, return_inverse=True)
     every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
     keys = np.arange(0, len(frames), every)
-    seen = _Seen(picture, point, pixels / focal)
-    grown = list(_grown(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
+    seen = _Observations(picture, point, pixels / focal)
+    grown = list(_reconstructions(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
     if not grown:
         return "no two of its pictures share points enough at different distances"
     best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
         return "points of its background do not agree on a path"
-    place, zoom = _deviations(best, _but(best, first), focal=not known)
+    place, zoom = _deviations(best, _placed_except(best, first), focal=not known)
     if place > _SURE:
         return "it moves too little for the distance of its background"
-    whole = _whole(best, seen, keys, len(frames), rate)
+    whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
     R, places = whole.R[whole.placed], whole.centres()[whole.placed]
     return CameraMotion(
         frames=frames[whole.placed],
@@ -86,7 +86,7 @@ def find_path(
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Observations:
     """Where points are seen in pictures that are numbered from 0."""
 
     picture: Int[np.ndarray, " rows"]
@@ -101,33 +101,35 @@ class _Seen:
             np.zeros(points, bool),
         )  # fmt: skip
 
-    def of(self, keys: Int[np.ndarray, " keys"]) -> "_Seen":
-        """What some pictures see, renumbered."""
+    def of(self, keys: Int[np.ndarray, " keys"]) -> "_Observations":
+        """The observations of some pictures, which are numbered from 0 again."""
         number = np.full(self.picture.max() + 1, -1)
         number[keys] = np.arange(len(keys))
         kept = number[self.picture] >= 0
-        return _Seen(number[self.picture[kept]], self.point[kept], self.places[kept])
+        return _Observations(number[self.picture[kept]], self.point[kept], self.places[kept])
 
 
-def _grown(
-    seen: _Seen, keys: Int[np.ndarray, " keys"], *, known: bool
+def _reconstructions(
+    seen: _Observations, keys: Int[np.ndarray, " keys"], *, known: bool
 ) -> Iterator[tuple[SeenBackground, int]]:
-    """The key pictures and their points, from every pair with which they may begin.
+    """Reconstruct the key pictures and their points from each pair that may begin them.
 
     Also the first picture of the pair, which does not move.
     """
     own, points = seen.of(keys), int(seen.point.max()) + 1
     table = np.full((len(keys), points, 2), np.nan)
     table[own.picture, own.point] = own.places
-    for one, other, R, t in _pairs(table):
+    for one, other, R, t in _starting_pairs(table):
         scene = own.scene(len(keys), points)
         scene.R[other], scene.t[other] = R, t
-        _grow(scene, one, other)
-        scene.refine(_but(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30)
+        _place_pictures(scene, one, other)
+        scene.refine(
+            _placed_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
+        )
         yield scene, one
 
 
-def _pairs(
+def _starting_pairs(
     table: Float[np.ndarray, "pictures points 2"],
 ) -> Iterator[tuple[int, int, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
     """Pairs of pictures, and R and t from the first one's frame to the second's; the best first.
@@ -165,11 +167,11 @@ def _pairs(
             yield i, j, R, t[:, 0]
 
 
-def _grow(scene: SeenBackground, one: int, other: int) -> None:
-    """Place all pictures that can be, from two that stand: those between them, then outwards."""
+def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
+    """Place further pictures, given the poses of two: those between them first, then outwards."""
     scene.placed[[one, other]] = True
     scene.triangulate()
-    scene.refine(_but(scene, one))
+    scene.refine(_placed_except(scene, one))
     left = np.flatnonzero(~scene.placed)
     outside = (left < one) | (left > other)
     far = np.minimum(np.abs(left - one), np.abs(left - other))
@@ -184,11 +186,11 @@ def _grow(scene: SeenBackground, one: int, other: int) -> None:
             scene.refine(np.arange(len(scene.placed)) == k, points=False, wider=wider)
         scene.triangulate()
         if count % _REFINED_EVERY == 0:
-            scene.refine(_but(scene, one), steps=3)
+            scene.refine(_placed_except(scene, one), steps=3)
             scene.drop_misfits()
 
 
-def _but(scene: SeenBackground, one: int) -> Bool[np.ndarray, " pictures"]:
+def _placed_except(scene: SeenBackground, one: int) -> Bool[np.ndarray, " pictures"]:
     """The placed pictures but one, whose frame is the world's."""
     return scene.placed & (np.arange(len(scene.placed)) != one)
 
@@ -217,10 +219,14 @@ def _deviations(
     return float(np.sqrt(places.mean() / extent)), float(np.sqrt(variance[-1]))
 
 
-def _whole(
-    best: SeenBackground, seen: _Seen, keys: Int[np.ndarray, " keys"], pictures: int, rate: float
+def _all_pictures_placed(
+    best: SeenBackground,
+    seen: _Observations,
+    keys: Int[np.ndarray, " keys"],
+    pictures: int,
+    rate: float,
 ) -> SeenBackground:
-    """All pictures, placed by the points that the key pictures tell, on a steady path."""
+    """Place all pictures by the points that key pictures determine, on a smooth path."""
     whole = seen.scene(pictures, len(best.X))
     whole.X, whole.known, whole.focal = best.X, best.known, best.focal
     stand = np.flatnonzero(best.placed)

@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, FRAMES, IMAGE_SIZE
 from recon.films.clock import FilmClock, clock_of_stamps
+from recon.films.lens import stated_focal_length
 from recon.films.shots import Picture, with_shots
 from recon.formats.opening import existing_file
 
@@ -72,6 +73,8 @@ class Film:
     turned_by: int
     """Degrees by which the stored pictures are turned clockwise to be upright."""
     clock: FilmClock
+    stated_focal: float | None = None
+    """Focal length for 35 mm film that the camera wrote, millimetres."""
     notes: list[str] = field(default_factory=list)
     """What was assumed; what was damaged is added when a loop has come to the end."""
     shots: tuple[int, ...] = ()
@@ -90,6 +93,10 @@ class Film:
     def in_film(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
         """Pixels of the film for those of an image, which may have been shrunk."""
         return pixels * self.shrunk + (self.shrunk - 1) / 2
+
+    def in_image(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
+        """The inverse of `in_film`."""
+        return (pixels - (self.shrunk - 1) / 2) / self.shrunk
 
     def __iter__(self) -> Iterator[FilmFrame]:
         """Decode the film; damaged pictures are left out and noted in `notes`."""
@@ -217,7 +224,9 @@ def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
     shrunk = math.ceil(max(size) / _MAX_SIDE)
     if shrunk > 1:
         notes.append(f"looked at in 1/{shrunk} of its size of {size[0]} x {size[1]} pixels")
-    return Film(path, size, shrunk, turned_by, clock, notes)
+    focal, said = stated_focal_length(path)
+    notes += [said] if said else []
+    return Film(path, size, shrunk, turned_by, clock, focal, notes)
 
 
 @contextmanager

@@ -29,6 +29,8 @@ _ROLL, _PITCH, _PITCH_SPREAD = np.radians(20.0), np.radians(8.0), np.radians(30.
 looks down. Lines that tell a camera far from these are mostly those of furniture or textures."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
 """Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
+_MOST_OFF = 3.0
+"""Standard deviations by which a focal length may be off its guess."""
 _PAIRS = 300
 """Pairs of segments that propose a vertical for each focal length."""
 _HEADINGS = 90
@@ -62,8 +64,7 @@ def find_vertical(
     images: Sequence[Float[np.ndarray, "_ 2 2"]],
     longer: int,
     focal: float,
-    *,
-    known: bool,
+    focal_std: float,
 ) -> Vertical | None:
     """The vertical in images of one still camera; None where lines do not determine it.
 
@@ -76,14 +77,18 @@ def find_vertical(
             a film five images are enough.
         longer: the longer side of the images, pixels.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether it is known. If not, it is looked for, and the guess is taken where lines
-            do not tell it.
+        focal_std: its standard deviation as a share of it; 0 where it is known. Else it is looked
+            for within three of them, and the guess is taken where lines do not tell it.
     """
+    known = focal_std == 0
     segments = np.concatenate([np.zeros((0, 2, 2)), *images])
     if len(segments) < _FEWEST_SEGMENTS or not _steep(segments).any():
         return None
     chance = np.random.default_rng(0)
-    lengths = np.full(1, focal) if known else longer * _FOCAL_LENGTHS
+    lengths = longer * _FOCAL_LENGTHS
+    lengths = lengths[np.abs(np.log(lengths / focal)) <= _MOST_OFF * focal_std]
+    if len(lengths) == 0:
+        lengths, known = np.full(1, focal), True
     proposals = [_best_vertical(segments, one, chance) for one in lengths]
     shares = np.array([share for _, share, _ in proposals])
     best = int(shares.argmax())

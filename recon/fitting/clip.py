@@ -42,8 +42,6 @@ The true one is 1 to 2 cm; it is smaller here as errors of neighbouring frames a
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
-LENS_DEVIATION = 0.3
-"""Standard deviation of the logarithm of a focal length that is guessed from the image size."""
 ROUGH = FitOptions(prior=FIRST)
 
 
@@ -54,7 +52,7 @@ def fit_clip(
     watch: Watch | None = None,
     start: Motion | None = None,
 ) -> ClipFit:
-    """Fit observations that share a frame, the recording's; with a leading axis of clips.
+    """Fit clips to observations in the frame of the recording, with a leading axis of clips.
 
     Clips of one batch are taken to be equally noisy; only one at a time may be long.
 
@@ -68,18 +66,18 @@ def fit_clip(
         options: how to fit.
         body: whose motion it is.
         watch: called after every iteration.
-        start: a first guess in the frame of the observations, axes (clips, time), instead of what
-            a guess from the data.
+        start: a first guess in the frame of the observations, axes (clips, time), instead of one
+            from the data.
 
     Raises:
         ValueError: when some observations know the ground and others do not, or the start does
             not fit the observations.
     """
     seen, guess = guessed(observations, body, start, options.starting_shape)
-    return posed(seen, guess, options, body, watch).solved()
+    return clip_problem(seen, guess, options, body, watch).solved()
 
 
-def posed(
+def clip_problem(
     observations: tuple[Sensor, ...],
     guess: FirstGuess,
     options: FitOptions,
@@ -96,10 +94,7 @@ def posed(
 
 
 def _with_keypoint_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
-    """The observations with unknown keypoint offsets, which several views of one layout determine.
-
-    And their number of rows.
-    """
+    """Add unknown keypoint offsets to several views of one layout; also return their number."""
     views = views_of(observations)
     if len(views) < 2 or len({o.points.names for o in views}) > 1:
         return observations, 0
@@ -124,7 +119,7 @@ class ClipProblem:
     """Frames of a view that tell as much as one would without correlations in time."""
 
     def solved(self) -> ClipFit:
-        """The motion, and the ground where it is not known."""
+        """Fit the motion, and the ground where it is not known."""
         if self.options.grounded and all(one.ground_known for one in self.observations):
             return self._in_own_frame(ground_known=True)
         job = self._with_camera_scale()
@@ -136,10 +131,10 @@ class ClipProblem:
         return job._clip_fit(result, T, ground_known=False)
 
     def _in_own_frame(self, *, ground_known: bool) -> ClipFit:
-        """The motion in the frame of the recording, which is the world or has no ground."""
+        """Fit in the frame of the recording, which is the world or has no ground."""
         job, start = self, self.guess.motion
         if ground_known and not self.guess.distance_known:
-            from recon.fitting.first_motions import scaled_onto_ground  # one view alone needs it
+            from recon.fitting.first_motions import scaled_onto_ground  # used only for one view
 
             job, free = self.after_pose_prior()
             start = scaled_onto_ground(free, cast(Any, views_of(self.observations)[0]), self.body)
@@ -148,7 +143,7 @@ class ClipProblem:
         return self._clip_fit(result, T, ground_known=ground_known)
 
     def after_pose_prior(self) -> "tuple[ClipProblem, Motion]":
-        """The problem after a fit under the pose prior, which needs no ground, and its motion.
+        """Fit under the pose prior, which needs no ground; return the problem and the motion.
 
         One view whose noise nobody gave weighs less where its residuals about this motion repeat
         from frame to frame: feet would follow them and slip.
@@ -157,7 +152,7 @@ class ClipProblem:
         first = self.fit(self.pose_prior_options, self.scene(start), start, frozenset())
         if not self.one_view or self.options.noise_of(0) is not None:
             return self, first.motion
-        from recon.fitting.first_motions import repetition_in_view  # one view alone needs it
+        from recon.fitting.first_motions import repetition_in_view  # used only for one view
 
         (view,) = views_of(self.observations)
         found = repetition_in_view(cast(Any, view), first.estimate, self.noises[0].own)
@@ -168,7 +163,7 @@ class ClipProblem:
         views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
-        from recon.fitting.first_motions import scaled_to_feet  # moving cameras alone need it
+        from recon.fitting.first_motions import scaled_to_feet  # used only for moving cameras
 
         _, motion = self.after_pose_prior()
         if (found := scaled_to_feet(cast(Any, views[0]), motion, self.body)) is None:
@@ -179,14 +174,14 @@ class ClipProblem:
     def _with_ground(self) -> Reconstruction:
         """Fit the whole clip and its unknown ground, whose first guess is below standing feet."""
         # imported here: in most clips the ground is known
-        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
+        from recon.fitting.ground import ground_by_feet, ground_by_posture, point_below_pelvis
 
         job, start, level = self, self.guess.motion, frame_is_level(self.observations)
         if self.ground_seen and not level:
-            ground = UnknownGround.create(pelvis_path(start, self.body))
+            ground = UnknownGround.create(point_below_pelvis(start, self.body))
         else:
             job, start = self.after_pose_prior()
-            ground = (ground_below if level else upright_ground)(start, self.body)
+            ground = (ground_by_feet if level else ground_by_posture)(start, self.body)
         moved = self.moved
         if self.options.knows_gravity:
             # where z is up only the height of the ground is unknown
@@ -221,9 +216,9 @@ class ClipProblem:
 
     @property
     def lens_unknown(self) -> bool:
-        """Whether one view of unknown pose is all there is, and its focal length is a guess."""
+        """Whether the only sensor is one view of unknown pose with a guessed focal length."""
         # moving cameras keep the focal length that their tracker assumed
-        return self.scale_unknown and not views_of(self.observations)[0].focal_known
+        return self.scale_unknown and views_of(self.observations)[0].focal_std > 0
 
     @property
     def one_view(self) -> bool:
@@ -239,7 +234,7 @@ class ClipProblem:
         return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
-        """A scene with no offsets of keypoints, and a ground."""
+        """The scene before a fit: keypoint offsets of zero, a ground, a lens where unknown."""
         clips = len(start.translation)
         scene = Scene.create(clips, self.offsets, like=start.translation)
         if not self.lens_unknown:
@@ -255,7 +250,7 @@ class ClipProblem:
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
     def stages(self, options: FitOptions, moved: frozenset[str], body: BodyModel) -> Stages:
-        """The prior's stages, with a known shape, unknowns of the scene and further terms."""
+        """A function that makes the prior's stages for data, adapted to shape and scene."""
         noise = min(noise.metres for noise in self.noises)
         prior = prior_stages(options, noise, body)
         known = options.shape_prior
@@ -265,7 +260,12 @@ class ClipProblem:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
         if moved >= LENS:
-            terms = (*terms, Term("lens", lens_changed, (noise / LENS_DEVIATION) ** 2))
+            terms = (
+                *terms,
+                Term(
+                    "lens", lens_changed, (noise / views_of(self.observations)[0].focal_std) ** 2
+                ),
+            )
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
 
@@ -281,10 +281,11 @@ class ClipProblem:
                 stages = with_relative_accelerations(stages)
             stages = with_scene(stages, moved, terms)
             if self.one_view:
-                from recon.fitting.still_feet import with_still_feet  # one view alone needs it
+                from recon.fitting.still_feet import with_still_feet  # used only for one view
 
                 (one,) = self.noises
-                (view,) = views_of([cast(Any, data[0].energy)])  # others tie windows
+                # terms of data after the first only tie windows to each other
+                (view,) = views_of([cast(Any, data[0].energy)])
                 stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:
                 return after_placement(stages)

@@ -44,7 +44,7 @@ def completion_rate(fps: float) -> float:
 
 
 def on_fast_clock(sensor: Sensor) -> Sensor:
-    """The observation on a clock of at least 30 Hz; moments in between show nothing.
+    """The observation on a clock of at least 30 Hz; the moments that are added have no data.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
     motion is too coarse to move as people do, and a moment counts for several. A sensor that moves
@@ -54,7 +54,7 @@ def on_fast_clock(sensor: Sensor) -> Sensor:
     return sensor if times <= 1 else sensor.on_faster_clock(times)
 
 
-def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+def observations_in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     """The observations that measure positions in space."""
     return tuple(one for one in observations if one.places is not None)
 
@@ -103,9 +103,9 @@ class CycleClock:
         worst = last[((last < SHORTEST_CYCLE) | (last > LONGEST_CYCLE)).nonzero()[:1, 0]]
         if len(worst) > 0:
             raise ObservationError(
-                f"a cycle of gait lasts {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, what is seen "
-                f"here {float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole "
-                "with another prior"
+                f"expected data of one gait cycle, {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, got "
+                f"{float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole with "
+                "another prior"
             )
         count = (last * fps - 1e-6).ceil().long() + 1
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
@@ -114,7 +114,7 @@ class CycleClock:
 def first_and_last_times(
     sensor: Sensor,
 ) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
-    """Times of the first and last moment of each clip that show anything; infinite where none."""
+    """Times of the first and the last moment with data of each clip, s; infinite without data."""
     there = sensor.shown.any(-1)
     times = sensor.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / sensor.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
@@ -141,7 +141,7 @@ def typical_cycles(
     turns = so3.about_z(angles.to(typical))
     path = prior.paths(shape)
     variables: list[Any] = []
-    for clip, (seen, there) in enumerate(zip(*_seen_path(observations, clock), strict=True)):
+    for clip, (seen, there) in enumerate(zip(*_centroid_path(observations, clock), strict=True)):
         last = int(clock.valid[clip].sum()) - 1
         place = torch.arange(len(seen)).clamp(max=last) / last * (path.shape[1] - 1)
         walked = path[:, place.round().long()]
@@ -165,7 +165,7 @@ def typical_cycles(
     return Hypotheses(prior, Unknowns(concatenate(variables), scene), clip)
 
 
-def _seen_path(
+def _centroid_path(
     observations: Sequence[Sensor], clock: CycleClock
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
     """The centroid of the data at the clock's frames, and which frames have data."""
@@ -232,7 +232,7 @@ def complete(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
             "terms out, or fit by another prior"
         )
-    seen = in_space(observations)
+    seen = observations_in_space(observations)
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
@@ -242,23 +242,27 @@ def complete(
     seen, rows = _with_marker_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(o.cloud and int(o.cloud.present.sum(-1).max()) >= DENSE for o in seen)
-    return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
+    return _CycleCompletion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(
+        body, watch
+    )
 
 
 def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
-    """A loaded prior of cycles.
+    """Load a prior of gait cycles.
 
     Raises:
         ReconError: when it is of something else.
     """
     found = loaded_prior(prior, weights, body)
     if not isinstance(found, CyclePrior):
-        raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
+        raise ReconError(
+            f"expected a prior of gait cycles, such as 'anchor', got a {type(found).__name__}"
+        )
     return found
 
 
 @dataclass(frozen=True)
-class _Completion:
+class _CycleCompletion:
     """The stages from first hypotheses to one cycle for every clip."""
 
     observations: tuple[Sensor, ...]
@@ -281,7 +285,7 @@ class _Completion:
         ]
         weights = weights_of(self.noises)
         search = prior.search(data_terms(seen, weights), noise)
-        ranking, portion = search[0].terms, partial(_thinned, step=step)
+        ranking, portion = search[0].terms, partial(_with_fewer_frames, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
@@ -325,7 +329,7 @@ def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any
     return (*stages[:-1], replace(stages[-1], kept=count))
 
 
-def _thinned(variables: Any, step: int) -> Any:
+def _with_fewer_frames(variables: Any, step: int) -> Any:
     """The cycle decoded at fewer frames, which suffice to optimise a latent code."""
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
@@ -337,7 +341,7 @@ def _coarse_observation(sensor: Sensor, step: int, body: BodyModel) -> Sensor:
 
 
 def cycle_noise(sensor: Sensor, given: float | None) -> Noise:
-    """Noise for a cycle: a frame's cloud counts like some named points.
+    """The noise with which a cycle is fitted; a frame's cloud counts as `_WORTH` named points.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
     """

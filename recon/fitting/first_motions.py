@@ -1,4 +1,4 @@
-"""What a first motion tells, under the pose prior, that the fit of one view needs to know.
+"""Facts that the fit of one view needs, found from a first motion under the pose prior.
 
 How long errors of keypoints last, how large a person on a known ground is, and the unit of a
 camera's path. The pose prior needs no ground.
@@ -36,7 +36,7 @@ def error_repetition(
     noise: float,
     rate: float = 1.0,
 ) -> float:
-    """Number of frames that tell as much as one would if its errors were new in every frame.
+    """Number of correlated frames that tell as much as one frame with independent errors.
 
     The mean of N frames of errors with standard deviation s and correlations ρ_k at lags of k
     frames has the variance s² (1 + 2 Σ ρ_k) / N, that of white noise σ² / N. The quotient of these
@@ -97,7 +97,7 @@ def scaled_onto_ground(motion: Motion, view: Keypoints2D, body: BodyModel) -> Mo
 def scaled_to_feet(
     view: Keypoints2D, motion: Motion, body: BodyModel
 ) -> tuple[Keypoints2D, Motion] | None:
-    """The view with its camera's path in metres, by standing feet, and the motion moved with it.
+    """Scale the camera's path to metres by standing feet, and move the motion with the camera.
 
     None where the motion does not cover the view.
     """

@@ -65,7 +65,7 @@ def stretches_of_cycles(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...
 
 @dataclass(frozen=True)
 class CycleData:
-    """The observations and first fit from which cycles are completed."""
+    """The prior and the observations from which gait cycles are completed."""
 
     prior: CyclePrior[Any]
     observations: Sequence[Sensor]
@@ -73,9 +73,7 @@ class CycleData:
     body: BodyModel
 
     def completed(self, motion: Motion, cycle: Cycle) -> CompletedCycle | None:
-        """One cycle fitted from its place in the first fit, with the same shape.
-
-        None without data.
+        """Fit one cycle from its motion in the first fit, with the same shape; None without data.
 
         Args:
             motion: the first fit, without a batch axis.

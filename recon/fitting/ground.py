@@ -25,14 +25,14 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 """A body that would look where the camera looks; its right is the image's."""
 
 
-def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
+def ground_by_posture(motion: Motion, body: BodyModel) -> UnknownGround:
     """First guess of an unknown ground, one per clip, in a recording with an unknown up axis.
 
     Up is where heads are from between the ankles, on average over the frames: steps forward and
     back, and leaning to either side, cancel. The ground is as high as the soles that stand.
     """
     up = mean_up(motion, body)
-    pivot = pelvis_path(motion, body)
+    pivot = point_below_pelvis(motion, body)
     # R = Exp(v) rotates `up` onto z; v has the direction of up × z and the length of the angle
     sine = up[..., :2].norm(dim=-1, keepdim=True)
     angle = torch.atan2(sine, up[..., 2:])
@@ -42,9 +42,9 @@ def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
     return ground.replace(lift=-sole_heights(level, body))
 
 
-def ground_below(motion: Motion, body: BodyModel) -> UnknownGround:
+def ground_by_feet(motion: Motion, body: BodyModel) -> UnknownGround:
     """First guess of the ground in a recording whose z axis is up; only its height is unknown."""
-    ground = UnknownGround.create(pelvis_path(motion, body))
+    ground = UnknownGround.create(point_below_pelvis(motion, body))
     return ground.replace(lift=-sole_heights(motion, body))
 
 
@@ -56,7 +56,7 @@ def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
     return torch.nn.functional.normalize(rise.sum(-2), dim=-1)
 
 
-def pelvis_path(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
+def point_below_pelvis(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
     """The point of the recording's z = 0 below the mean place of the pelvis, metres."""
     pelvis = body.pose(motion).joints[..., 0, :].where(motion.valid[..., None], 0.0)
     mean = pelvis.sum(-2) / motion.valid.sum(-1, keepdim=True)

@@ -87,7 +87,7 @@ def fit_long(
     recording = LongRecording.cut(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
-    job = _Job(recording, body, scene, weights, watch)
+    job = _WindowFitter(recording, body, scene, weights, watch)
     every = list(range(len(recording.windows.starts)))
     some = torch.linspace(0, every[-1], min(len(every), AT_ONCE)).round().int().tolist()
 
@@ -108,7 +108,7 @@ def fit_long(
     whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),
-        windows=tuple(recording.span(row) for row in every),
+        windows=tuple(recording.time_range(row) for row in every),
         failed_windows=tuple(sorted({*apart.failed, *between.failed})),
         reports=(*shapes.reports, *apart.reports, *between.reports),
     )
@@ -133,15 +133,15 @@ class _WindowFits:
         return [self.motions[k] for k in sound]
 
     def shape(self) -> Float[Tensor, " shape"]:
-        """The median over the windows that did not fail, or over all if all did."""
+        """Median shape of the windows that did not fail, or of all windows if all failed."""
         good = [motion for row, motion in self.motions.items() if row not in self.failed]
         shapes = [motion.shape for motion in good or self.motions.values()]
         return torch.stack(shapes).quantile(0.5, dim=0)
 
 
 @dataclass(frozen=True)
-class _Job:
-    """The data shared by all batches of windows."""
+class _WindowFitter:
+    """The recording, body, scene and weights with which batches of windows are fitted."""
 
     recording: LongRecording
     body: BodyModel
@@ -156,23 +156,25 @@ class _Job:
         shape: Float[Tensor, " shape"],
         stages: Callable[[Sequence[int], tuple[Term, ...]], tuple[Stage[Any], ...]],
     ) -> _WindowFits:
-        """Fit some windows, from a shape, by the stages for their rows and data."""
+        """Fit the windows `rows`, starting from a shape; `stages` takes their rows and data."""
         motions: dict[int, Motion] = {}
         failed: list[int] = []
         reports: list[tuple[StageReport, ...]] = []
         for batch in self.recording.batches(rows):
-            parts = zip(*(self.recording.seen(row) for row in batch), strict=True)
+            parts = zip(*(self.recording.observations_of(row) for row in batch), strict=True)
             result = reconstruct(
                 [cast(Any, concatenate)(list(part)) for part in parts],
                 partial(stages, batch),
                 self.body,
-                start=stack([self.recording.start(row, shape) for row in batch]),
+                start=stack([self.recording.first_guess(row, shape) for row in batch]),
                 scene=concatenate([self.scene] * len(batch)),
                 weights=self.weights,
                 watch=self._watch(name),
             )
             for k, row in enumerate(batch):
-                motions[row] = result.motion[k].replace(start_time=self.recording.span(row)[0])
+                motions[row] = result.motion[k].replace(
+                    start_time=self.recording.time_range(row)[0]
+                )
             failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
             reports.append(result.reports)
         order = torch.tensor(list(motions)).argsort()

@@ -45,7 +45,7 @@ class OverlapEnergy(TensorStruct):
     fps: float
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Over the frames that are estimated; the window's clock begins at zero."""
+        """The energy of the frames that are estimated; the window's clock begins at zero."""
         joints, seen = at_observation_times(
             estimate.body.joints, estimate.motion,
             fps=self.fps, start_time=0.0, moments=self.joints.shape[-3],
@@ -64,7 +64,7 @@ class OverlapEnergy(TensorStruct):
         return self.joints.shape[-3]
 
     def point_model(self, points: Float[Tensor, "*batch time 22 3"]) -> PointModel:
-        """The energy about predicted joints, metres."""
+        """Quadratic model of the energy about predicted joints, metres."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
         return quadratic_model(points, self.joints, weights, squared, rate)
@@ -122,20 +122,20 @@ class LongRecording:
         windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
         return cls(observations, guess[0], windows)
 
-    def span(self, row: int) -> tuple[float, float]:
+    def time_range(self, row: int) -> tuple[float, float]:
         """First and last moment of a window, seconds."""
         start = self.guess.start_time + self.windows.starts[row] / self.guess.fps
         return start, start + (self.windows.frames - 1) / self.guess.fps
 
-    def start(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
+    def first_guess(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
         """A window's first guess; its clock begins at zero."""
         first = self.windows.starts[row]
         motion = self.guess.window(first, first + self.windows.frames)
         return motion.replace(start_time=0.0, shape=shape)
 
-    def seen(self, row: int) -> tuple[Sensor, ...]:
+    def observations_of(self, row: int) -> tuple[Sensor, ...]:
         """A window's observations; its clock begins at zero."""
-        start, stop = self.span(row)
+        start, stop = self.time_range(row)
         parts = [observation.window(start, stop) for observation in self.observations]
         return tuple(
             p.derived(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
@@ -145,7 +145,7 @@ class LongRecording:
         """Small batches of windows whose observations begin at the same times after the start."""
 
         def clocks(row: int) -> tuple[float, ...]:
-            return tuple(part.start_time for part in self.seen(row))
+            return tuple(part.start_time for part in self.observations_of(row))
 
         for _, group in groupby(sorted(rows, key=clocks), clocks):
             alike = list(group)
@@ -156,7 +156,7 @@ class LongRecording:
         self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel
     ) -> OverlapEnergy:
         """The energy that keeps a window near its finished neighbours where they overlap."""
-        (start, stop), like = self.span(row), self.guess.translation
+        (start, stop), like = self.time_range(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
         joints, weight = like.new_zeros(frames, 22, 3), like.new_zeros(frames)
@@ -170,7 +170,7 @@ class LongRecording:
 
 
 def _common_step(fps: float) -> int:
-    """Frames after which a clock meets one at 30 Hz again; one if it does not soon."""
+    """Frames after which a clock coincides with one at 30 Hz again; 1 if not within 0.2 s."""
     step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
     others = step * REFERENCE_FPS / fps
     meets = abs(others - round(others)) < 1e-6

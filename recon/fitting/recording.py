@@ -1,4 +1,4 @@
-"""Sparse recordings of any length: a fit of any motion first, then gait by its cycles.
+"""Complete sparse recordings of any length: first fit any motion, then refine gait by its cycles.
 
 A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
 moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
@@ -27,8 +27,8 @@ from recon.fitting.cycles import (
     complete,
     cycle_noise,
     cycle_prior,
-    in_space,
     moments_per_second,
+    observations_in_space,
     on_fast_clock,
     seen_times,
 )
@@ -66,7 +66,7 @@ class WholeRecording:
 
     @classmethod
     def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
-        """The usual priors with weights of one name.
+        """The two default priors, both with the weights of this name.
 
         Raises:
             WeightsError: when it is not `open`.
@@ -87,7 +87,7 @@ def complete_recording(
     body: BodyModel,
     watch: Watch | None = None,
 ) -> ClipFit:
-    """One motion of a whole recording: any length, any motion, scans at any times.
+    """Fit one motion to a sparse recording: any motion first, then gait, cycle by cycle.
 
     Args:
         observations: of one clip.
@@ -99,7 +99,7 @@ def complete_recording(
     Raises:
         ObservationError: when at most one moment shows anything.
     """
-    placed = in_space(observations)
+    placed = observations_in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
             "at most one frame has data, so there is no motion to fit; give two or more"
@@ -119,7 +119,7 @@ def complete_recording(
     gait = (
         _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
     )
-    told = _stretches(gait, in_space(first.observations), motion, prior)
+    told = _gait_stretches(gait, observations_in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
@@ -145,7 +145,7 @@ def _one_cycle(
     watch: Watch | None,
 ) -> ClipFit | None:
     """The recording as one cycle of gait; None if it lasts longer or its hips do not show one."""
-    seen = in_space(observations)
+    seen = observations_in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
     placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
@@ -190,7 +190,7 @@ def _completed_gait(
     if prior.cycles is None or not (found := find_cycles(motion)):
         return []
     cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
-    seen = in_space(first.observations)
+    seen = observations_in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
     made = [
@@ -199,7 +199,7 @@ def _completed_gait(
     return [own for rows in made if (own := [one for one in rows if one is not None])]
 
 
-def _stretches(
+def _gait_stretches(
     gait: Sequence[Sequence[CompletedCycle]],
     seen: Sequence[Sensor],
     motion: Motion,

@@ -87,7 +87,7 @@ class Stretch:
     """Energy of the data under the first fit, by which it was decided."""
 
     def report(self) -> dict[str, Any]:
-        """The stretch in plain values."""
+        """The stretch as a dictionary of plain values, for reports."""
         told = {"start": self.start, "stop": self.stop, "prior": self.prior}
         told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
         if self.energy is not None:

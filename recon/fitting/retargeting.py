@@ -151,10 +151,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
 def _network_proposal(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:
-    """The proposal for one window.
-
-    Its path scaled by leg length about the clip's first position.
-    """
+    """The prior's proposal for one window, its path scaled by leg length about `start`."""
     with torch.no_grad():
         found = prior.encode(window[None])
         grown = leg_length(prior.body, shape) / leg_length(prior.body, window.shape)

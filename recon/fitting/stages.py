@@ -62,9 +62,9 @@ def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
 
 
 def keeping_distance(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages for one image, which tells the distance of a body by the size of its bones.
+    """The stages for one view, in which the size of bones in the image tells the distance.
 
-    Placing a rest body there would trade its stretched limbs against distance. A prior that knows
+    Placing a rest body first would trade its stretched limbs against distance. A prior that knows
     of no ground has its minimum at another distance than the ground tells (8 cm too low a body, in
     a test): its stages are minimised by first order, which keeps the distance at the start.
     """

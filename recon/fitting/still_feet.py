@@ -44,7 +44,7 @@ class StillFeet(TensorStruct):
 
     @classmethod
     def of(cls, view: Keypoints2D, body: BodyModel, pixel_size: float) -> "StillFeet":
-        """Of one view of a person.
+        """The energy of the feet of the person in one view.
 
         Args:
             view: whose camera stands or moves as it says.
@@ -62,7 +62,7 @@ class StillFeet(TensorStruct):
         moved = places[..., after, :, :] - places[..., before, :, :]
         moved = moved - (moved * rays).sum(-1, keepdim=True) * rays
         speed = moved.norm(dim=-1) * (view.fps / (after - before))[:, None]
-        # the mean of the keypoints that tell of a joint
+        # the speed of a joint is the mean over the keypoints that locate it
         seen = (view.shown[..., after, :] & view.shown[..., before, :]).to(places)
         tells = torch.from_numpy(view.located_joints(body)[:, FEET]).to(places)
         count = seen @ tells
@@ -79,7 +79,7 @@ class StillFeet(TensorStruct):
     def add_curvature(
         self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
     ) -> None:
-        """Add the Hessian; see `SupportEnergy.add_curvature`."""
+        """Add the Hessian of the energy to `joints`; see `SupportEnergy.add_curvature`."""
         held = joints.new_zeros(len(joints) - 1, 22, 3)
         held[:, FEET] = weight * self._weights(estimate.motion)[clip, ..., None].to(joints)
         add_differences(joints, (-1.0, 1.0), held.flatten(1))

@@ -20,6 +20,10 @@ FILM_DIAGONAL = 43.27
 PHONE = 28.0
 """Focal length for 35 mm film of a phone's main camera that films, millimetres: a diagonal field
 of view of 75 degrees."""
+GUESSED_FOCAL_STD, STATED_FOCAL_STD = 0.3, 0.1
+"""Standard deviations of a guessed and of a stated focal length, as shares of it: stabilising
+crops a film by 10 to 15 %, and its images have another form than the sensor whose diagonal counts.
+"""
 USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
 """Widths and heights of films, pixels."""
 
@@ -48,10 +52,15 @@ class CameraArrays:
     """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
     """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
-    focal_known: bool = True
-    """Whether somebody measured the focal length; not written."""
+    focal_std: float = 0.0
+    """Standard deviation of the focal length as a share of it; 0 if measured. Not written."""
     path: CameraPath | None = None
     """How a camera whose pose is not known moved; not written."""
+
+    @property
+    def focal_known(self) -> bool:
+        """Whether somebody measured the focal length."""
+        return self.focal_std == 0
 
     @property
     def poses(self) -> int:
@@ -189,15 +198,20 @@ def straightened(
     return flat.reshape(pixels.shape)
 
 
-def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
-    """A phone's camera for images of this size: 75 degrees across, principal point in the middle.
+def guessed_camera(image_size: tuple[int, int], stated: float | None = None) -> CameraArrays:
+    """A phone's camera for images of this size, whose principal point is in the middle.
 
     Its focal length is marked as not known, so that a fit corrects it.
+
+    Args:
+        image_size: pixels.
+        stated: focal length for 35 mm film that the camera wrote, millimetres; None is `PHONE`.
     """
     width, height = image_size
-    focal = PHONE / FILM_DIAGONAL * float(np.hypot(width, height))
+    focal = (stated or PHONE) / FILM_DIAGONAL * float(np.hypot(width, height))
     matrix = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    return CameraArrays(matrix, (int(width), int(height)), focal_known=False)
+    std = GUESSED_FOCAL_STD if stated is None else STATED_FOCAL_STD
+    return CameraArrays(matrix, (int(width), int(height)), focal_std=std)
 
 
 def guessed_size(

@@ -27,7 +27,7 @@ _KEYS = {
     "points": ("points", "frame", "fps"),
 }
 """Kinds of observation and the keys each must have."""
-_NOT_WRITTEN = ("decisions", "focal_known", "path", "camera")
+_NOT_WRITTEN = ("decisions", "focal_std", "path", "camera")
 """Fields of the records below that files do not hold under their name."""
 
 

@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 
 from recon.core import rotations as so3
-from recon.core.bone_names import renamed
+from recon.core.bone_names import joint_names_in
 from recon.core.errors import ReconError, optional_module
 from recon.core.skeleton import FAMILIES, JOINTS, PARENTS
 from recon.live.tracking import LiveEstimate
@@ -159,7 +159,7 @@ class VmcLink(Link):
         pose = [0.0] * 7
         self._root = head("Root/Pos", "root", *pose) + _floats([*pose[1:], 1.0])
         # VRM names these bones as Unity does, except for the capital first letter
-        vrm = renamed(JOINTS, "vrm")
+        vrm = joint_names_in(JOINTS, "vrm")
         self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
 
     def send(self, estimate: LiveEstimate | None) -> None:
@@ -221,7 +221,7 @@ class LiveLink(Link):
                 f"plugin reads, got {subject!r:.60}"
             )
         self._subject = subject
-        self._names = renamed(JOINTS, "unreal")
+        self._names = joint_names_in(JOINTS, "unreal")
         super().__init__(address, complain)
 
     def send(self, estimate: LiveEstimate | None) -> None:

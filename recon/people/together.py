@@ -192,7 +192,7 @@ def _with_shared_camera(clip: Clip, shared: SharedCamera) -> Clip:
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],
         T_camera_world=shared.T_camera_world.to(view.camera.T_camera_world)[None, None],
     )
-    posed = view.derived(camera=camera, ground_known=True, focal_known=True)
+    posed = view.derived(camera=camera, ground_known=True, focal_std=0.0)
     T = shared.T_camera_world.double().inverse().numpy()
     return replace(clip, observations=(posed,), T_recording_camera=T)
 

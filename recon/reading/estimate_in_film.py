@@ -61,7 +61,7 @@ def view_of_estimate(
             "was told from, and a result in the frame of its camera or of one that stands still"
         )
     (file,) = views.files
-    camera = replace(file.camera, T_camera_world=T[None], focal_known=True, path=None)
+    camera = replace(file.camera, T_camera_world=T[None], focal_std=0.0, path=None)
     view = keypoints_of(replace(file, camera=camera), body)
     level = getattr(estimate, "level", False)
     said = f"{views.names[0]}: keypoints lie {error:.1%} of the body's size from the estimate's"

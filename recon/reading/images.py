@@ -46,7 +46,7 @@ def keypoints_of(
         start_time=file.start_time,
         sigma=sigma,
         ground_known=file.camera.T_camera_world is not None,
-        focal_known=file.camera.focal_known,
+        focal_std=file.camera.focal_std,
         level=path is not None and path.level,
         unit_known=path is None or path.metric,
         lens=() if file.camera.distortion is None else tuple(file.camera.distortion.tolist()),

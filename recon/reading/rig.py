@@ -45,8 +45,8 @@ _ROUNDS = 200
 """Samples of five points that propose an essential matrix."""
 _DETECTOR = 0.004
 """Standard deviation of a keypoint, as a share of the focal length."""
-_FOCAL_STD = {True: 0.002, False: 0.25}
-"""Standard deviation of the logarithm of a known and of a guessed focal length."""
+_FOCAL_STD = 0.002
+"""Standard deviation of the logarithm of a known focal length."""
 _UP_STD = np.radians(1.5)
 """Standard deviation of the vertical that lines of an image tell."""
 _LATE_STD = 4.0
@@ -65,7 +65,8 @@ class FilmedPerson:
     confidence: Float[np.ndarray, "frames points"]
     focal: float
     """Pixels."""
-    focal_known: bool
+    focal_std: float
+    """Standard deviation of its logarithm."""
     centre: Float[np.ndarray, "2"]
     """The principal point."""
     up: Float[np.ndarray, "3"] | None = None
@@ -296,7 +297,7 @@ def _bundle_adjusted(
     view, point = np.nonzero(seen)
     ups = [one.up for one in views]
     told = [v for v, up in enumerate(ups) if up is not None]
-    stds = np.array([_FOCAL_STD[one.focal_known] for one in views])
+    stds = np.array([max(one.focal_std, _FOCAL_STD) for one in views])
 
     def unpacked(values: np.ndarray) -> tuple[np.ndarray, ...]:
         cameras = values[: _UNKNOWNS * len(views)].reshape(-1, _UNKNOWNS)

@@ -32,7 +32,7 @@ def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
-            kept=None if how.detections is None else Path(how.detections),
+            fingers=how.fingers, kept=None if how.detections is None else Path(how.detections),
         )  # fmt: skip
     found = read_keypoints(path, layout=how.layout) if path.suffix.lower() == ".npz" else None
     return None if found is None or found.image_size is None else found
@@ -192,7 +192,7 @@ def levelled(
             for one, pose in zip(images, moved.at(numbers), strict=True)
         ]
     metric = moved is None or not moved.places.any()
-    told = find_vertical(images, max(camera.image_size), focal, known=camera.focal_known)
+    told = find_vertical(images, max(camera.image_size), focal, camera.focal_std)
     if told is None:
         path = None if moved is None else CameraPath(T, metric=metric, level=False)
         return camera if path is None else replace(camera, path=path), said
@@ -216,7 +216,7 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
     """The camera with a known focal length, pixels; its principal point stays."""
     matrix = camera.camera_matrix.copy()
     matrix[:2, :2] *= focal / matrix[[0, 1], [0, 1]].mean()
-    return replace(camera, camera_matrix=matrix, focal_known=True)
+    return replace(camera, camera_matrix=matrix, focal_std=0.0)
 
 
 def _with_motion(
@@ -249,8 +249,8 @@ def _with_motion(
         f"{np.degrees(moved.angle):.0f} degrees"
     )
     if not moved.focal_told:
-        # the path was found with this focal length, which is a better guess than the stated one
-        guess = replace(_with_focal(camera, moved.focal), focal_known=camera.focal_known)
+        # the path was found with this focal length, which is a better guess
+        guess = replace(_with_focal(camera, moved.focal), focal_std=camera.focal_std)
         return guess, moved, note
     note += f", and a focal length of {moved.focal:.0f} pixels, which is taken instead"
     return _with_focal(camera, moved.focal), moved, note

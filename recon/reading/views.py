@@ -192,11 +192,18 @@ def _camera_of_one_view(
         said = (f"{how.camera_track}: its intrinsics were taken",)
     else:
         assert size is not None
-        camera = guessed_camera(size)
+        millimetres = None if known is None else known.stated_focal
+        camera = guessed_camera(size, millimetres)
+        lens = (
+            "guessed a focal length of {:.0f} pixels, that of a phone's main camera (28 mm for "
+            "35 mm film)"
+            if millimetres is None
+            else f"a focal length of {{:.0f}} pixels, that of the {millimetres:.4g} mm for 35 mm "
+            "film which the film states"
+        )
         said = (
             f"image size {size[0]} x {size[1]}: {reason}",
-            f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
-            "that of a phone's main camera (28 mm for 35 mm film)"
+            f"no --camera: {lens.format(camera.camera_matrix[0, 0])}"
             + ("" if track is None else ", which the fit keeps, as the camera moves"),
         )
     return Calibration({view_name(path): camera}, "m", said)

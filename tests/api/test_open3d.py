@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import recon
-from recon.api.pipeline import observed
+from recon.api.pipeline import observations_to_fit
 from recon.api.results import MotionResult
 from recon.core.arrays import geometries_given
 from recon.core.errors import ReconError, optional_module
@@ -31,7 +31,7 @@ def person(frame):
 
 
 def clip(given, body, **reading):
-    return observed(given, body, ReadOptions.of(reading)).clip
+    return observations_to_fit(given, body, ReadOptions.of(reading)).clip
 
 
 def ours(frames, body):

@@ -100,9 +100,9 @@ def test_a_collection_beside_one_of_the_same_name_is_refused_where_clips_meet(tm
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("path,clip\na.bvh,../../a\n", "line 2: the clip's name becomes that of a file below OUT"),
-        ("path\n../a.bvh\n", "line 2: the clip's name"),
-        ("path,clip\na.bvh,/etc/a\n", "line 2: the clip's name"),
+        ("path,clip\na.bvh,../../a\n", "line 2: expected a name of the clip that can be a path"),
+        ("path\n../a.bvh\n", "line 2: expected a name of the clip"),
+        ("path,clip\na.bvh,/etc/a\n", "line 2: expected a name of the clip"),
         ("archive,clip\na.tar,\n", "line 2: expected the name of a clip of a.tar"),
         ("path,clip\n,a\n", "line 2: expected a path"),
         ("name\na\n", "line 2: expected a path"),

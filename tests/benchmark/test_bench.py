@@ -154,7 +154,7 @@ def test_unknown_names_are_answered_with_those_there_are():
         bench("gap", ("possum",))
     with pytest.raises(ReconError, match="cannot be imported"):
         method_named("no_such_module:Mine", BODY)
-    with pytest.raises(ReconError, match="need different names"):
+    with pytest.raises(ReconError, match="expected different names of methods"):
         bench("gap", {"truth": Zeros()})
 
 

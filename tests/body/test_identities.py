@@ -122,8 +122,8 @@ def test_a_motion_file_lends_its_shape(tmp_path: Path):
         ("height=big", "expected a number of metres"),
         ("height=nan", "got nan"),
         ("width=3", "'width=3' is not known"),
-        ("tall,height=1.9", "says the height twice"),
-        ("man,woman", "says the sex twice"),
+        ("tall,height=1.9", "gives the height twice"),
+        ("man,woman", "gives the sex twice"),
     ],
 )
 def test_other_specifications_are_refused_in_words(spec, words):

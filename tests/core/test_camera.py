@@ -130,7 +130,7 @@ def test_bad_cameras_are_refused() -> None:
         Camera.create(matrix, (0, 1080))
     with pytest.raises(ValueError, match="4 or 5 or 8 distortion coefficients"):
         Camera.create(matrix, (1920, 1080), torch.zeros(6))
-    with pytest.raises(ValueError, match="move either one sideways"):
+    with pytest.raises(ValueError, match="move the camera or the target sideways"):
         pose_looking_at(numbers([0.0, 0.0, 3.0]), numbers([0.0, 0.0, 0.0]))
 
 

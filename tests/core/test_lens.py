@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from observations.keypoints2d import Keypoints2D
-from recon.api.pipeline import fitted
+from recon.api.pipeline import fit_and_check
 from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.fitting.methods import FitOptions
@@ -45,10 +45,10 @@ def test_a_known_focal_length_is_left_alone() -> None:
     lens = UnknownLens(torch.tensor([1.0]), torch.tensor([DISTANCE]))
     scene = Scene.create(1, like=lens.zoom).replace(lens=lens)
     assert seen.settled(scene) is seen
-    guessed = seen.derived(focal_known=False)
+    guessed = seen.derived(focal_std=0.3)
     assert guessed.settled(scene.replace(lens=None)) is guessed
     settled = guessed.settled(scene)
-    assert settled.focal_known
+    assert settled.focal_std == 0
     torch.testing.assert_close(settled.camera.camera_matrix, lens.of(seen.camera).camera_matrix)
 
 
@@ -80,7 +80,7 @@ def test_keypoints_without_a_calibration_are_read(tmp_path) -> None:
     clip = load_clip([tmp_path / "a"], settings, bundled())
     (seen,) = clip.observations
     assert isinstance(seen, Keypoints2D)
-    assert not seen.focal_known
+    assert seen.focal_std > 0
     assert not seen.ground_known
     assert any("guessed a focal length" in note for note in clip.notes)
     given = replace(settings, image_size=(3840, 2160))
@@ -96,9 +96,9 @@ def test_a_fit_corrects_a_guessed_focal_length() -> None:
     motion = walk(60).resample(6.0)
     file = keypoints2d(motion, bundled(), cameras(motion, 1, 0.6)[0], Corruption(noise=1.0), 0)
     matrix = np.array([[900.0, 0, 960.0], [0, 900.0, 540.0], [0, 0, 1.0]])
-    guess = replace(file.camera, camera_matrix=matrix, T_camera_world=None, focal_known=False)
+    guess = replace(file.camera, camera_matrix=matrix, T_camera_world=None, focal_std=0.3)
     seen = keypoints_of(replace(file, camera=guess), bundled())
-    found = fitted([seen], ["phone"], FitOptions(prior="pose"), bundled())
+    found = fit_and_check([seen], ["phone"], FitOptions(prior="pose"), bundled())
     (said,) = [one for one in found.diagnosis if one.code == "focal"]
     assert said.value is not None
     assert 1100 < said.value < 2100

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from recon.api.pipeline import fitted
+from recon.api.pipeline import fit_and_check
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
@@ -83,5 +83,5 @@ def test_a_phone_that_is_carried_around_a_person() -> None:
     file = keypoints2d(motion, bundled(), camera, Corruption(noise=3.0), 0)
     unknown = replace(file.camera, T_camera_world=None)
     seen = keypoints_of(replace(file, camera=unknown), bundled())
-    examined = fitted([seen], ["phone"], FitOptions(prior="pose"), bundled())
+    examined = fit_and_check([seen], ["phone"], FitOptions(prior="pose"), bundled())
     assert [found.code for found in examined.warnings] == ["camera moves"]

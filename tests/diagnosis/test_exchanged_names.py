@@ -56,6 +56,17 @@ def test_sides_exchanged_throughout_are_exchanged_back(rows: tuple[int, ...]) ->
     assert all(torch.equal(a.pixels, b.pixels) for a, b in zip(out, views, strict=True))
 
 
+@pytest.mark.parametrize("right", [slice(0, 0), slice(8, 18)])
+def test_sides_of_one_view_are_told_by_the_body_that_fits_better(right: slice) -> None:
+    """A network that names most frames wrongly wins every vote of the frames."""
+    (one,) = filmed(1)
+    spoilt = renamed(renamed(one, slice(None), SIDES), right, SIDES)
+    (out,), repairs, warnings = screened((spoilt,))
+    assert [f.code for f in repairs] == ["sides exchanged"]
+    assert warnings == []
+    assert torch.equal(out.pixels, one.pixels)
+
+
 def test_sides_of_two_views_are_told_by_the_body_that_their_rays_make() -> None:
     views = filmed(2)
     out, repairs, _ = screened((views[0], renamed(views[1], slice(None), SIDES)))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from observations.keypoints2d import Keypoints2D
-from recon.api.pipeline import fitted
+from recon.api.pipeline import fit_and_check
 from recon.core import rotations as so3
 from recon.core.camera import Camera
 from recon.diagnosis.cameras import moving_finding, slowest_foot_speeds
@@ -79,5 +79,5 @@ def test_feet_that_are_not_seen_tell_nothing() -> None:
 def test_a_fit_to_a_panned_phone_is_warned_of() -> None:
     """The fit agrees with the image to the noise: a walker who walks on the spot."""
     panned = seen(turning(15.0))
-    examined = fitted([panned], ["phone"], FitOptions(prior="pose"), bundled())
+    examined = fit_and_check([panned], ["phone"], FitOptions(prior="pose"), bundled())
     assert "camera moves" in [found.code for found in examined.warnings]

@@ -17,7 +17,7 @@ from recon.diagnosis.examination import checked
 from recon.diagnosis.findings import Findings
 from recon.diagnosis.misplaced import exchanged_pairs
 from recon.diagnosis.movement import motion_in_room, with_belt
-from recon.diagnosis.named_points import NamedPoints, Predicted
+from recon.diagnosis.named_points import NamedPoints, PredictedPoints
 from recon.diagnosis.points import screen_points
 from recon.method.protocols import Estimate
 from recon.simulation.points import Corruption, joints3d, markers3d
@@ -328,7 +328,7 @@ def test_a_limb_that_the_quick_fit_lost_reaches_for_its_points_before_they_are_b
     found = quick.with_second_start(quick.QuickFit(points, lost, cost=1.0), body)
     wrist = index("left_wrist")
     before, after = (
-        Predicted.of(NamedPoints.of(points, body), points, estimate).typical[wrist]
+        PredictedPoints.of(NamedPoints.of(points, body), points, estimate).typical[wrist]
         for estimate in (lost, found.estimate)
     )
     assert before > 0.3

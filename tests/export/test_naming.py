@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.body.model import BodyModel
-from recon.core.bone_names import names_of_joints, renamed
+from recon.core.bone_names import joint_names_in, names_of_joints
 from recon.core.errors import ReconError
 from recon.core.fingers import HAND_JOINTS
 from recon.core.skeleton import JOINTS
@@ -33,7 +33,7 @@ def test_every_program_names_every_joint_of_body_and_fingers_differently():
         assert sorted(names) == sorted((*JOINTS, *HAND_JOINTS)), program
         assert len(set(names.values())) == 52, program
         for joint, theirs in names.items():
-            assert joint.startswith(("left_", "right_")) or theirs not in renamed(
+            assert joint.startswith(("left_", "right_")) or theirs not in joint_names_in(
                 HAND_JOINTS, program
             )
 
@@ -49,7 +49,7 @@ def test_names_of_vrm_are_those_that_its_specification_requires():
 
 def test_an_unknown_program_is_refused_with_the_known_ones():
     with pytest.raises(ReconError, match="smpl, mixamo, unreal, vrm, rigify, xsens, got 'maya'"):
-        renamed(JOINTS, "maya")
+        joint_names_in(JOINTS, "maya")
 
 
 def test_a_vrm_has_the_humanoid_and_our_joints_with_y_up(motion, tmp_path):
@@ -61,7 +61,7 @@ def test_a_vrm_has_the_humanoid_and_our_joints_with_y_up(motion, tmp_path):
     document = json.loads(data[20 : 20 + size])
     bones = document["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"]
     assert {name: document["nodes"][one["node"]]["name"] for name, one in bones.items()} == {
-        name: name for name in renamed(JOINTS, "vrm")
+        name: name for name in joint_names_in(JOINTS, "vrm")
     }
     assert document["extensionsUsed"] == ["VRMC_vrm", "VRMC_vrm_animation"]
     assert document["scenes"][0]["nodes"] == [22, 0]
@@ -81,7 +81,7 @@ def test_bvh_with_their_names_reads_back_to_our_places(program, motion, tmp_path
     skeleton = skeleton_of(motion, BodyModel.load(), "m")
     write_bvh(path, skeleton, bones=program)
     read = read_bvh(path, unit="cm", up="y")
-    theirs = [name.removeprefix("mixamorig:") for name in renamed(JOINTS, program)]
+    theirs = [name.removeprefix("mixamorig:") for name in joint_names_in(JOINTS, program)]
     assert set(theirs) <= set(read.joint_names)
     rows = [read.joint_names.index(name) for name in theirs]
     np.testing.assert_allclose(read.positions[:, rows], skeleton.positions[:, :22], atol=1e-4)

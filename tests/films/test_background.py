@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from recon.core.errors import FormatError
 from recon.detections.records import Background, Detections
 from recon.detections.tables import detection_arrays, read_detection_arrays
-from recon.films.background import Followed, moving_background
+from recon.films.background import FollowedPoints, moving_background
 from recon.films.carrying import find_path
 from recon.films.turning import find_turning
 from recon.formats.cameras import guessed_camera
@@ -45,7 +45,7 @@ def turned(degrees: float) -> np.ndarray:
 
 def film(rotations: np.ndarray, *, flicker: float = 0.0, wall: bool = False) -> Background:
     """Points that are followed in noisy pictures before which somebody in stripes walks."""
-    chance, followed = np.random.default_rng(1), Followed()
+    chance, followed = np.random.default_rng(1), FollowedPoints()
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = np.stack((u, v, np.ones_like(u)), -1) @ np.linalg.inv(MATRIX).T
     for frame, R in enumerate(rotations):
@@ -127,7 +127,7 @@ def test_too_few_points_of_the_background_are_said():
 
 
 def test_nobody_is_followed_from_one_shot_into_another():
-    followed = Followed()
+    followed = FollowedPoints()
     image = panorama()[500:860, 900:1380]
     for shot in range(2):
         followed.step(image, shot, shot)

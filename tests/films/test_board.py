@@ -79,7 +79,7 @@ def test_what_is_no_board_is_refused(films, tmp_path):
     with pytest.raises(recon.ReconError, match="9x6 inner corners is seen in 0 moments"):
         recon.calibrate(left, board="9x6", square="25mm")
     (tmp_path / "rig.toml").write_text("")
-    with pytest.raises(recon.ReconError, match="expected films of it"):
+    with pytest.raises(recon.ReconError, match="expected films of a checkerboard"):
         recon.calibrate([left, tmp_path / "rig.toml"], board="7x4", square="50mm")
 
 

@@ -14,7 +14,7 @@ from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
-from recon.fitting.clip import fit_clip, posed
+from recon.fitting.clip import clip_problem, fit_clip
 from recon.fitting.methods import FitOptions
 from recon.fitting.records import ClipFit
 from recon.formats.observations import CameraArrays, KeypointsFile
@@ -184,7 +184,7 @@ def test_a_view_whose_errors_last_weighs_less_unless_its_noise_is_told():
     told = FitOptions(prior="pose", noise=(3.0,))
 
     def repetition(one: Keypoints2D, options: FitOptions) -> float:
-        problem = posed(*guessed([one], bundled(), None, None), options, bundled())
+        problem = clip_problem(*guessed([one], bundled(), None, None), options, bundled())
         return problem.after_pose_prior()[0].repetition
 
     assert repetition(fresh, POSE) < 1.5

@@ -145,7 +145,7 @@ def test_what_lasts_too_short_or_too_long_is_refused(settings, seconds, fps):
     frames = round(seconds * fps) + 1
     rows = torch.arange(frames).clamp(max=walk.frames - 1)
     seen = seen.replace(positions=seen.positions[:, rows], visible=seen.visible[:, rows], fps=fps)
-    with pytest.raises(ValueError, match="a cycle of gait lasts"):
+    with pytest.raises(ValueError, match="data of one gait cycle"):
         complete([seen], settings, BODY)
 
 

@@ -10,7 +10,12 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.rotations import transform
 from recon.fitting.clip import fit_clip
-from recon.fitting.ground import ground_below, mean_up, pelvis_path, upright_ground
+from recon.fitting.ground import (
+    ground_by_feet,
+    ground_by_posture,
+    mean_up,
+    point_below_pelvis,
+)
 from recon.fitting.methods import FitOptions
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, turned, walk
@@ -37,11 +42,11 @@ def recording(tilt: float, about: float, height: float) -> tuple[Motion, torch.T
 @pytest.mark.parametrize("about", [0.0, 2.0])
 def test_a_leaning_frame_is_found(tilt, about):
     motion, T = recording(math.radians(tilt), about, 0.7)
-    ground = upright_ground(motion, bundled())
+    ground = ground_by_posture(motion, bundled())
     there = ground.T_world_recording[0] @ T
     angle = math.degrees(torch.acos((there[:3, :3] @ UP)[2].clamp(max=1)))
     assert angle < 6  # degrees; this walker leans forward by 5.5 in the mean
-    level = upright_ground(walk(60).map(lambda t: t[None]), bundled()).T_world_recording[0]
+    level = ground_by_posture(walk(60).map(lambda t: t[None]), bundled()).T_world_recording[0]
     between = there[:3, :3] @ level[:3, :3].mT
     assert math.degrees(so3.log(between)[:2].norm()) < 0.1  # the frame adds nothing to it
     below = transform(there, walk(60).translation.mean(0, keepdim=True) * (1 - UP))
@@ -50,11 +55,11 @@ def test_a_leaning_frame_is_found(tilt, about):
 
 def test_a_level_frame_needs_a_height_alone():
     lifted = walk().replace(translation=walk().translation + 0.4 * UP).map(lambda t: t[None])
-    ground = ground_below(lifted, bundled())
+    ground = ground_by_feet(lifted, bundled())
     assert (ground.tilt == 0).all()
     assert float(ground.lift[0]) == pytest.approx(-0.4, abs=0.02)
     assert float(sole_heights(lifted, bundled())[0]) == pytest.approx(0.4, abs=0.02)
-    below = pelvis_path(lifted, bundled())[0]
+    below = point_below_pelvis(lifted, bundled())[0]
     assert below[2] == 0
     assert (below - lifted.translation.mean(1)[0]).norm(dim=-1) > 0.1
 
@@ -78,7 +83,10 @@ def test_padding_says_nothing():
         ),
         valid=longer,
     )
-    here, there = upright_ground(motion, bundled()), upright_ground(padded, bundled())
+    here, there = (
+        ground_by_posture(motion, bundled()),
+        ground_by_posture(padded, bundled()),
+    )
     torch.testing.assert_close(here.tilt, there.tilt)
     torch.testing.assert_close(here.lift, there.lift)
     torch.testing.assert_close(here.pivot, there.pivot)
@@ -87,7 +95,7 @@ def test_padding_says_nothing():
 def test_clips_of_a_batch_have_grounds_of_their_own():
     first, _ = recording(0.3, 0.0, 0.7)
     second, _ = recording(-0.1, 1.0, -0.2)
-    both = upright_ground(
+    both = ground_by_posture(
         first.replace(
             translation=torch.cat((first.translation, second.translation)),
             rotations=torch.cat((first.rotations, second.rotations)),
@@ -96,7 +104,7 @@ def test_clips_of_a_batch_have_grounds_of_their_own():
         ),
         bundled(),
     )
-    alone = upright_ground(second, bundled())
+    alone = ground_by_posture(second, bundled())
     torch.testing.assert_close(both.T_world_recording[1], alone.T_world_recording[0])
 
 

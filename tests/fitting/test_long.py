@@ -162,7 +162,7 @@ def test_observations_with_clocks_of_their_own_add_up(toy_body):
     assert len(batches) == len(rows)  # the second clock stands differently every time
     alone = LongRecording.cut([first], toy_body, 2.0, 0.5)
     assert list(alone.batches(rows)) == [rows]
-    assert not recording.seen(0)[1].visible[0, 0].any()  # it has not begun
+    assert not recording.observations_of(0)[1].visible[0, 0].any()  # it has not begun
     result = fit_long([first, later], Rigid(), toy_body, window=2.0, overlap=0.5)
     assert error(toy_body, result.clip(0), truth[0]) < 0.02
 

@@ -68,7 +68,7 @@ def test_windows_without_a_value_are_left_out() -> None:
 
 
 def test_what_cannot_be_averaged_is_refused() -> None:
-    with pytest.raises(ValueError, match="no window has a value"):
+    with pytest.raises(ValueError, match="in at least one window"):
         mean_with_interval([None], ["a"], ["x"])
     with pytest.raises(ValueError, match="one clip and one subject per value"):
         mean_with_interval([1.0, 2.0], ["a"], ["x"])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from recon.core.nearest import _by_distances, nearest  # pyright: ignore[reportPrivateUsage]
+from recon.core.nearest import _nearest_by_distances, nearest  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def test_both_searches_find_the_nearest_allowed_point(scattered):
     open_ = allowed | ~allowed.any(-1, keepdim=True)
     expected = distance.where(open_[..., None, :], torch.inf).argmin(-1).where(present, 0)
     assert torch.equal(nearest(points, present, surface, allowed), expected)
-    rows = _by_distances(*(t.flatten(0, 1) for t in (points, present, surface, open_)))
+    rows = _nearest_by_distances(*(t.flatten(0, 1) for t in (points, present, surface, open_)))
     assert torch.equal(rows.unflatten(0, (2, 3)), expected)
 
 

@@ -1,0 +1,118 @@
+"""The focal length that a phone writes into its film.
+
+Apple's phones state the focal length of the lens that would show as much on 35 mm film, in a
+metadata item of the film or of its track of pictures ("Metadata atom" of the QuickTime File
+Format). FFmpeg does not show those of tracks.
+"""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from recon.core.limits import FILM_FOCAL_LENGTH
+
+_KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
+_MAX_INDEX = 1 << 26
+"""Bytes of an index of a film (`moov`) that is looked into; hours of film have some millions."""
+_MAX_BOXES = 10_000
+"""Boxes of a file that are looked at."""
+_HOLDERS = {b"trak", b"udta", b"meta"}
+"""Boxes inside an index that may hold metadata, or boxes with metadata."""
+_TEXT, _NUMBERS = 1, {21: "i", 22: "u", 23: "f", 24: "f", 65: "i", 66: "i", 67: "i",
+                      74: "i", 75: "u", 76: "u", 77: "u", 78: "u"}  # fmt: skip
+"""Apple's well-known types of values: text in UTF-8, and big-endian numbers."""
+
+
+def stated_focal_length(path: Path) -> tuple[float | None, str]:
+    """The focal length for 35 mm film that a film states, millimetres, and a note.
+
+    None, without a note, where it states none, or its container is not of QuickTime or MP4; with
+    one where the value is none of a lens.
+    """
+    with path.open("rb") as file:
+        values = [
+            one for index in _indices(file) for one in _values(index, 0, len(index), depth=0)
+        ]
+    if not values:
+        return None, ""
+    numbers = {_number(kind, raw) for kind, raw in values}
+    if len(numbers) == 1 and (focal := numbers.pop()) is not None:
+        if FILM_FOCAL_LENGTH.holds(focal):
+            return focal, f"the camera states a focal length of {focal:.4g} mm for 35 mm film"
+        return None, (
+            f"the camera states a focal length of {focal:.4g} mm for 35 mm film, which no lens "
+            "has that films people: it is not used"
+        )
+    return None, "the camera states a focal length that cannot be read, or several: it is not used"
+
+
+def _indices(file: BinaryIO) -> Iterator[bytes]:
+    """Contents of the boxes `moov` of a file; none of a file of other containers."""
+    for _ in range(_MAX_BOXES):
+        header = file.read(8)
+        if len(header) < 8:
+            return
+        size, kind = struct.unpack(">I4s", header)
+        if size == 1:
+            longer = file.read(8)
+            size = int.from_bytes(longer) - 8 if len(longer) == 8 else 0
+        if kind == b"moov" and 8 <= size <= _MAX_INDEX:
+            yield file.read(size - 8)
+        elif size >= 8:
+            file.seek(size - 8, 1)
+        else:  # to the end of the file, or no box
+            return
+
+
+def _boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Kind, first byte and end of the content of every box in a part of an index."""
+    for _ in range(_MAX_BOXES):
+        if start + 8 > end:
+            return
+        size = int.from_bytes(data[start : start + 4])
+        if size < 8 or start + size > end:
+            return
+        yield data[start + 4 : start + 8], start + 8, start + size
+        start += size
+
+
+def _values(data: bytes, start: int, end: int, *, depth: int) -> Iterator[tuple[int, bytes]]:
+    """Types and bytes of the values of the focal length in a part of an index."""
+    inner = {kind: (first, last) for kind, first, last in _boxes(data, start, end)}
+    if {b"keys", b"ilst"} <= inner.keys():
+        yield from _items(data, inner[b"keys"], inner[b"ilst"])
+    for kind, first, last in _boxes(data, start, end):
+        if kind in _HOLDERS and depth < len(_HOLDERS):
+            # ISO's `meta` begins with a version, QuickTime's does not
+            iso = kind == b"meta" and data[first : first + 4] == bytes(4)
+            yield from _values(data, first + 4 * iso, last, depth=depth + 1)
+
+
+def _items(
+    data: bytes, keys: tuple[int, int], items: tuple[int, int]
+) -> Iterator[tuple[int, bytes]]:
+    """Values of the items whose key is the focal length's."""
+    names = [data[first:last] for _, first, last in _boxes(data, keys[0] + 8, keys[1])]
+    for number, first, last in _boxes(data, *items):
+        place = int.from_bytes(number)
+        if not 1 <= place <= len(names) or names[place - 1] != _KEY:
+            continue
+        for kind, start, end in _boxes(data, first, last):
+            if kind == b"data" and end - start > 8:
+                yield int.from_bytes(data[start : start + 4]), data[start + 8 : end]
+
+
+def _number(kind: int, raw: bytes) -> float | None:
+    """A value as a number; None where it is none."""
+    try:
+        if kind == _TEXT:
+            return float(raw.decode().strip("\0 ").removesuffix("mm"))
+        how = _NUMBERS.get(kind)
+        if how == "f":
+            return float(struct.unpack(">f" if len(raw) == 4 else ">d", raw)[0])
+        if how is not None and len(raw) <= 8:
+            return float(int.from_bytes(raw, signed=how == "i"))
+    except (ValueError, struct.error):
+        pass
+    return None
