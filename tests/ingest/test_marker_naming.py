@@ -65,7 +65,7 @@ def test_shuffled_markers_with_a_gap_and_a_ghost_get_the_names_of_a_named_trial(
         assert set(NAMES) <= set(again.marker_names)
         shown = again.select(list(NAMES))
         assert np.allclose(shown.positions, named.positions, atol=1e-5)
-    with pytest.raises(recon.ReconError, match="copy of one"):
+    with pytest.raises(recon.ReconError, match="changed copy of the one"):
         found.save(tmp_path / "out.c3d")
 
 
