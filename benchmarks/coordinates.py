@@ -30,7 +30,7 @@ from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.errors import ReconError
-from recon.core.hands import right_handed
+from recon.core.hands import right_handed_signs
 from recon.core.layouts import keypoint_names
 from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Up, to_z_up
@@ -114,7 +114,7 @@ def sensors(truth: Motion, body: BodyModel, seed: int) -> Iterator[tuple[str, np
         raw = MarkerRecording("markers", LABELS, points, seen, FPS, ())
         found = settle_markers(raw, unit=None, up=None)
         names = [places[label] for label in LABELS]
-        return found.positions * right_handed(names, found.positions, found.visible)[0]
+        return found.positions * right_handed_signs(names, found.positions, found.visible)[0]
 
     def scans(points: np.ndarray, _: np.ndarray) -> np.ndarray:
         metres = points * METRES[unit_of_clouds(list(points), "scans")]

@@ -19,6 +19,8 @@ WHEEL = ("mediapipe==0.10.21", "--python-version", "3.12", "--platform", "manyli
 PLACES = (
     "mediapipe/modules/pose_detection/pose_detection.tflite",
     "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
+    "mediapipe/modules/palm_detection/palm_detection_full.tflite",
+    "mediapipe/modules/hand_landmark/hand_landmark_full.tflite",
 )
 
 

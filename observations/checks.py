@@ -15,8 +15,8 @@ from torch import Tensor
 from recon.core.arrays import (
     bool_tensor,
     finite_number,
-    first_where,
     float_tensor,
+    index_of_first_true,
     index_tuple,
     positive_number,
     require_shape,
@@ -185,7 +185,7 @@ def seen_and_finite(
         raise ObservationError(
             f"{kind}.{name}: expected finite numbers where {mask_name} says that a point was "
             f"seen, got NaN or infinity in {int(bad.sum())} places, the first at "
-            f"{name}{first_where(bad)}; mark missing points in {mask_name}"
+            f"{name}{index_of_first_true(bad)}; mark missing points in {mask_name}"
         )
     return values if bool(visible.all()) else values.where(visible[..., None], 0.0)
 

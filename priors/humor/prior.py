@@ -73,7 +73,7 @@ class Humor(Prior[HumorVariables]):
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
-                package, `nc` the non-commercial ones of a source checkout.
+                package.
             body: whose joints the network sees; None is the bundled body.
             mixture: the authors' prior_gmm.npz; None takes the one beside the weights in a
                 .safetensors file, and with a .pth the bundled one.
@@ -208,8 +208,7 @@ def read_weights(path: str | Path) -> Checkpoint:
     """Read weights of recon (.safetensors) or a PyTorch checkpoint (.pth, .pt).
 
     Args:
-        path: a file; or `open` for the weights in the package, `nc` for those of a source
-            checkout that may not be used commercially.
+        path: a file; or `open` for the weights in the package.
 
     Raises:
         FileNotFoundError: when there is no such file.

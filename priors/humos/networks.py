@@ -199,8 +199,7 @@ def load_weights(path: str | Path) -> HumosWeights:
     """Read a weights file.
 
     Args:
-        path: a file; or `open` for the weights in the package, `nc` for those of a source
-            checkout that may not be used commercially.
+        path: a file; or `open` for the weights in the package.
 
     Raises:
         FileNotFoundError: when there is no such file.

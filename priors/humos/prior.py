@@ -88,7 +88,7 @@ class Humos(Prior[HumosVariables]):
 
     @classmethod
     def load(cls, weights: str = "open", body: BodyModel | None = None) -> "Humos":
-        """Load the bundled weights (`open`), the `nc` weights of a source checkout, or a file.
+        """Load the bundled weights (`open`) or a file.
 
         Raises:
             FileNotFoundError: when there is no such file.

@@ -161,7 +161,7 @@ def calibrate(
     files = _on_one_clock(views)
     people = [_filmed_person(name, one) for name, one in files.items()]
     rig = rig_of_person(people, round(_LONGEST_SHIFT * next(iter(files.values())).fps))
-    poses, tall = _on_ground(rig, files, people, BodyModel.load())
+    poses, tall = _poses_above_ground(rig, files, people, BodyModel.load())
     scale = 1.0 if height is None else height / tall
     cameras: dict[str, CameraArrays] = {}
     for view, (name, pose), focal in zip(views, poses.items(), rig.focal, strict=True):
@@ -261,7 +261,7 @@ def _level_frame(
     return level_turn(up / np.linalg.norm(up)), float(np.median(ratios))
 
 
-def _on_ground(
+def _poses_above_ground(
     rig: Rig, files: Mapping[str, KeypointsFile], people: Sequence[FilmedPerson], body: BodyModel
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], float]:
     """T_camera_world of every camera above the ground that a fit finds, and the person's height.

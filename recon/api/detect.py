@@ -93,6 +93,7 @@ def detect(
     frame_rate: float | None = None,
     layout: str | None = None,
     detector: str | None = None,
+    fingers: bool = False,
     detections: str | None = None,
 ) -> DetectedPeople:
     """Detect people in a film: 33 keypoints of everybody in every frame, to look at before a fit.
@@ -107,6 +108,7 @@ def detect(
         layout: of the keypoints of a detector of your own, where their number does not tell.
         detector: the file of other landmarks of BlazePose (pose_landmark_heavy.tflite), or a
             class of your own, "package.module:Class"; None is BlazePose with landmarks `full`.
+        fingers: whether hands are looked for, too, which takes half as much time again.
         detections: folder in which detections are kept, so that what was interrupted goes on.
 
     Raises:
@@ -116,7 +118,7 @@ def detect(
     """
     found = read_film(
         Path(film), frame_rate=frame_rate, layout=layout, detector=detector,
-        kept=None if detections is None else Path(detections),
+        fingers=fingers, kept=None if detections is None else Path(detections),
     )  # fmt: skip
     tracks = tracks_of_people(found)
     return DetectedPeople(_with_person_numbers(found, tracks), tracks)

@@ -132,13 +132,13 @@ def evaluate(
         FileNotFoundError: when a file does not exist.
     """
     model = body_given(body).to(dtype=torch.float64)
-    ours = _in_double(motion_given(estimate, model, "estimate").file)
+    ours = _in_double_precision(motion_given(estimate, model, "estimate").file)
     frames = ours.motion.frames
     own = ours.contacts if contacts is None else _labels_as_tensor(contacts, "contacts", frames)
     visible = _visible_given(truth_visible, frames)
     if hasattr(truth, "__array__") or isinstance(truth, list | tuple):
         return Evaluation(_joint_errors(ours.motion, truth, visible, model))
-    theirs = _in_double(motion_given(truth, model, "truth").file)
+    theirs = _in_double_precision(motion_given(truth, model, "truth").file)
     seen, path = _read_observation(observation)
     labels = (
         _labels_of_file(theirs, "contacts", ours.motion)
@@ -171,7 +171,7 @@ def evaluate(
     return Evaluation(metrics)
 
 
-def _in_double(file: MotionFile) -> MotionFile:
+def _in_double_precision(file: MotionFile) -> MotionFile:
     """A record with every array in double precision, as results in files are single."""
     tensors = {
         key: value.double().cpu()

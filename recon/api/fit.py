@@ -85,7 +85,7 @@ def fit(
             frame, metres.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
-        weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
+        weights: of a prior given by its name: `open` or a file.
         method: how the prior is fitted, one of its `methods`; `look` gives a preview instead.
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
@@ -132,7 +132,7 @@ def fit(
     if paths and _is_estimate(paths):
         from recon import refine  # imported here: it imports this module
 
-        _refuse_others(paths[0], how_read, start)
+        _refuse_unused_options(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
             frame_rate=how_read.frame_rate, unit=how_read.unit, up=how_read.up,
@@ -228,7 +228,7 @@ def _is_estimate(paths: Sequence[Path]) -> bool:
     return is_estimate(paths)
 
 
-def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
+def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
     given = [name for name in options.changed_names() if name not in heeded]

@@ -125,14 +125,14 @@ def label(
     """
     seen = marker_recording(recording, unit, up)
     with one_thread(), torch.no_grad():
-        bodies, like_what = _bodies(like, set, unit, up)
+        bodies, like_what = _marked_bodies(like, set, unit, up)
     outputs = _model_outputs(seen.marker_names, bodies[0].markers.labels)
     naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
     return _labelled(seen, outputs, naming, like_what, source)
 
 
-def _bodies(
+def _marked_bodies(
     like: str | Path | SkeletonRecording | MarkerRecording | None,
     set: str | Path | None,
     unit: Unit | None,

@@ -116,7 +116,7 @@ def fit_and_check(
     # check the data: repair faults that are certain, warn of the others
     clip = checked(clip, of_data if options.repair else ())
     if options.completes:
-        fit = _completed(clip.observations, options, body, watch)
+        fit = _completed_recording(clip.observations, options, body, watch)
     else:
         # data recorded faster than bodies move are averaged to a lower rate
         fewer = [paced(one) for one in clip.observations]
@@ -149,7 +149,7 @@ def _start_at_data_rate(
     return found and found.resample(max(one.fps for one in seen if one.named))
 
 
-def _completed(
+def _completed_recording(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
 ) -> ClipFit:
     """Complete one gait cycle, or a whole sparse recording, whichever the prior is for."""

@@ -59,7 +59,7 @@ def preview(
             f"method: a network that makes a preview does not use {', '.join(names)}; leave "
             "these out, or leave the method out to fit"
         )
-    found, fit = _previewed(clip.observations, options, clip.body)
+    found, fit = _preview_fit(clip.observations, options, clip.body)
     examined = ExaminedClip.of(clip, fit)
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
@@ -102,7 +102,7 @@ def loaded_look(method: Method, weights: str, body: BodyModel) -> Look:
     return cast(Look, found)
 
 
-def likeliest(
+def likeliest_motion(
     look: Look, observations: Sequence[Sensor], body: BodyModel
 ) -> tuple[Motion, ProposedMotions]:
     """The likeliest motion (1, time) that a network proposes, and all that it returned.
@@ -122,7 +122,7 @@ def likeliest(
     return checked_start(motion.map(lambda tensor: tensor[None]), observations, body), found
 
 
-def _previewed(
+def _preview_fit(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel
 ) -> tuple[ProposedMotions, ClipFit]:
     """What the network returned, and its likeliest motion as a fit without stages.
@@ -132,7 +132,7 @@ def _previewed(
     assert options.method is not None
     look = loaded_look(options.method, options.weights, body)
     given = [options.noise_of(row) for row in range(len(observations))]
-    seen = in_space(
+    seen = with_triangulated_views(
         one.derived(rms_std=noise) if one.named and noise else one
         for one, noise in zip(observations, given, strict=True)
     )
@@ -141,10 +141,10 @@ def _previewed(
         guess = seen[0].start(body)
         below = ground_by_feet if frame_is_level(observations) else ground_by_posture
         ground = below(guess, body)
-        first, _ = likeliest(look, _carried_to_world(seen, ground), body)
+        first, _ = likeliest_motion(look, _carried_to_world(seen, ground), body)
         ground = ground.replace(lift=ground.lift - sole_heights(first, body))
         T = ground.T_world_recording
-    motion, found = likeliest(look, _carried_to_world(seen, ground), body)
+    motion, found = likeliest_motion(look, _carried_to_world(seen, ground), body)
     if (shape := options.starting_shape) is not None:
         motion = with_shape(motion, shape, body)
     scene = Scene.create(1, like=motion.translation).replace(ground=ground)
@@ -162,7 +162,7 @@ def _carried_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> S
     return [one.transformed(ground.T_world_recording[0].numpy()) for one in seen]
 
 
-def in_space(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
+def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
     """The observations, with views of calibrated cameras replaced by triangulated points.
 
     What cannot be triangulated stays as it is.

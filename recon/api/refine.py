@@ -17,7 +17,7 @@ from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
 from recon.reading.estimate_in_film import people_of_film, view_of_estimate
 
-_OF_FILMS = ("camera", "camera_unit", "image_size", "layout", "detector", "detections")
+_OF_FILMS = ("camera", "camera_unit", "image_size", "layout", "detector", "fingers", "detections")
 """Options of reading that concern the film."""
 
 

@@ -54,7 +54,7 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
     matched: dict[str, str] = {}
     unknown: list[str] = []
     for label, word in plain.items():
-        point = None if _joint_centres().get(word) in words else table.get(word)
+        point = None if _marker_of_joint_centre().get(word) in words else table.get(word)
         if point is None:
             unknown.append(label)
         else:
@@ -176,7 +176,7 @@ def _landmark_of_label() -> Mapping[str, str]:
 
 
 @cache
-def _joint_centres() -> Mapping[str, str]:
+def _marker_of_joint_centre() -> Mapping[str, str]:
     """The marker at the same joint for every computed joint centre; both by normalised label."""
     pairs = cast("dict[str, str]", _label_sections()["centres"])
     return MappingProxyType(

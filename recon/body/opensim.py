@@ -142,7 +142,7 @@ def _joint_coordinates(
         signs = [float(np.sum(axis)) for axis in about]
         turned = cardan(relative, order) * signs
     else:
-        turned = about_axes(relative, about)
+        turned = angles_about_axes(relative, about)
     ending = f"_{end}" if end else ""
     degrees = np.rad2deg(turned)
     return {f"{n}{ending}": degrees[:, k] for k, n in enumerate(joint.names) if n}
@@ -196,7 +196,7 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     for end, side in SIDES.items():
         names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
         hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
-        flexion = points.rightwards(end, "knee_medial", "knee_lateral")
+        flexion = points.vector_to_right(end, "knee_medial", "knee_lateral")
         foot = axes_along_y(UP, flexion)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
@@ -205,13 +205,13 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
             f"foot_{end}": foot,
             f"toes_{end}": foot,
             f"humerus_{end}": axes_along_y(
-                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+                shoulder - elbow, points.vector_to_right(end, "elbow_medial", "elbow_lateral")
             ),
             f"forearm_{end}": axes_along_y(
-                elbow - wrist, points.rightwards(end, "wrist_ulnar", "wrist_radial")
+                elbow - wrist, points.vector_to_right(end, "wrist_ulnar", "wrist_radial")
             ),
             f"hand_{end}": axes_along_y(
-                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+                wrist - knuckles, points.vector_to_right(end, "pinky_knuckle", "index_knuckle")
             ),
         }
     return axes
@@ -229,7 +229,7 @@ def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"
     return posed.joints[:, 0].detach().double().cpu().numpy() + orientations @ offset
 
 
-def about_axes(
+def angles_about_axes(
     rotations: Float[np.ndarray, "time 3 3"], axes: Sequence[Sequence[float]]
 ) -> Float[np.ndarray, "time axes"]:
     """Angles, radians, of the turns about one or two axes in sequence that are nearest to R.

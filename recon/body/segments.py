@@ -62,7 +62,7 @@ class RestPoints:
         points = self.body.rest_vertices(self.shape, index)
         return points.detach().double().numpy().mean(0)
 
-    def rightwards(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
+    def vector_to_right(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
         """The vector between two landmarks of one side; it points right if palms face forwards."""
         side = SIDES[end]
         across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
@@ -95,24 +95,24 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         wrist = points.mean(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
         hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
         ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
-        malleoli = points.rightwards(end, "ankle_medial", "ankle_lateral")
+        malleoli = points.vector_to_right(end, "ankle_medial", "ankle_lateral")
         tibia = _axes_along_z(malleoli, knee - ankle)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
             f"femur_{end}": axes_along_y(
-                hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
+                hip - knee, points.vector_to_right(end, "knee_medial", "knee_lateral")
             ),
             f"tibia_{end}": tibia,
             f"foot_{end}": axes_along_y(UP, tibia[:, 2]),
             f"humerus_{end}": axes_along_y(
-                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+                shoulder - elbow, points.vector_to_right(end, "elbow_medial", "elbow_lateral")
             ),
             f"forearm_{end}": axes_along_y(
                 elbow - points.mean(f"{side}_wrist_ulnar"),
-                points.rightwards(end, "wrist_ulnar", "wrist_radial"),
+                points.vector_to_right(end, "wrist_ulnar", "wrist_radial"),
             ),
             f"hand_{end}": axes_along_y(
-                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+                wrist - knuckles, points.vector_to_right(end, "pinky_knuckle", "index_knuckle")
             ),
         }
     return axes

@@ -36,7 +36,7 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
             task = bars.add_task(film.name, total=None)
             read_film(
                 film, frame_rate=how["frame_rate"], layout=how["layout"],
-                detector=how["detector"], kept=folder,
+                detector=how["detector"], fingers=how.get("fingers", False), kept=folder,
                 watch=lambda done, count, task=task: bars.update(
                     task, completed=done, total=count
                 ),

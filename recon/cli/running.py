@@ -38,7 +38,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
         return
     from recon.reading.inputs import input_checksums
 
-    options = {key: one for key, one in how.items() if not _is_read(known[key], one)}
+    options = {key: one for key, one in how.items() if not _is_input_file(known[key], one)}
     more = dict[str, Any]()
     settings = given.get("settings")
     if settings is not None:
@@ -136,7 +136,7 @@ def _print_result(found: Any, given: Mapping[str, Any]) -> None:
         console.print_last_line(str(found.place))
 
 
-def _is_read(parameter: Parameter, value: Any) -> bool:
+def _is_input_file(parameter: Parameter, value: Any) -> bool:
     """Whether an argument is an input file of the verb, and not a setting."""
     return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
 

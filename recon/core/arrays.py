@@ -191,7 +191,7 @@ def runs(flags: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def first_where(mask: Tensor) -> list[int]:
+def index_of_first_true(mask: Tensor) -> list[int]:
     """Index, one number per axis, of the first true element; the mask must have one."""
     return mask.nonzero()[0].tolist()
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.arrays import is_geometry
-from recon.core.coordinates import along_axis
+from recon.core.coordinates import signed_axis
 from recon.core.errors import ReconError, UnitsError
 from recon.core.units import METRES, Up, to_z_up
 
@@ -125,12 +125,12 @@ def up_of_clouds(
             "an adult; scans are often scaled to unit height. Multiply the points by the height "
             "in metres, or give --unit m for a child or a part of a body"
         )
-    evidence = _head_above_feet(shown, along_axis(axis, 1.0))
+    evidence = _head_above_feet(shown, signed_axis(axis, 1.0))
     usual = axis == 2 and evidence > -_SURE
     below = -high if usual or evidence > 0 else low
     if below > _BELOW and abs(evidence) < 2 * _SURE:
         raise UnitsError(
-            f"{name}: the person stands along {along_axis(axis, 1.0)}, but which end is up is "
+            f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
             f"unclear: with the head where it seems to be, the body lies {below:.1f} m below the "
             f"origin; {asked}"
         )
@@ -138,10 +138,10 @@ def up_of_clouds(
         return "z", ()
     if abs(evidence) < _SURE:
         raise UnitsError(
-            f"{name}: the person stands along {along_axis(axis, 1.0)}, but which end is up is "
+            f"{name}: the person stands along {signed_axis(axis, 1.0)}, but which end is up is "
             f"unknown; {asked}"
         )
-    up = along_axis(axis, evidence)
+    up = signed_axis(axis, evidence)
     return up, (f"up axis {up}: the person in the clouds stands along it",)
 
 

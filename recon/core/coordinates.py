@@ -89,7 +89,7 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
 
 
-def unusual_unit(size: float) -> str:
+def hint_at_unusual_unit(size: float) -> str:
     """A hint, for messages, at the rare unit in which this size is an adult's; else empty."""
     found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
@@ -106,7 +106,7 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     if len(fitting) != 1:
         raise UnitsError(
             f"{name}: expected markers that span {low} m to {high} m in m, cm or mm, got "
-            f"{extent:.4g} units{unusual_unit(extent)}; give the unit with --unit"
+            f"{extent:.4g} units{hint_at_unusual_unit(extent)}; give the unit with --unit"
         )
     return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
 
@@ -196,7 +196,7 @@ def notes_on_missing_path(
     )
 
 
-def along_body(
+def vectors_up_body(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
@@ -259,7 +259,7 @@ def settled_up(
     Raises:
         UnitsError: when none of these tells.
     """
-    vectors = along_body(names, positions, visible)
+    vectors = vectors_up_body(names, positions, visible)
     rise = vectors.mean(0) if len(vectors) else None
     if rise is not None and abs(rise).max() < _MOSTLY * np.linalg.norm(vectors, axis=-1).mean():
         rise = None
@@ -294,7 +294,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     """
     if rise is not None:
         best, second = (int(k) for k in np.argsort(np.abs(rise))[:-3:-1])
-        found = along_axis(best, rise[best])
+        found = signed_axis(best, rise[best])
         if abs(rise[best]) >= 1.5 * abs(rise[second]):
             against = f" (the file hints at {usual})" if usual not in (None, found) else ""
             if rise[best] > 0:
@@ -312,7 +312,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
     )
 
 
-def along_axis(axis: int, sign: float) -> Up:
+def signed_axis(axis: int, sign: float) -> Up:
     """The direction along the axis of this number, or against it for a negative sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
@@ -332,7 +332,7 @@ def axis_of_floor(
         visible: whether each is seen.
     """
     size = float(np.abs(rise).max())
-    ways: list[Up] = [along_axis(axis, rise[axis]) for axis in range(3)]
+    ways: list[Up] = [signed_axis(axis, rise[axis]) for axis in range(3)]
     ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
     moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
     shown = visible & moves
@@ -370,7 +370,7 @@ def corrected_up(
     seen is high above the declared floor, somebody with hidden legs may bend or lie down: then
     half of the frames must show the body, and it must keep that direction.
     """
-    vectors = along_body(names, positions, visible)
+    vectors = vectors_up_body(names, positions, visible)
     if not len(vectors):
         return None
     units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
@@ -385,4 +385,4 @@ def corrected_up(
         steady and 2 * len(vectors) > len(positions)
     ):
         return None
-    return along_axis(best, mean[best])
+    return signed_axis(best, mean[best])

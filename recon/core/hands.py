@@ -81,7 +81,7 @@ def facing_agreement(
     return np.nan_to_num(kinds).sum(0) / np.isfinite(kinds).sum(0).clip(2)
 
 
-def right_handed(
+def right_handed_signs(
     names: Sequence[str],
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],

@@ -123,7 +123,7 @@ def as_measurement(
         own=replace(OWN, jitter=max(share * OWN.jitter, jitter), slow=share * OWN.slow),
         path=replace(PATH, jitter=max(share * PATH.jitter, along), slow=share * PATH.slow),
         fps=motion.fps,
-        segment=_segments(points - path)[None],
+        segment=_segments_between_jumps(points - path)[None],
         start_time=motion.start_time,
     )
     alone = notes_on_missing_path(
@@ -182,7 +182,9 @@ def _sides_corrected(motion: Motion) -> tuple[Motion, list[Finding]]:
     return motion.replace(rotations=rotations), repairs
 
 
-def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time points"]:
+def _segments_between_jumps(
+    points: Float[Tensor, "time points 3"],
+) -> Float[Tensor, "time points"]:
     """For every point and frame, the index of the segment between two jumps that contains it."""
     none = points.new_zeros(points.shape[:-1])
     if len(points) < 4:

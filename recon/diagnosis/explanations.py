@@ -17,7 +17,7 @@ Cause = Literal["turned", "placed", "mirrored", "sized", "moving"]
 _SAME_SIZE = 1.1
 """Factor below which an image has the size of its calibration; what else looks so is a turn."""
 _SMOOTHING = 0.15
-"""Seconds to either side over which the pose of a camera that moves is averaged."""
+"""Seconds to either side over which the pose of a camera that moves is moving_average."""
 _LEAST_DEPTH = 0.05
 """Share of a ray's length along the axis of the camera from which on it is in the image."""
 _ROUNDS = 8
@@ -108,7 +108,7 @@ class DoubtedView:
         vectors = Rotation.from_matrix(robust_turns(ways, rays, there)[known]).as_rotvec()
         times = np.arange(moments)
         vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
-        smooth = averaged(vectors, round(_SMOOTHING * self.images.fps))
+        smooth = moving_average(vectors, round(_SMOOTHING * self.images.fps))
         spread = np.linalg.norm(smooth - smooth.mean(0), axis=-1).max()
         return self._with_turn(Rotation.from_rotvec(smooth).as_matrix()), float(np.degrees(spread))
 
@@ -151,7 +151,7 @@ class DoubtedView:
             turn = Rotation.from_rotvec(turn[:, 0]).as_matrix()
             pose[self.view, :, :3] = turn @ pose[self.view, :, :3]
             pose[self.view, :, :3, 3] += shift[:, 0]
-        moved = centre(pose[self.view, 0]) - centre(images.pose[self.view, 0])
+        moved = camera_centre(pose[self.view, 0]) - camera_centre(images.pose[self.view, 0])
         return replace(images, pose=pose), float(np.linalg.norm(moved))
 
 
@@ -163,7 +163,7 @@ def mirrored(images: Images, views: list[int]) -> Images:
     return replace(images, pixels=pixels)
 
 
-def shifted(images: Images, view: int, frames: float) -> Images:
+def shifted_in_time(images: Images, view: int, frames: float) -> Images:
     """One view with its frames shifted in time by a number of frames."""
     moments = images.pixels.shape[1]
     times = np.arange(moments) + frames
@@ -200,7 +200,7 @@ def robust_turns(
     return turns
 
 
-def averaged(
+def moving_average(
     values: Float[np.ndarray, "moments dims"], half_width: int
 ) -> Float[np.ndarray, "moments dims"]:
     """Moving average over as many moments to either side, fewer at the ends: lines stay lines."""
@@ -209,6 +209,6 @@ def averaged(
     return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
 
 
-def centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+def camera_centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
     """Where a camera stands in the recording, metres, from T_camera_world."""
     return -pose[:3, :3].T @ pose[:3, 3]

@@ -28,7 +28,7 @@ class Rays:
         """Rays from the cameras through all keypoints."""
         turn = images.pose[..., :3, :3]
         origin = -(images.pose[..., None, :3, 3] @ turn)
-        return cls(origin, in_front(images) @ turn, images.confidence**2)
+        return cls(origin, ray_directions(images) @ turn, images.confidence**2)
 
     def triangulated(
         self,
@@ -58,7 +58,7 @@ class Rays:
         return np.linalg.norm(away - along * self.direction, axis=-1)
 
 
-def in_front(images: Images) -> Float[np.ndarray, "views moments points 3"]:
+def ray_directions(images: Images) -> Float[np.ndarray, "views moments points 3"]:
     """Directions of keypoints in the frames of their cameras, unit length."""
     offset = images.pixels - images.matrix[:, None, None, :2, 2]
     inverse = np.linalg.inv(images.matrix[:, :2, :2])

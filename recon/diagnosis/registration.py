@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from recon.diagnosis.explanations import (
-    centre,
+    camera_centre,
     robust_turns,
-    shifted,
+    shifted_in_time,
 )
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import (
@@ -27,8 +27,8 @@ from recon.diagnosis.rays import (
     derivatives_by_rotation,
     derivatives_of_projection,
     in_camera,
-    in_front,
     projected,
+    ray_directions,
 )
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
@@ -118,7 +118,7 @@ class ViewCorrection:
         """All views, with this one replaced by its correction."""
         pose = images.pose.copy()
         pose[self.view] = self.pose
-        return shifted(replace(images, pose=pose), self.view, self.late)
+        return shifted_in_time(replace(images, pose=pose), self.view, self.late)
 
 
 _View = tuple[float, Float[np.ndarray, "4 4"]]
@@ -219,7 +219,7 @@ class ViewAlignment(Problem[_View]):
 
     def _displacement(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """How far the camera's centre is from the given one, along its axes, metres."""
-        return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
+        return pose[:3, :3] @ (camera_centre(pose) - camera_centre(self.images.pose[0, 0]))
 
     def _equations(
         self, x: _View, found: "_Residuals"
@@ -274,7 +274,7 @@ class ViewAlignment(Problem[_View]):
     ) -> Float[np.ndarray, "4 4"]:
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
-        rays = in_front(self.images)[0, self.rows]
+        rays = ray_directions(self.images)[0, self.rows]
         ways = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
         there = self.seen & exists & front
         if not there.any():
@@ -374,5 +374,5 @@ def _moved(
         return pose
     out = pose.copy()
     out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
-    out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
+    out[:3, 3] = -out[:3, :3] @ (camera_centre(pose) + out[:3, :3].T @ shift)
     return out

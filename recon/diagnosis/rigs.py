@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from recon.diagnosis.explanations import shifted
+from recon.diagnosis.explanations import shifted_in_time
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
@@ -66,7 +66,7 @@ def best_agreement(images: Images, parts: tuple[Part, ...]) -> TwoViewCorrection
     values, _ = minimise(_RayDistances(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
     pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
-    corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
+    corrected = shifted_in_time(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
     return TwoViewCorrection(corrected, float(values[0]), angle, median_miss(corrected))
 
@@ -95,7 +95,7 @@ def _distances_of_rays(
         late: frames by which the second one's clock is put right.
         turns: rotation vectors of its camera about its centre, one for each result.
     """
-    rays, R = Rays.of(shifted(images, 1, late)), images.pose[1, :, :3, :3]
+    rays, R = Rays.of(shifted_in_time(images, 1, late)), images.pose[1, :, :3, :3]
     there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
     found: list[np.ndarray] = []
     for turn in turns:
@@ -194,7 +194,7 @@ def corrections(images: Images) -> CorrectedRig:
     """
     applied: tuple[ViewCorrection, ...] = ()
     for _ in range(len(images.names) - 2):
-        found = candidates(images)
+        found = candidate_corrections(images)
         if not found or not is_certain(found[0], images.fps):
             break
         best = found[0]
@@ -224,7 +224,7 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     return found.images, Findings(repairs, (said,))
 
 
-def candidates(images: Images) -> list[ViewCorrection]:
+def candidate_corrections(images: Images) -> list[ViewCorrection]:
     """Candidate corrections of single fixed views, sorted by the remaining error.
 
     None where every view agrees with the others.

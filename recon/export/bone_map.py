@@ -60,7 +60,7 @@ class BoneMap:
     by_tree: tuple[str, ...]
     """Joints that were found by the tree, as their names told nothing."""
 
-    def told(self, names: Sequence[str]) -> dict[str, str]:
+    def names_by_joint(self, names: Sequence[str]) -> dict[str, str]:
         """Names of the nodes by joint."""
         chains = {"spine": self.spine, "neck": self.neck}
         joined = {name: ", ".join(names[k] for k in chain) for name, chain in chains.items()}
@@ -118,18 +118,20 @@ def map_bones(
     if lacking:
         raise ReconError(
             f"{path}: no bones were found for {', '.join(lacking)}. Name them in a file for "
-            f'--bones, as left_knee = "bone"; its bones are {_listed(tree)}'
+            f'--bones, as left_knee = "bone"; its bones are {_names_of_bones(tree)}'
         )
-    return _completed(tree, found, tuple(by_tree), path)
+    return _completed_map(tree, found, tuple(by_tree), path)
 
 
-def _listed(tree: Tree) -> str:
+def _names_of_bones(tree: Tree) -> str:
     names = [tree.names[k] for k in sorted(tree.joints)]
     more = f" and {len(names) - 60} more" if len(names) > 60 else ""
     return ", ".join(f"{name!r:.40}" for name in names[:60]) + more
 
 
-def _completed(tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path: Path) -> BoneMap:
+def _completed_map(
+    tree: Tree, found: dict[str, int], by_tree: tuple[str, ...], path: Path
+) -> BoneMap:
     """Add hips, spine, neck and collars, which lie between the bones that were found.
 
     Raises:
@@ -205,7 +207,7 @@ def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
             count = "no node" if not nodes else f"{len(nodes)} nodes"
             raise ReconError(
                 f"{given}: {joint} = {name!r:.40}, but {count} of the character has this name; "
-                f"its bones are {_listed(tree)}"
+                f"its bones are {_names_of_bones(tree)}"
             )
         found[joint] = nodes[0]
     return found

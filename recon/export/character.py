@@ -189,10 +189,10 @@ class Character:
                 continue
             skin = skins[file.index(node["skin"], len(skins), "skin")]
             mesh = meshes[file.index(node["mesh"], len(meshes), "mesh")]
-            joints, binds = joints_of(file, skin), _binds(file, skin)
+            joints, binds = joints_of(file, skin), _inverse_bind_matrices(file, skin)
             primitives = mesh.get("primitives")
             for one in primitives if isinstance(primitives, list) and binds is not None else ():
-                read = _primitive(file, one, len(joints))
+                read = _vertices_and_joints(file, one, len(joints))
                 if read is not None:
                     parts.append((joints, binds, *read))
         return parts
@@ -201,7 +201,7 @@ class Character:
     def lowest(self) -> float | None:
         """Height of the lowest vertex of the rest pose in `places`; None where it is not known."""
         up = self.frame[1] * self.scale
-        if self.reference is not self.world and (box := self._box()) is not None:
+        if self.reference is not self.world and (box := self._bounds_of_skin()) is not None:
             corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
             return float((corners @ up).min())
         low = [(self._at_rest(node, points) @ up).min() for node, points in self.skin.items()]
@@ -210,7 +210,7 @@ class Character:
     def _at_rest(self, node: int, points: np.ndarray) -> np.ndarray:
         return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
 
-    def _box(self) -> Float[np.ndarray, "2 3"] | None:
+    def _bounds_of_skin(self) -> Float[np.ndarray, "2 3"] | None:
         """Smallest and largest coordinates of the vertices of the skin that has most bones."""
         file = self.file
         main, boxes = _main_skin(file, self.bones), []
@@ -238,7 +238,9 @@ def _main_skin(file: GltfFile, bones: BoneMap) -> int:
     return max(range(len(skins)), key=lambda k: len(skins[k]))
 
 
-def _binds(file: GltfFile, skin: dict[str, Any]) -> Float[np.ndarray, "joints 4 4"] | None:
+def _inverse_bind_matrices(
+    file: GltfFile, skin: dict[str, Any]
+) -> Float[np.ndarray, "joints 4 4"] | None:
     """Inverse bind matrices of a skin; None where they cannot be read."""
     count = len(joints_of(file, skin))
     if "inverseBindMatrices" not in skin:
@@ -259,7 +261,7 @@ def _bind_pose(
 ) -> Float[np.ndarray, "nodes 4 4"] | None:
     """The pose in which the skin was bound, in the skin's own axes; None where it is not known."""
     skin = file.listed("skins")[_main_skin(file, bones)]
-    binds = _binds(file, skin)
+    binds = _inverse_bind_matrices(file, skin)
     if binds is None or "inverseBindMatrices" not in skin:
         return None
     if np.abs(np.linalg.det(binds[:, :3, :3])).min() < 1e-15:
@@ -277,7 +279,7 @@ def _bind_pose(
     return made if (turned > 1e-15).all() else None
 
 
-def _primitive(
+def _vertices_and_joints(
     file: GltfFile, one: Any, joints: int
 ) -> tuple[np.ndarray, Int[np.ndarray, " vertices"]] | None:
     """Vertices and the joint that moves each most; None where they cannot be read."""

@@ -81,17 +81,21 @@ def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
     forces, plates = loads.estimated, loads.measured
     columns: dict[str, Float[np.ndarray, " time"]] = {}
     for end, side in (("r", 1), ("l", 0)):
-        columns |= _axes(f"ground_force_{end}_v", forces.force[:, side])
-        columns |= _axes(f"ground_force_{end}_p", forces.centre[:, side])
+        columns |= _columns_by_axis(f"ground_force_{end}_v", forces.force[:, side])
+        columns |= _columns_by_axis(f"ground_force_{end}_p", forces.centre[:, side])
     for end in "rl":
         columns |= {f"ground_torque_{end}_{axis}": np.zeros(motion.frames) for axis in "xyz"}
     for end, side in (("r", 1), ("l", 0)):
-        widths = _axes(f"std_force_{end}_", forces.force_std[:, side])
+        widths = _columns_by_axis(f"std_force_{end}_", forces.force_std[:, side])
         columns |= {name: np.abs(values) for name, values in widths.items()}
         columns[f"std_centre_{end}"] = forces.centre_std[:, side].numpy()
         if plates is not None:
-            columns |= _axes(f"plate_force_{end}_", torch.from_numpy(plates.force[:, side]))
-            columns |= _axes(f"plate_centre_{end}_", torch.from_numpy(plates.centre[:, side]))
+            columns |= _columns_by_axis(
+                f"plate_force_{end}_", torch.from_numpy(plates.force[:, side])
+            )
+            columns |= _columns_by_axis(
+                f"plate_centre_{end}_", torch.from_numpy(plates.centre[:, side])
+            )
             columns[f"plate_known_{end}"] = plates.known[:, side].astype(float)
     write_storage(path, "Ground reaction forces", motion, columns)
 
@@ -113,7 +117,7 @@ def write_moments(
     write_storage(path, "Inverse Dynamics Generalized Forces", motion, columns)
 
 
-def _axes(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:
+def _columns_by_axis(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:
     """Coordinates of vectors (time 3) with y up, by name and axis."""
     turned = vectors.double().cpu().numpy() @ to_z_up("y")
     return {f"{name}{axis}": turned[:, k] for k, axis in enumerate("xyz")}

@@ -54,7 +54,7 @@ class Contacts:
 
 
 @dataclass(frozen=True)
-class Person:
+class PersonMotion:
     """Hips, leg length and contacts of the person whom a character follows; z up, metres."""
 
     middle: Float[Tensor, "time 3"]
@@ -65,7 +65,7 @@ class Person:
     """Of feet, by ankles, and of hands, by wrists."""
 
     @classmethod
-    def of(cls, motion: Motion, body: BodyModel, ground: float) -> "Person":
+    def of(cls, motion: Motion, body: BodyModel, ground: float) -> "PersonMotion":
         """A person on level ground of some height."""
         posed, rest = body.pose(motion), body.rest_joints(motion.shape)
         sole = body.rest_vertices(motion.shape)[:, 1].min()
@@ -95,7 +95,9 @@ class Limb:
     is_arm: bool
 
     @classmethod
-    def of(cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: Person) -> "Limb":
+    def of(
+        cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: PersonMotion
+    ) -> "Limb":
         """The limb of a side, and the contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
@@ -129,7 +131,7 @@ class Limb:
         high = ground + ratio * self.contacts.height.clamp(min=0.0) - depth - end[:, 1]
         near = envelope(stands.double(), fps)
         if not self.is_arm:
-            near = near.maximum(1 - _smooth((self.contacts.height - _NEAR) / _LOW))
+            near = near.maximum(1 - _smooth_step((self.contacts.height - _NEAR) / _LOW))
         high = (high * near).maximum((ground - depth - end[:, 1]).clamp(min=0.0))
         return end + torch.stack((shift[:, 0], high, shift[:, 1]), -1)
 
@@ -233,17 +235,17 @@ def _shifts_while_standing(
         count = torch.arange(1, stop - first + 1, dtype=steps.dtype)[:, None]
         if fades:
             ease = max(1.0, _EASE * fps)
-            fall, rise = _smooth(1 - count / ease), _smooth(1 - count.flip(0) / ease)
+            fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
             # before the first stand and after the last one its own shift is kept
-            rise = _smooth(count / (stop - first + 1)) if first else torch.ones_like(count)
+            rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise
         found[first:stop] = before * fall + after * rise
     return found
 
 
-def _smooth(share: Tensor) -> Tensor:
+def _smooth_step(share: Tensor) -> Tensor:
     """Smooth step: a cubic from 0 to 1 that is level at both ends."""
     share = share.clamp(0.0, 1.0)
     return share * share * (3 - 2 * share)

@@ -119,16 +119,16 @@ def export_file(
         options = ", ".join(f"--{name}" for name in targets)
         raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
     of_trc = {"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}
-    _refuse_alone(of_trc, trc, "trc")
-    _refuse_alone({"names": names != "smpl"}, glb or usd or bvh, "glb")
-    _refuse_alone({"character": character is not None}, glb, "glb")
-    _refuse_alone({"bones": bones is not None}, character, "character")
+    _refuse_without_output(of_trc, trc, "trc")
+    _refuse_without_output({"names": names != "smpl"}, glb or usd or bvh, "glb")
+    _refuse_without_output({"character": character is not None}, glb, "glb")
+    _refuse_without_output({"bones": bones is not None}, character, "character")
     if character is not None and (names != "smpl" or usd or bvh):
         raise ReconError(
             "--character keeps its own names, and goes into --glb alone: leave out --names, "
             "--usd and --bvh"
         )
-    _refuse_alone(
+    _refuse_without_output(
         {"mass": mass is not None, "plates": plates is not None}, forces or moments, "forces"
     )
     check_ending("forces", forces)
@@ -223,7 +223,7 @@ def export_file(
     return Exported(place, warnings, {k: v for one in told for k, v in one.tables.items()})
 
 
-def _refuse_alone(given: dict[str, bool], target: Path | None, name: str) -> None:
+def _refuse_without_output(given: dict[str, bool], target: Path | None, name: str) -> None:
     """Refuse options of an output if it is not written.
 
     Raises:

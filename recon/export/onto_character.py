@@ -15,15 +15,15 @@ from recon.core.fingers import HAND_JOINTS, SIDES
 from recon.core.motion import Motion
 from recon.core.units import to_z_up
 from recon.export.character import Character
-from recon.export.limbs import ARM, LEG, Limb, Person, envelope
-from recon.export.rig import Carried, CharacterRig, Posed, turns_of
+from recon.export.limbs import ARM, LEG, Limb, PersonMotion, envelope
+from recon.export.rig import CharacterPose, CharacterRig, Posed, turns_of
 from recon.export.skeleton import one_clip, quaternions
 
 _UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
-class Animated:
+class AnimatedCharacter:
     """How a character was animated: by which bones, at what scale, with what warnings."""
 
     bones: dict[str, str]
@@ -41,7 +41,7 @@ def write_character(
     *,
     bones: Path | None = None,
     ground: float = 0.0,
-) -> Animated:
+) -> AnimatedCharacter:
     """Write a user's character as GLB with a motion as one animation more.
 
     Mesh, materials, other animations and extensions stay as they are in the file.
@@ -81,12 +81,14 @@ def write_character(
         tracks.append((node, "rotation", quaternions(local[:, None])[:, 0].numpy()))
     times = np.arange(motion.frames) / motion.fps
     read.file.write_with(path, "motion", times, tracks, records)
-    return Animated(read.bones.told(read.tree.names), ratio, _warnings(read, motion))
+    return AnimatedCharacter(
+        read.bones.names_by_joint(read.tree.names), ratio, _warnings(read, motion)
+    )
 
 
 def carry(
     motion: Motion, body: BodyModel, character: Character, ground: float
-) -> tuple[CharacterRig, Carried, float]:
+) -> tuple[CharacterRig, CharacterPose, float]:
     """Move a character as a person moves; also the ratio of its legs to the person's.
 
     Every bone turns as ours does, from a rest pose that is turned to ours. The middle of the hips
@@ -94,7 +96,7 @@ def carry(
     hands that touch the ground keep to it (`Limb.goal`): the hips sink where a leg is too short,
     rise where other parts would be in the ground, and the two bones above follow.
     """
-    rig, person = CharacterRig.of(character, motion, body), Person.of(motion, body, ground)
+    rig, person = CharacterRig.of(character, motion, body), PersonMotion.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
     turns = {node: up @ turn for node, turn in turns_of(character, motion, body).items()}
     legs = [Limb.of(rig, side, LEG, person) for side in SIDES]
@@ -103,7 +105,7 @@ def carry(
     low = 0.0 if character.lowest is None else character.lowest
     depth = float(np.mean([character.places[one.chain[2], 1] for one in legs])) - low
     ratio = (float(np.mean([leg.length for leg in legs])) + max(depth, 0.0)) / person.leg
-    free = Carried(turns, motion.translation * 0)
+    free = CharacterPose(turns, motion.translation * 0)
     posed = rig.posed(free)
     hips = torch.stack([posed[nodes[f"{side}_hip"]][:, :3, 3] for side in SIDES]).mean(0)
     begin = person.middle[0] * person.middle.new_tensor([1.0, 1.0, 0.0]) + ground * _UP[[0, 2, 1]]
@@ -130,8 +132,13 @@ def carry(
 
 
 def _with_limbs_at_goals(
-    rig: CharacterRig, carried: Carried, limbs: list[Limb], fps: float, ratio: float, ground: float
-) -> Carried:
+    rig: CharacterRig,
+    carried: CharacterPose,
+    limbs: list[Limb],
+    fps: float,
+    ratio: float,
+    ground: float,
+) -> CharacterPose:
     """The pose with the limbs turned so that their ends reach their goals."""
     posed, turns = rig.posed(carried), dict(carried.turns)
     for one in limbs:

@@ -21,7 +21,7 @@ Posed = dict[int, Float[Tensor, "time 4 4"]]
 
 
 @dataclass(frozen=True)
-class Carried:
+class CharacterPose:
     """Rotations and hips of a character in every frame; y up, lengths of its scene."""
 
     turns: dict[int, Float[Tensor, "time 3 3"]]
@@ -53,7 +53,10 @@ class CharacterRig:
             chain = np.eye(4)
             for k in path[: path.index(above)][::-1]:
                 chain = chain @ character.local[k]
-            shifts[node] = (above, torch.from_numpy(chain[:3, 3] * _size(character, above)))
+            shifts[node] = (
+                above,
+                torch.from_numpy(chain[:3, 3] * _scale_of_node(character, above)),
+            )
         return cls(character, rest, shifts)
 
     @property
@@ -61,7 +64,7 @@ class CharacterRig:
         """The node of the hips."""
         return self.character.driven[0]
 
-    def posed(self, carried: Carried) -> Posed:
+    def posed(self, carried: CharacterPose) -> Posed:
         """Forward kinematics: rotation and position of all animated nodes in the scene."""
         found: Posed = {}
         for node in self.character.driven:
@@ -78,7 +81,7 @@ class CharacterRig:
         return torch.cat(found, 1) if found else posed[self.hips][:, :0, :3]
 
     def _skin(self, node: int) -> Float[Tensor, "points 3"]:
-        return torch.from_numpy(self.character.skin[node]) * _size(self.character, node)
+        return torch.from_numpy(self.character.skin[node]) * _scale_of_node(self.character, node)
 
 
 def turns_of(
@@ -109,7 +112,7 @@ def turns_of(
     return found
 
 
-def _size(character: Character, node: int) -> float:
+def _scale_of_node(character: Character, node: int) -> float:
     """Lengths in the scene per length in a node's own axes."""
     return float(np.linalg.norm(character.world[node, :3, :3], axis=0).mean())
 
@@ -147,7 +150,7 @@ def _to_rest_pose(
         knuckles = [f"{side}_{finger}1" for finger in ("index", "middle", "pinky")]
         if all(name in nodes for name in knuckles):
             hand = [
-                _frame(points[1], points[0] - points[2])
+                _hand_axes(points[1], points[0] - points[2])
                 for points in (
                     [offsets[name] for name in knuckles],
                     [places[nodes[name]] - places[wrist] for name in knuckles],
@@ -166,7 +169,7 @@ def _to_rest_pose(
     return found
 
 
-def _frame(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+def _hand_axes(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     """Axes along a hand, across it and out of its palm, as columns."""
     x = along / along.norm()
     z = torch.linalg.cross(along, across)

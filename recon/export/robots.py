@@ -55,7 +55,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     joints = target.pose(moved).joints
     contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
     standing = target.rest_vertices(moved.shape)[:, 1]
-    arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
+    arrays = _amass_arrays(moved, target, _SMPLX_JOINTS, gender)
     others = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw and eyes stay at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
@@ -73,7 +73,9 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     save_arrays(path, arrays)
 
 
-def _arrays(motion: Motion, target: BodyModel, joints: int, gender: str) -> dict[str, np.ndarray]:
+def _amass_arrays(
+    motion: Motion, target: BodyModel, joints: int, gender: str
+) -> dict[str, np.ndarray]:
     """The arrays of a motion in AMASS layout; of joints beyond our 22, only fingers move."""
     poses = so3.log(motion.rotations.double()).float().numpy().reshape(motion.frames, -1)
     whole = np.zeros((motion.frames, 3 * joints), np.float32)
@@ -142,7 +144,7 @@ def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Motio
     target = BodyModel.load(onto)
     found = transfer(motion, body, target)
     moved = found.motion.replace(hands=motion.hands)
-    arrays = _arrays(moved, target, len(load_smpl(onto).parents), _gender(onto) or "neutral")
+    arrays = _amass_arrays(moved, target, len(load_smpl(onto).parents), _gender(onto) or "neutral")
     arrays |= {name: np.array(moved.fps) for name in ("mocap_framerate", "mocap_frame_rate")}
     save_arrays(path, arrays)
     return found

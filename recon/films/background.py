@@ -60,7 +60,7 @@ class FollowedPoints:
         places, numbers = np.zeros((0, 2), np.float32), np.zeros(0, np.int64)
         if self.pixels and shot == self._shot and len(self.pixels[-1]) > 0:
             before = ((self.pixels[-1] + 0.5) / scale - 0.5).astype(np.float32)
-            places, kept = self._into(grey, before)
+            places, kept = self._tracked_into(grey, before)
             places, numbers = places[kept], self.numbers[-1][kept]
         if len(places) < _FEWEST_POINTS:
             fresh = _corners(grey, places)
@@ -72,7 +72,7 @@ class FollowedPoints:
         self.numbers.append(numbers)
         self.pixels.append((places.astype(np.float64) + 0.5) * scale - 0.5)
 
-    def _into(
+    def _tracked_into(
         self, grey: UInt8[np.ndarray, "height width"], before: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], np.ndarray]:
         """Places of the points in the next image, and which of them are found."""

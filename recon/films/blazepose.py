@@ -106,14 +106,14 @@ class BlazePose:
         Raises:
             ReconError: when the extra `film` is not installed, or the file is no such network.
         """
-        folder = _bundled_folder()
-        self._detector = _Network(folder / "pose_detection.tflite", (2254, 12))
-        self._landmarks = _Network(landmarks or folder / "pose_landmark_full.tflite", (195,))
+        folder = bundled_folder()
+        self._detector = Network(folder / "pose_detection.tflite", (2254, 12))
+        self._landmarks = Network(landmarks or folder / "pose_landmark_full.tflite", (195,))
 
     @cached_property
     def _anchors(self) -> Float[np.ndarray, "2254 2"]:
         """Centres of the detector's boxes, as fractions of its image."""
-        grids = [np.repeat(_centres(side), count, axis=0) for side, count in _ANCHORS.items()]
+        grids = [np.repeat(centres_of_cells(side), n, axis=0) for side, n in _ANCHORS.items()]
         return np.concatenate(grids)
 
     def find(self, image: Image, square: Region | None = None) -> list[tuple[Region, float]]:
@@ -123,16 +123,16 @@ class BlazePose:
             square = Region(np.array([width - 1, height - 1]) / 2, float(max(width, height)), 0.0)
         cut = square.cut(image, _DETECTOR_SIDE)
         boxes, logits = self._detector(cut / np.float32(127.5) - np.float32(1.0), (2254, 1))
-        scores = _sigmoid(logits[:, 0])
+        scores = sigmoid(logits[:, 0])
         kept = scores > _LEAST_SCORE
         scores, points = scores[kept], boxes[kept].reshape(-1, 6, 2).astype(float)
         points /= _DETECTOR_SIDE
         points[:, [0, 2, 3, 4, 5]] += self._anchors[kept][:, None]
         to_image = square.to_image(_DETECTOR_SIDE)
         found: list[tuple[Region, float]] = []
-        for members in _overlapping_boxes(points[:, 0], points[:, 1], scores):
+        for members in overlapping_boxes(points[:, 0], points[:, 1], scores):
             mean = np.average(points[members, 2:4], axis=0, weights=scores[members])
-            hips, rim = _mapped(mean * _DETECTOR_SIDE - 0.5, to_image)
+            hips, rim = mapped(mean * _DETECTOR_SIDE - 0.5, to_image)
             found.append((Region.of_points(hips, rim), float(scores[members[0]])))
         return found
 
@@ -148,12 +148,12 @@ class BlazePose:
         raw, score, heat = self._landmarks(cut / np.float32(255.0), (1,), (_HEAT, _HEAT, _POINTS))
         rows = raw.reshape(_POINTS, 5).astype(float)
         places = _refined(rows[:, :2], heat)
-        sure = _sigmoid(rows[:, 3:])
+        sure = sigmoid(rows[:, 3:])
         if mirror:
             places = places * (-1, 1) + (_SIDE, 0)
             places[:LANDMARKS], sure = places[MIRRORED], sure[MIRRORED]
         inside: Bool[np.ndarray, " points"] = np.all((places > 0) & (places < _SIDE), axis=-1)
-        pixels = _mapped(places - 0.5, region.to_image(_SIDE))
+        pixels = mapped(places - 0.5, region.to_image(_SIDE))
         return Pose(
             pixels=pixels[:LANDMARKS],
             visibility=sure[:LANDMARKS, 0],
@@ -165,7 +165,7 @@ class BlazePose:
         )
 
 
-def _bundled_folder() -> Path:
+def bundled_folder() -> Path:
     """The folder of the model files.
 
     Raises:
@@ -182,7 +182,7 @@ def _bundled_folder() -> Path:
     return recon_film_models.FOLDER
 
 
-class _Network:
+class Network:
     """A network in a file of TensorFlow Lite."""
 
     def __init__(self, path: Path, first: tuple[int, ...]) -> None:
@@ -195,10 +195,8 @@ class _Network:
         except (ValueError, RuntimeError) as error:
             raise ReconError(f"{path}: expected a network (.tflite): {error}") from error
         self._input = self._run.get_input_details()[0]["index"]
-        self._outputs = {
-            tuple(int(n) for n in one["shape"][1:]): one["index"]
-            for one in self._run.get_output_details()
-        }
+        outputs = sorted(self._run.get_output_details(), key=lambda one: one["name"], reverse=True)
+        self._outputs = {tuple(one["shape"][1:].tolist()): one["index"] for one in outputs}
         self._first = first
         if first not in self._outputs:
             raise ReconError(
@@ -207,7 +205,10 @@ class _Network:
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """Outputs for an image: that of the shape `first`, then those of the shapes `more`."""
+        """Outputs for an image: that of the shape `first`, then those of the shapes `more`.
+
+        Of several outputs of one shape it is the first by their names.
+        """
         self._run.set_tensor(self._input, image[None].astype(np.float32))
         self._run.invoke()
         return [self._run.get_tensor(self._outputs[one])[0] for one in (self._first, *more)]
@@ -226,21 +227,23 @@ def _without_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _sigmoid(logits: np.ndarray) -> np.ndarray:
+def sigmoid(logits: np.ndarray) -> np.ndarray:
+    """Probabilities of a network's scores."""
     return 1 / (1 + np.exp(-np.clip(logits.astype(float), -80, 80)))
 
 
-def _mapped(points: Float[np.ndarray, "n 2"], way: Float[np.ndarray, "2 3"]) -> np.ndarray:
+def mapped(points: Float[np.ndarray, "n 2"], way: Float[np.ndarray, "2 3"]) -> np.ndarray:
+    """Points after an affine map."""
     return points @ way[:, :2].T + way[:, 2]
 
 
-def _centres(side: int) -> Float[np.ndarray, "cells 2"]:
+def centres_of_cells(side: int) -> Float[np.ndarray, "cells 2"]:
     """Centres of the cells of a square grid over the unit square, row by row."""
     y, x = (np.mgrid[:side, :side] + 0.5) / side
     return np.stack((x, y), -1).reshape(-1, 2)
 
 
-def _overlapping_boxes(
+def overlapping_boxes(
     middles: Float[np.ndarray, "n 2"], sizes: Float[np.ndarray, "n 2"], scores: np.ndarray
 ) -> list[np.ndarray]:
     """Groups of boxes that overlap the most confident box not yet in a group.
@@ -277,7 +280,7 @@ def _refined(
         np.clip(columns, 0, _HEAT - 1)[:, None],
         np.arange(_POINTS)[:, None, None],
     ]
-    warmth = np.where(there, _sigmoid(patch), 0.0)
+    warmth = np.where(there, sigmoid(patch), 0.0)
     total = warmth.sum((1, 2))
     x = (warmth * columns[:, None]).sum((1, 2)) / np.maximum(total, 1e-9)
     y = (warmth * rows[:, :, None]).sum((1, 2)) / np.maximum(total, 1e-9)

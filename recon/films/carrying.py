@@ -65,7 +65,7 @@ def find_path(
     every = max(_EVERY, -(-len(frames) // _MOST_KEYS))
     keys = np.arange(0, len(frames), every)
     seen = _Observations(picture, point, pixels / focal)
-    grown = list(_grown(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
+    grown = list(_reconstructions(seen, keys, known=known)) if len(keys) >= _FEWEST_KEYS else []
     if not grown:
         return "no two of its pictures share points enough at different distances"
     best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
@@ -74,7 +74,7 @@ def find_path(
     place, zoom = _deviations(best, _placed_except(best, first), focal=not known)
     if place > _SURE:
         return "it moves too little for the distance of its background"
-    whole = _whole(best, seen, keys, len(frames), rate)
+    whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
     R, places = whole.R[whole.placed], whole.centres()[whole.placed]
     return CameraMotion(
         frames=frames[whole.placed],
@@ -109,7 +109,7 @@ class _Observations:
         return _Observations(number[self.picture[kept]], self.point[kept], self.places[kept])
 
 
-def _grown(
+def _reconstructions(
     seen: _Observations, keys: Int[np.ndarray, " keys"], *, known: bool
 ) -> Iterator[tuple[SeenBackground, int]]:
     """Reconstruct the key pictures and their points from each pair that may begin them.
@@ -119,17 +119,17 @@ def _grown(
     own, points = seen.of(keys), int(seen.point.max()) + 1
     table = np.full((len(keys), points, 2), np.nan)
     table[own.picture, own.point] = own.places
-    for one, other, R, t in _pairs(table):
+    for one, other, R, t in _starting_pairs(table):
         scene = own.scene(len(keys), points)
         scene.R[other], scene.t[other] = R, t
-        _grow(scene, one, other)
+        _place_pictures(scene, one, other)
         scene.refine(
             _placed_except(scene, one), focal=None if known else _FOCAL_DEVIATION, steps=30
         )
         yield scene, one
 
 
-def _pairs(
+def _starting_pairs(
     table: Float[np.ndarray, "pictures points 2"],
 ) -> Iterator[tuple[int, int, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
     """Pairs of pictures, and R and t from the first one's frame to the second's; the best first.
@@ -167,7 +167,7 @@ def _pairs(
             yield i, j, R, t[:, 0]
 
 
-def _grow(scene: SeenBackground, one: int, other: int) -> None:
+def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
     """Place further pictures, given the poses of two: those between them first, then outwards."""
     scene.placed[[one, other]] = True
     scene.triangulate()
@@ -219,7 +219,7 @@ def _deviations(
     return float(np.sqrt(places.mean() / extent)), float(np.sqrt(variance[-1]))
 
 
-def _whole(
+def _all_pictures_placed(
     best: SeenBackground,
     seen: _Observations,
     keys: Int[np.ndarray, " keys"],

@@ -94,6 +94,10 @@ class Film:
         """Pixels of the film for those of an image, which may have been shrunk."""
         return pixels * self.shrunk + (self.shrunk - 1) / 2
 
+    def in_image(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
+        """The inverse of `in_film`."""
+        return (pixels - (self.shrunk - 1) / 2) / self.shrunk
+
     def __iter__(self) -> Iterator[FilmFrame]:
         """Decode the film; damaged pictures are left out and noted in `notes`."""
         losses: list[str] = []

@@ -1,7 +1,7 @@
 """Reads films: people are detected in every frame, followed, and written down as 2D keypoints."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -17,6 +17,8 @@ from recon.films.background import FollowedPoints, moving_background
 from recon.films.blazepose import BlazePose
 from recon.films.clock import at_even_times
 from recon.films.decoding import Film, FilmFrame, open_film
+from recon.films.hand_networks import HandNetworks
+from recon.films.hands import with_hands
 from recon.films.sides import rows_of_sights
 from recon.films.tracking import Sight, Tracker
 from recon.films.unfinished import Unfinished
@@ -31,6 +33,8 @@ Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
 of every keypoint, and the person's number or -1."""
 _VERSION = 5
 """Rises when the same film gives other detections, so that kept ones are made again."""
+_HANDS_VERSION = "hands 1"
+"""The same of hands."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
 """Frames."""
@@ -38,9 +42,35 @@ _IMAGES_WITH_LINES = 5
 """Images of a film in which straight lines are looked for."""
 
 
-def _kept_file(path: Path, folder: Path, key: str) -> Path:
+@dataclass(frozen=True)
+class _Kept:
     """The file in which detections of a film are kept."""
-    return folder / f"{path.stem}-{key[:8]}.npz"
+
+    film: Path
+    folder: Path
+    key: str
+    """Checksum of all on which the detections depend."""
+
+    @property
+    def file(self) -> Path:
+        return self.folder / f"{self.film.stem}-{self.key[:8]}.npz"
+
+    def load(self) -> Detections | None:
+        """The detections; None where there are none, or others."""
+        if not self.file.is_file():
+            return None
+        arrays = load_arrays(self.file)
+        if str(arrays.get("made_of")) != self.key:
+            return None
+        seen, notes = read_detection_arrays(self.file), arrays["notes"].tolist()
+        more = (note for note in seen.decisions if note not in notes)
+        return replace(seen, name=self.film.name, decisions=(*notes, *more))
+
+    def save(self, found: Detections, notes: Sequence[str]) -> None:
+        """Save detections, and what was decided besides what their reader decides."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        arrays = {"made_of": np.array(self.key), "notes": np.array(notes, str)}
+        save_arrays(self.file, {**detection_arrays(found), **arrays})
 
 
 def read_film(
@@ -49,10 +79,13 @@ def read_film(
     frame_rate: float | None = None,
     layout: str | None = None,
     detector: str | None = None,
+    fingers: bool = False,
     kept: Path | None = None,
     watch: Watch | None = None,
 ) -> Detections:
     """The 2D keypoints of everybody in a film.
+
+    Hands are looked for in a second pass, at the wrists that the first one found.
 
     Args:
         path: of the film.
@@ -60,6 +93,7 @@ def read_film(
         layout: of the keypoints of a detector of your own, where their number does not tell.
         detector: None is BlazePose with its landmarks `full`; or the file of others of its
             landmarks (.tflite), or a `Detector`: "package.module:Class" or a registered name.
+        fingers: whether hands are looked for, too, where the detector does not find them itself.
         kept: folder in which detections are kept, so that the next call finds them, or goes on
             where this one is interrupted; None keeps nothing.
         watch: told of the progress.
@@ -71,19 +105,49 @@ def read_film(
     """
     existing_file(path)
     key = "" if kept is None else _key(path, frame_rate, layout, detector)
-    file = None if kept is None else _kept_file(path, kept, key)
-    if file is not None and file.is_file():
-        arrays = load_arrays(file)
-        if str(arrays.get("made_of")) == key:
-            seen, notes = read_detection_arrays(file), arrays["notes"].tolist()
-            return replace(seen, name=path.name, decisions=(*notes, *seen.decisions))
+    people = None if kept is None else _Kept(path, kept, key)
+    if not fingers:
+        return _people(path, frame_rate, layout, detector, people, watch)
+    both = None if kept is None else _Kept(path, kept, value_checksum([key, _HANDS_VERSION]))
+    if both is not None and (found := both.load()) is not None:
+        return found
+    networks = HandNetworks()
+    found = _people(path, frame_rate, layout, detector, people, watch)
+    if found.hands is None:
+        film = open_film(path, frame_rate=frame_rate)
+        found = with_hands(film, _told_of(film, watch), found, networks)
+        if both is not None:
+            both.save(found, found.decisions)
+    return found
+
+
+def _told_of(film: Film, watch: Watch | None) -> Iterator[FilmFrame]:
+    """The frames of a film, of whose progress `watch` is told."""
+    for frame in film:
+        yield frame
+        if watch is not None:
+            watch(frame.number + 1, film.frames)
+
+
+def _people(
+    path: Path,
+    frame_rate: float | None,
+    layout: str | None,
+    detector: str | None,
+    kept: _Kept | None,
+    watch: Watch | None,
+) -> Detections:
+    """Detections without hands, if the detector does not find them itself; as `read_film`."""
+    if kept is not None and (found := kept.load()) is not None:
+        return found
     film = open_film(path, frame_rate=frame_rate)
     frames = _Watched(film, watch)
     unfinished = None
     if detector is None or detector.endswith(_NETWORK):
         networks = BlazePose(None if detector is None else Path(detector))
-        if file is not None:
-            unfinished = Unfinished(file.with_name(f"{file.stem}-unfinished"), key)
+        if kept is not None:
+            folder = kept.file.with_name(f"{kept.file.stem}-unfinished")
+            unfinished = Unfinished(folder, kept.key)
         sights = sorted(
             _sights(frames, film.frame_rate, networks, unfinished), key=lambda one: one.track
         )
@@ -102,11 +166,8 @@ def read_film(
         found, lines=lines, lines_frame=lines_frame, background=background,
         decisions=(*([note] if note else []), *found.decisions),
     )  # fmt: skip
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        save_arrays(file, {
-            **detection_arrays(found), "made_of": np.array(key), "notes": np.array(film.notes, str)
-        })  # fmt: skip
+    if kept is not None:
+        kept.save(found, film.notes)
         if unfinished is not None:
             unfinished.remove()
     return found
@@ -127,15 +188,13 @@ class _Watched:
 
     def __iter__(self) -> Iterator[FilmFrame]:
         every = max(1, self.film.frames // _IMAGES_WITH_LINES)
-        for frame in self.film:
+        for frame in _told_of(self.film, self.watch):
             if frame.number % every == every // 2:
                 ends = self.film.in_film(straight_segments(frame.image))
                 self.segments[frame.number] = frame.shot, ends
             self.followed.step(frame.image, frame.number, frame.shot)
             yield frame
             self.times[frame.number] = frame.time
-            if self.watch is not None:
-                self.watch(frame.number + 1, self.film.frames)
 
     def lines(self) -> tuple[Float[np.ndarray, "lines 2 2"], Int[np.ndarray, " lines"]]:
         """The segments of the shot that has most of these images, and the frame of each."""

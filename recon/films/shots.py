@@ -50,7 +50,7 @@ def with_shots(pictures: Iterable[Picture]) -> Iterator[tuple[Picture, int]]:
         return picture, shot
 
     for picture in pictures:
-        waiting.append((picture, _small(picture[0])))
+        waiting.append((picture, _thumbnail(picture[0])))
         if len(waiting) > _AROUND:
             yield next_one()
     while waiting:
@@ -81,7 +81,7 @@ def _is_cut(shown: _Small, past: Sequence[_Small | None], coming: Sequence[_Smal
     )
 
 
-def _small(image: UInt8[np.ndarray, "height width 3"]) -> _Small | None:
+def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> _Small | None:
     """The image as a few pixels; None where it shows nothing."""
     step = max(1, min(image.shape[:2]) // (4 * _SIDE))
     part = np.ascontiguousarray(image[::step, ::step])

@@ -46,7 +46,7 @@ def rows_of_sights(sights: list[Sight]) -> list[Row]:
     seen = np.stack([(sight.pose.pixels, sight.mirrored.pixels) for sight in sights])
     size = _BODY * np.array([sight.pose.region.side for sight in sights])
     frames = np.array([sight.frame for sight in sights])
-    chosen, other = _named(seen, size, frames)
+    chosen, other = _with_sides_named(seen, size, frames)
     apart = np.linalg.norm(chosen - other, axis=-1) / size[:, None]
     pixels = np.where((apart < _AGREEMENT)[..., None], (chosen + other) / 2, chosen)
     off = np.linalg.norm(pixels - _median_in_time(pixels), axis=-1) / size[:, None]
@@ -54,7 +54,7 @@ def rows_of_sights(sights: list[Sight]) -> list[Row]:
     return [(sight.frame, row, -1) for sight, row in zip(sights, points, strict=True)]
 
 
-def _named(
+def _with_sides_named(
     seen: Float[np.ndarray, "frames 2 33 2"],
     size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],

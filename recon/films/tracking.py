@@ -65,7 +65,11 @@ class _Track:
 
     def jump(self, pose: Pose) -> float:
         """Distance of a body from that of the last frame, in sides of the region."""
-        return 0.0 if self.body is None else _gap(pose.pixels, self.body) / self.region.side
+        return (
+            0.0
+            if self.body is None
+            else _distance_of_bodies(pose.pixels, self.body) / self.region.side
+        )
 
     def follow(self, sight: Sight, rate: float) -> None:
         """Move the region after the person by a one-euro filter (Casiez et al. 2012)."""
@@ -74,13 +78,13 @@ class _Track:
         if self.points is None:
             self.points = points
         speed = (points - self.points) / self.region.side * rate
-        self.speed = self.speed + _share(_RATE_CUTOFF_HZ, rate) * (speed - self.speed)
-        share = _share(_CUTOFF_HZ + _SPEED_CUTOFF * np.abs(self.speed), rate)
+        self.speed = self.speed + _filter_weight(_RATE_CUTOFF_HZ, rate) * (speed - self.speed)
+        share = _filter_weight(_CUTOFF_HZ + _SPEED_CUTOFF * np.abs(self.speed), rate)
         self.points = self.points + share * (points - self.points)
         self.region = Region.of_points(*self.points)
 
 
-def _share(cutoff: float | np.ndarray, rate: float) -> float | np.ndarray:
+def _filter_weight(cutoff: float | np.ndarray, rate: float) -> float | np.ndarray:
     """The weight of a new value in an exponential filter of this cut-off frequency."""
     return 1 / (1 + rate / (2 * np.pi * cutoff))
 
@@ -181,10 +185,12 @@ def _same_place(one: Region, other: Region) -> bool:
 
 
 def _same_body(one: Pose, other: Pose) -> bool:
-    return _gap(one.pixels, other.pixels) < _SAME_BODY * min(one.region.side, other.region.side)
+    return _distance_of_bodies(one.pixels, other.pixels) < _SAME_BODY * min(
+        one.region.side, other.region.side
+    )
 
 
-def _gap(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
+def _distance_of_bodies(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
     """Median distance of trunk and legs of two bodies, whichever side is left, pixels."""
     away = (np.linalg.norm((one - way)[_LARGE], axis=1) for way in (other, other[MIRRORED]))
     return min(float(np.median(distances)) for distances in away)

@@ -45,7 +45,7 @@ class CameraMotion:
     @property
     def angle(self) -> float:
         """The largest turn from the first picture, radians."""
-        return _turn(self.R_first_camera)
+        return _largest_turn(self.R_first_camera)
 
     def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 4 4"]:
         """T_first_camera at any frames, between the pictures by the shortest way."""
@@ -83,7 +83,7 @@ def find_turning(
     starts = np.searchsorted(frame, frames[1:])
 
     def turned(factor: float) -> tuple[Float[np.ndarray, "pictures 3 3"], np.ndarray]:
-        return _chained(point, pixels / (focal * factor), starts)
+        return _chained_rotations(point, pixels / (focal * factor), starts)
 
     def disagreement(factor: float) -> float:
         # compare pixels, since the same error is a smaller angle at a longer focal length
@@ -91,7 +91,7 @@ def find_turning(
 
     factor, told = 1.0, False
     found, off = turned(factor)
-    if _turn(found) > _FOCAL_TURN and not known:
+    if _largest_turn(found) > _FOCAL_TURN and not known:
         values = np.array([disagreement(one) for one in _FOCAL_FACTORS])
         best = int(values.argmin())
         told = 0 < best < len(values) - 1
@@ -100,12 +100,12 @@ def find_turning(
             bend = np.polyfit(np.log(_FOCAL_FACTORS[around]), values[around], 2)
             factor = float(np.exp(-bend[1] / (2 * bend[0])))
             found, off = turned(factor)
-    if _turn(found) < _LEAST_TURN or np.median(off) > _MOST_OFF:
+    if _largest_turn(found) < _LEAST_TURN or np.median(off) > _MOST_OFF:
         return None
     return CameraMotion(frames, found, np.zeros((len(frames), 3)), focal * factor, told)
 
 
-def _turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
+def _largest_turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
     """The largest angle from the first picture, radians."""
     return float(Rotation.from_matrix(rotations).magnitude().max())
 
@@ -131,7 +131,7 @@ def turned_onto(
     return R, off, weight
 
 
-def _chained(
+def _chained_rotations(
     point: Int[np.ndarray, " rows"],
     places: Float[np.ndarray, "rows 2"],
     starts: Int[np.ndarray, " later"],

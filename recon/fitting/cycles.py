@@ -54,7 +54,7 @@ def on_fast_clock(sensor: Sensor) -> Sensor:
     return sensor if times <= 1 else sensor.on_faster_clock(times)
 
 
-def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+def observations_in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     """The observations that measure positions in space."""
     return tuple(one for one in observations if one.places is not None)
 
@@ -141,7 +141,7 @@ def typical_cycles(
     turns = so3.about_z(angles.to(typical))
     path = prior.paths(shape)
     variables: list[Any] = []
-    for clip, (seen, there) in enumerate(zip(*_seen_path(observations, clock), strict=True)):
+    for clip, (seen, there) in enumerate(zip(*_centroid_path(observations, clock), strict=True)):
         last = int(clock.valid[clip].sum()) - 1
         place = torch.arange(len(seen)).clamp(max=last) / last * (path.shape[1] - 1)
         walked = path[:, place.round().long()]
@@ -165,7 +165,7 @@ def typical_cycles(
     return Hypotheses(prior, Unknowns(concatenate(variables), scene), clip)
 
 
-def _seen_path(
+def _centroid_path(
     observations: Sequence[Sensor], clock: CycleClock
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
     """The centroid of the data at the clock's frames, and which frames have data."""
@@ -232,7 +232,7 @@ def complete(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
             "terms out, or fit by another prior"
         )
-    seen = in_space(observations)
+    seen = observations_in_space(observations)
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
@@ -242,7 +242,9 @@ def complete(
     seen, rows = _with_marker_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(o.cloud and int(o.cloud.present.sum(-1).max()) >= DENSE for o in seen)
-    return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
+    return _CycleCompletion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(
+        body, watch
+    )
 
 
 def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
@@ -260,7 +262,7 @@ def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[A
 
 
 @dataclass(frozen=True)
-class _Completion:
+class _CycleCompletion:
     """The stages from first hypotheses to one cycle for every clip."""
 
     observations: tuple[Sensor, ...]
@@ -283,7 +285,7 @@ class _Completion:
         ]
         weights = weights_of(self.noises)
         search = prior.search(data_terms(seen, weights), noise)
-        ranking, portion = search[0].terms, partial(_thinned, step=step)
+        ranking, portion = search[0].terms, partial(_with_fewer_frames, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
@@ -327,7 +329,7 @@ def _stages_keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any
     return (*stages[:-1], replace(stages[-1], kept=count))
 
 
-def _thinned(variables: Any, step: int) -> Any:
+def _with_fewer_frames(variables: Any, step: int) -> Any:
     """The cycle decoded at fewer frames, which suffice to optimise a latent code."""
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 

@@ -94,10 +94,10 @@ def fit_hand(
     frames = x[:-_BONES].view(len(base), _SIZE)
     frames[:, _BENDS] = RELAXED
     x, _ = minimise(problem, x[None], _OPTIONS)
-    frames, lengths = problem.parts(x)
+    frames, lengths = problem.split_variables(x)
     posed = problem.posed(x)
     return FittedHand(
-        frames[:, _BENDS], so3.exp(frames[:, _TURN]) @ base, problem.sizes(lengths),
+        frames[:, _BENDS], so3.exp(frames[:, _TURN]) @ base, problem.bone_lengths(lengths),
         problem.tip_std(x), posed.local,
     )  # fmt: skip
 
@@ -112,7 +112,7 @@ def _bend_precision() -> Float[Tensor, "22 22"]:
     number = {name: k for k, name in enumerate(ANGLES)}
     rows, stds = [], []
 
-    def expect(std: float, **shares: float) -> None:
+    def add_expectation(std: float, **shares: float) -> None:
         row = np.zeros(len(ANGLES))
         for name, share in shares.items():
             row[number[name]] = share
@@ -120,14 +120,16 @@ def _bend_precision() -> Float[Tensor, "22 22"]:
         stds.append(np.deg2rad(std))
 
     for name in ANGLES:
-        expect(40.0 if name.endswith("flexion") else 15.0, **{name: 1.0})
+        add_expectation(40.0 if name.endswith("flexion") else 15.0, **{name: 1.0})
     outer = FINGERS[1:]
     for finger in outer:
-        expect(12.0, **{f"{finger}_dip_flexion": 1.0, f"{finger}_pip_flexion": -2 / 3})
+        add_expectation(12.0, **{f"{finger}_dip_flexion": 1.0, f"{finger}_pip_flexion": -2 / 3})
     for one, other in pairwise(outer):
         for joint in ("mcp", "pip"):
-            expect(35.0, **{f"{one}_{joint}_flexion": 1.0, f"{other}_{joint}_flexion": -1.0})
-        expect(10.0, **{f"{one}_mcp_abduction": 1.0, f"{other}_mcp_abduction": -1.0})
+            add_expectation(
+                35.0, **{f"{one}_{joint}_flexion": 1.0, f"{other}_{joint}_flexion": -1.0}
+            )
+        add_expectation(10.0, **{f"{one}_mcp_abduction": 1.0, f"{other}_mcp_abduction": -1.0})
     scaled = np.stack(rows) / np.array(stds)[:, None]
     return torch.from_numpy(scaled.T @ scaled)
 
@@ -170,17 +172,17 @@ class _Fingers(Problem[Tensor]):
     turn_std: float
     away_std: float
 
-    def parts(self, x: Tensor) -> tuple[Float[Tensor, "time 28"], Float[Tensor, " 20"]]:
+    def split_variables(self, x: Tensor) -> tuple[Float[Tensor, "time 28"], Float[Tensor, " 20"]]:
         return x[0, :-_BONES].view(-1, _SIZE), x[0, -_BONES:]
 
-    def sizes(self, logarithms: Float[Tensor, " 20"]) -> Float[Tensor, " 20"]:
+    def bone_lengths(self, logarithms: Float[Tensor, " 20"]) -> Float[Tensor, " 20"]:
         return self.model_of_hand.lengths[self.side] * logarithms.exp()
 
     def posed(self, x: Tensor) -> PosedHand:
-        frames, lengths = self.parts(x)
+        frames, lengths = self.split_variables(x)
         wrist = so3.exp(frames[:, _TURN]) @ self.base
         return self.model_of_hand.posed(
-            frames[:, _BENDS], wrist, self.place, self.side, self.sizes(lengths)
+            frames[:, _BENDS], wrist, self.place, self.side, self.bone_lengths(lengths)
         )
 
     def points(self, posed: PosedHand, away: Tensor) -> Float[Tensor, "time 21 3"]:
@@ -188,7 +190,7 @@ class _Fingers(Problem[Tensor]):
 
     def jacobian(self, x: Tensor, posed: PosedHand) -> Float[Tensor, "time 21 3 48"]:
         """Derivative of the points by a frame's variables and by the logarithms of lengths."""
-        frames, lengths = self.parts(x)
+        frames, lengths = self.split_variables(x)
         out = frames.new_zeros(len(frames), _POINTS, 3, _SIZE + _BONES)
         arm = posed.points - self.place[:, None]
         # a change of a rotation vector ω turns the hand by the left Jacobian, the right one of -ω
@@ -197,13 +199,13 @@ class _Fingers(Problem[Tensor]):
         lever = posed.points[:, :, None] - posed.pivots[:, None]
         moved = torch.linalg.cross(posed.axes[:, None].expand_as(lever), lever, dim=-1)
         out[:, 1:, :, _BENDS] = (moved * _MOVES[..., None]).mT
-        stretched = posed.ways * self.sizes(lengths)[:, None]
+        stretched = posed.ways * self.bone_lengths(lengths)[:, None]
         out[:, 1:, :, _SIZE:] = (stretched[:, None] * _BEHIND[..., None]).mT
         return out
 
     def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
         del rows
-        frames, lengths = self.parts(x)
+        frames, lengths = self.split_variables(x)
         posed = self.posed(x)
         jacobian = self.jacobian(x, posed)
         curvature = frames.new_zeros(len(frames), _SIZE + _BONES, _SIZE + _BONES)
@@ -253,7 +255,7 @@ class _Fingers(Problem[Tensor]):
         return torch.linalg.eigvalsh(spread)[..., -1].clamp(min=0).sqrt()
 
     def _terms(self, x: Tensor, posed: PosedHand) -> Float[Tensor, " terms"]:
-        frames, lengths = self.parts(x)
+        frames, lengths = self.split_variables(x)
         points = self.points(posed, frames[:, _AWAY])
         data = points.new_zeros(())
         for view in self.views:

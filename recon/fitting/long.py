@@ -108,7 +108,7 @@ def fit_long(
     whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),
-        windows=tuple(recording.span(row) for row in every),
+        windows=tuple(recording.time_range(row) for row in every),
         failed_windows=tuple(sorted({*apart.failed, *between.failed})),
         reports=(*shapes.reports, *apart.reports, *between.reports),
     )
@@ -166,13 +166,15 @@ class _WindowFitter:
                 [cast(Any, concatenate)(list(part)) for part in parts],
                 partial(stages, batch),
                 self.body,
-                start=stack([self.recording.start(row, shape) for row in batch]),
+                start=stack([self.recording.first_guess(row, shape) for row in batch]),
                 scene=concatenate([self.scene] * len(batch)),
                 weights=self.weights,
                 watch=self._watch(name),
             )
             for k, row in enumerate(batch):
-                motions[row] = result.motion[k].replace(start_time=self.recording.span(row)[0])
+                motions[row] = result.motion[k].replace(
+                    start_time=self.recording.time_range(row)[0]
+                )
             failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
             reports.append(result.reports)
         order = torch.tensor(list(motions)).argsort()

@@ -122,12 +122,12 @@ class LongRecording:
         windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
         return cls(observations, guess[0], windows)
 
-    def span(self, row: int) -> tuple[float, float]:
+    def time_range(self, row: int) -> tuple[float, float]:
         """First and last moment of a window, seconds."""
         start = self.guess.start_time + self.windows.starts[row] / self.guess.fps
         return start, start + (self.windows.frames - 1) / self.guess.fps
 
-    def start(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
+    def first_guess(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
         """A window's first guess; its clock begins at zero."""
         first = self.windows.starts[row]
         motion = self.guess.window(first, first + self.windows.frames)
@@ -135,7 +135,7 @@ class LongRecording:
 
     def observations_of(self, row: int) -> tuple[Sensor, ...]:
         """A window's observations; its clock begins at zero."""
-        start, stop = self.span(row)
+        start, stop = self.time_range(row)
         parts = [observation.window(start, stop) for observation in self.observations]
         return tuple(
             p.derived(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
@@ -156,7 +156,7 @@ class LongRecording:
         self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel
     ) -> OverlapEnergy:
         """The energy that keeps a window near its finished neighbours where they overlap."""
-        (start, stop), like = self.span(row), self.guess.translation
+        (start, stop), like = self.time_range(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
         joints, weight = like.new_zeros(frames, 22, 3), like.new_zeros(frames)

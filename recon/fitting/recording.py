@@ -27,8 +27,8 @@ from recon.fitting.cycles import (
     complete,
     cycle_noise,
     cycle_prior,
-    in_space,
     moments_per_second,
+    observations_in_space,
     on_fast_clock,
     seen_times,
 )
@@ -69,12 +69,12 @@ class WholeRecording:
         """The two default priors, both with the weights of this name.
 
         Raises:
-            WeightsError: when it is neither `open` nor `nc`.
+            WeightsError: when it is not `open`.
         """
         del body
-        if weights not in ("open", "nc"):
+        if weights != "open":
             raise WeightsError(
-                f"weights: two priors complete a recording, expected open or nc for both, got "
+                f"weights: two priors complete a recording, expected open for both, got "
                 f"{weights}; give a file with --prior anchor, or a WholeRecording"
             )
         return cls(weights=weights, cycle_weights=weights)
@@ -99,7 +99,7 @@ def complete_recording(
     Raises:
         ObservationError: when at most one moment shows anything.
     """
-    placed = in_space(observations)
+    placed = observations_in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
             "at most one frame has data, so there is no motion to fit; give two or more"
@@ -119,7 +119,7 @@ def complete_recording(
     gait = (
         _completed_gait(first, prior, options, body, motion) if few and first.ground_known else []
     )
-    told = _stretches(gait, in_space(first.observations), motion, prior)
+    told = _gait_stretches(gait, observations_in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
@@ -145,7 +145,7 @@ def _one_cycle(
     watch: Watch | None,
 ) -> ClipFit | None:
     """The recording as one cycle of gait; None if it lasts longer or its hips do not show one."""
-    seen = in_space(observations)
+    seen = observations_in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
     placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
@@ -190,7 +190,7 @@ def _completed_gait(
     if prior.cycles is None or not (found := find_cycles(motion)):
         return []
     cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
-    seen = in_space(first.observations)
+    seen = observations_in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
     made = [
@@ -199,7 +199,7 @@ def _completed_gait(
     return [own for rows in made if (own := [one for one in rows if one is not None])]
 
 
-def _stretches(
+def _gait_stretches(
     gait: Sequence[Sequence[CompletedCycle]],
     seen: Sequence[Sensor],
     motion: Motion,

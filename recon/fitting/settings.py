@@ -31,12 +31,12 @@ class ReadOptions:
     """Whom to follow where detections or an estimate show several people: number as the message
     lists them, or `all`, each in a file of the folder OUT."""
     detector: str | None = None
-    """Detector of people in films: the file of other landmarks of BlazePose
-    (pose_landmark_heavy.tflite), or a class of your own, package.module:Class. Default: BlazePose
-    with its landmarks `full`."""
+    """Detector of people in films: other landmarks of BlazePose (pose_landmark_heavy.tflite), or a
+    class of your own, package.module:Class. Default: BlazePose with its landmarks `full`."""
+    fingers: bool = False
+    """Find fingers in films, too, which takes half as much time again."""
     detections: str | None = None
-    """Folder in which detections in films are kept, so that what was interrupted goes on; default:
-    beside OUT."""
+    """Folder in which detections in films are kept, to go on from them; default: beside OUT."""
     masks: Path | None = None
     """Silhouettes of the person (folder of images, one per frame, or .npz): keypoints outside
     are taken as occluded."""
@@ -103,8 +103,7 @@ class FitSettings(ReadOptions):
     HuMoR with cycles of gait where little was seen. Or one that another package registered, or
     the class of one of your own, package.module:Class."""
     weights: str = "open"
-    """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
-    file."""
+    """Weights of the prior: `open` or a file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
     itself is moved; default) or `rollout` (a first state and latents are, as published). Or fitted

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from recon.core import limits
-from recon.core.coordinates import along_axis
+from recon.core.coordinates import signed_axis
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, NUMBERS
 from recon.core.units import Up, to_z_up
@@ -320,7 +320,7 @@ def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list
             f"{path}: the body is not upright along any axis, so the up axis is "
             "unknown; give it with --up"
         )
-    up = along_axis(axis, mean[axis])
+    up = signed_axis(axis, mean[axis])
     notes.append(f"{'-' if up.endswith('down') else ''}{up[0]} is up, as the body stands along it")
     return up
 

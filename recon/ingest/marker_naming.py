@@ -20,8 +20,8 @@ from recon.mocap.recording import MarkerRecording
 
 _RATE, _BEGINNINGS = 10.0, 6
 """Frames a second that the body follows, and frames in which it is looked for."""
-_GOOD = 0.1, 1.4
-"""Cost at which it is found, and how that grows by metre of the markers' spread."""
+_GOOD = 0.12, 2.4
+"""Rank at which it is found, and how that grows by metre of the markers' spread."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
 on both sides of the first from which they are found at first."""
@@ -59,7 +59,7 @@ class Naming:
         found, at = self._beginning()
         if found.cost > _NOWHERE:
             return
-        unknown = found.body.spread
+        unknown, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
@@ -75,7 +75,7 @@ class Naming:
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 body = self._calibrated(body, every)
-                table = replace(body, offsets=body.markers.nominal, spread=unknown)
+                table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
                 self._settle()
             body = self._calibrated(body, every)
@@ -86,19 +86,16 @@ class Naming:
         """The body in the key frame that it fits best, and the number of this frame."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
-        best: tuple[FoundBody, int] | None = None
+        found: list[tuple[FoundBody, int]] = []
         for effort in (1, 3):  # unusual poses need a longer search
             for part in parts:
                 at = int(part[counts[part].argmax()])
-                found = found_body(self._points(at)[0], self.bodies, effort)
-                if best is None or found.cost < best[0].cost:
-                    best = found, at
-                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
-                    return best
-            assert best is not None
-            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.spread):
-                return best
-        assert best is not None
+                found.append((found_body(self._points(at)[0], self.bodies, effort), at))
+                if found[-1][0].rank < _GOOD[0] + _GOOD[1] * found[-1][0].body.usual_spread:
+                    return found[-1]
+            best = min(found, key=lambda one: one[0].rank)
+            if best[0].rank < 1.2 * (_GOOD[0] + _GOOD[1] * best[0].body.usual_spread):
+                break
         return best
 
     def _points(self, at: int) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +238,7 @@ def _posed(
 
 
 def _log_odds(
-    away: Float[np.ndarray, "points markers 3"], spread: float
+    away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
     """Log odds of every point being every marker, against lying anywhere in a cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)

@@ -21,7 +21,7 @@ from recon.body.marker_labels import (
 )
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.hands import right_handed
+from recon.core.hands import right_handed_signs
 from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.core.units import Hand
@@ -208,7 +208,7 @@ def right_handed_markers(
     meant = meant_keypoints(markers.labels) if markers.inside else ()
     places = {landmark(name): name for name in landmarks()}
     names = [str(name) for name in meant] or [places.get(one, "") for one in markers.vertices]
-    factors, said = right_handed(names, chosen.positions, chosen.visible, hand)
+    factors, said = right_handed_signs(names, chosen.positions, chosen.visible, hand)
     return replace(
         recording,
         positions=recording.positions * factors,

@@ -11,7 +11,7 @@ from torch import Tensor
 from observations.moments import Tracker, joined_in_time
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.preview import likeliest, loaded_look, with_shape
+from recon.api.preview import likeliest_motion, loaded_look, with_shape
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -125,7 +125,7 @@ def _first_look(
     if any(one.named is None for one in seen):
         return None
     batch: Any = [one[None] for one in seen]
-    motion, found = likeliest(loaded_look("look", "open", body), batch, body)
+    motion, found = likeliest_motion(loaded_look("look", "open", body), batch, body)
     if found.doubt is not None:
         return None
     if shape is not None:

@@ -14,7 +14,7 @@ from observations.moments import (
     with_moment,
     with_points_hidden,
 )
-from recon.api.preview import in_space, likeliest, with_shape
+from recon.api.preview import likeliest_motion, with_shape, with_triangulated_views
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.diagnosis.findings import Finding
 from recon.live.beginning import KnownShape
@@ -97,7 +97,9 @@ class PreviewTracking(TrackedPerson):
         given = [one.derived(start_time=0.0) for one in self.seen]
         told = zip(given, self.noise, strict=True)
         given = [o if n is None or o.view else o.derived(rms_std=n) for o, n in told]
-        motion, found = likeliest(self.look, in_space(one[None] for one in given), self.body)
+        motion, found = likeliest_motion(
+            self.look, with_triangulated_views(one[None] for one in given), self.body
+        )
         self._tell(found.doubt, findings)
         motion = with_shape(motion, self._learned(motion.shape[0]), self.body)[0]
         # one more frame on either side, to compute speeds

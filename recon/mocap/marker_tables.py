@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from recon.core.coordinates import along_axis
+from recon.core.coordinates import signed_axis
 from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TEXT, TIME
 from recon.core.units import AXES, METRES, Axis, Up, parse_unit, snapped_rate, to_z_up
@@ -171,7 +171,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")
         values, custom = values[..., [2, 0, 1]], "z"
         if up is not None:
-            up = along_axis((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
+            up = signed_axis((AXES.index(up[0]) + 1) % 3, -1.0 if up.endswith("down") else 1.0)
     fps, note = _frame_rate(header.get("DataRate", ""), times, name)
     raw = MarkerRecording(
         name=name,

@@ -58,6 +58,7 @@ def load_observation(
     reader: str | None = None,
     seed: int = 0,
     mapping: Path | str | None = None,
+    fingers: bool = False,
 ) -> Sensor | list[Sensor]:
     """Read observations as `recon fit` does: one, or a list where there are several.
 
@@ -89,6 +90,7 @@ def load_observation(
         mapping: JSON or TOML file that says where markers (.c3d, .trc) sit, label = landmark, for
             labels that are not known or mean another place; of markers without names, the table
             of their set, or a recording of the same person and set that has names.
+        fingers: whether fingers are looked for in films, too.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -101,7 +103,7 @@ def load_observation(
         camera_up=camera_up, image_size=image_size,
         camera_track=None if camera_track is None else Path(camera_track), ground=ground,
         depth_scale=depth_scale, reader=reader, seed=seed,
-        mapping=None if mapping is None else Path(mapping),
+        mapping=None if mapping is None else Path(mapping), fingers=fingers,
     )  # fmt: skip
     model = BodyModel.load() if body is None else body
     if geometries := geometries_given(path):

@@ -157,8 +157,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
     del plain["detections"]  # only the folder of detections, which does not change a result
-    for name in ("shape", "detector"):
-        if plain[name] is None:
+    for name in ("shape", "detector", "fingers"):
+        if plain[name] in (None, False):
             del plain[name]  # so that checksums stay those of versions without these options
     contents: dict[str, Any] = {
         "weights": _weights_checksums(settings),

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.coordinates import settled_up, unusual_unit
+from recon.core.coordinates import hint_at_unusual_unit, settled_up
 from recon.core.errors import FormatError, UnitsError
-from recon.core.hands import right_handed
+from recon.core.hands import right_handed_signs
 from recon.core.layouts import JOINT, keypoint_names
 from recon.core.units import METRES, Hand, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
@@ -76,7 +76,7 @@ def settled(
     up, up_reason = _up_axis(known.names, positions, visible, up, known.name)
     names = known.names
     positions = positions @ (to_z_up(up).T * metres)
-    factors, mirrored = right_handed(names, positions, visible, hand)
+    factors, mirrored = right_handed_signs(names, positions, visible, hand)
     positions *= factors
     placed = not _is_root_relative(names, positions, visible)
     level = not up.endswith("down")
@@ -184,7 +184,7 @@ def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tup
         raise UnitsError(
             f"{name}: the points are {found.size:.3g} times as far from each other as those of an "
             "average person in metres, which no person is in m, cm or mm"
-            f"{unusual_unit(_STATURE * found.size)}; scale them to metres, or give --unit"
+            f"{hint_at_unusual_unit(_STATURE * found.size)}; scale them to metres, or give --unit"
         )
     size = found.size * METRES[unit or fitting[0]]
     if unit is None:

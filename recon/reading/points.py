@@ -19,7 +19,7 @@ from recon.body.model import BodyModel
 from recon.core.arrays import finite_median
 from recon.core.coordinates import corrected_up
 from recon.core.errors import FormatError, ObservationError, UnitsError
-from recon.core.hands import right_handed
+from recon.core.hands import right_handed_signs
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.residuals import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
@@ -110,7 +110,7 @@ def points_settled(
     _check_size(positions, file.visible, rest, path, unit_given=unit is not None)
     matched, _ = match_markers(file.names) if file.kind == "markers3d" else ({}, ())
     names = [matched.get(name, name) for name in file.names]
-    factors, mirrored = right_handed(names, positions, file.visible, hand)
+    factors, mirrored = right_handed_signs(names, positions, file.visible, hand)
     fingers = file.fingers
     if fingers is not None:
         moved = fingers[..., :3] @ turn.T * metres * factors

@@ -32,7 +32,7 @@ def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
 
         return read_film(
             path, frame_rate=how.frame_rate, layout=how.layout, detector=how.detector,
-            kept=None if how.detections is None else Path(how.detections),
+            fingers=how.fingers, kept=None if how.detections is None else Path(how.detections),
         )  # fmt: skip
     found = read_keypoints(path, layout=how.layout) if path.suffix.lower() == ".npz" else None
     return None if found is None or found.image_size is None else found

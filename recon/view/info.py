@@ -10,7 +10,7 @@ import numpy as np
 from recon.body.marker_labels import match_markers
 from recon.body.model import BodyModel
 from recon.core.coordinates import notes_on_missing_path
-from recon.core.hands import right_handed
+from recon.core.hands import right_handed_signs
 from recon.core.motion import MotionFile
 from recon.core.units import Hand, Unit, Up
 from recon.formats import producers
@@ -244,7 +244,7 @@ def _describe_recording(path: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(recording, MarkerRecording):
         matched, _ = match_markers(names)
         places = [matched.get(name, "") for name in names]
-        _, said = right_handed(places, recording.positions, recording.visible, axes["hand"])
+        _, said = right_handed_signs(places, recording.positions, recording.visible, axes["hand"])
         facts["decisions"] += said
         facts["missing"] = float(1 - np.mean(recording.visible))
     else:

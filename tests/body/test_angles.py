@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from recon.body.angles import ISB_ANGLES, isb_angles, isb_slopes
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.body.opensim import about_axes, opensim_coordinates
+from recon.body.opensim import angles_about_axes, opensim_coordinates
 from recon.body.segments import cardan, elevation_angles
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -168,10 +168,10 @@ def test_two_axes_follow_a_rotation_as_well_as_they_can():
         )
 
     exact = np.stack([turn(q).as_matrix() for q in wanted])
-    errors = np.mod(about_axes(exact, axes) - wanted + np.pi, 2 * np.pi) - np.pi
+    errors = np.mod(angles_about_axes(exact, axes) - wanted + np.pi, 2 * np.pi) - np.pi
     assert np.abs(errors).max() < 1e-5  # the axes are given to six digits
     off = Rotation.from_rotvec(generator.normal(0, 0.15, (40, 3))).as_matrix() @ exact
-    found = about_axes(off, axes)
+    found = angles_about_axes(off, axes)
     for r, q, start in zip(off, found, wanted, strict=True):
         best = minimize(lambda x, r=r: np.square(turn(x).as_matrix() - r).sum(), start)
         reached = np.square(turn(q).as_matrix() - r).sum()

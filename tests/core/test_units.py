@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from recon.core.coordinates import (
-    along_body,
     corrected_up,
     decide_up,
     reason_for_declared_unit,
     settled_up,
     unit_from_bones,
     unit_from_markers,
+    vectors_up_body,
 )
 from recon.core.units import (
     METRES,
@@ -111,7 +111,7 @@ def test_head_and_feet_are_found_among_the_names_of_many_systems() -> None:
     ]  # fmt: skip
     positions = np.array([[[0.0, 1.6, 0.0], [0.0, 0.1, 0.0]]])
     for names in systems:
-        rise = along_body(names, positions, np.ones((1, 2), dtype=bool))
+        rise = vectors_up_body(names, positions, np.ones((1, 2), dtype=bool))
         assert len(rise) == 1, names
         assert np.allclose(rise.mean(0), [0, 1.5, 0]), names
 
@@ -130,7 +130,7 @@ def dancer(raised: bool) -> tuple[list[str], np.ndarray, np.ndarray]:
 def test_a_raised_foot_whose_fellow_is_hidden_tells_nothing_of_the_up_axis() -> None:
     """The vector from it to the head told that the person stands along x: the file was refused."""
     names, positions, visible = dancer(raised=True)
-    rise = along_body(names, positions, visible)
+    rise = vectors_up_body(names, positions, visible)
     assert len(rise) == 1
     assert decide_up(rise.mean(0), "z", "clip")[0] == "z"
     assert corrected_up("z", names, positions, visible) is None

@@ -316,7 +316,7 @@ def test_the_user_names_bones(tmp_path):
     told.write_text("\n".join(lines), encoding="utf-8")
     found = Character.read(made, told).bones
     assert found.by_tree == ()
-    assert found.told([str(names[j]) for j in JOINTS])["head"] == "Schädel"
+    assert found.names_by_joint([str(names[j]) for j in JOINTS])["head"] == "Schädel"
     told.write_text('left_knee = "nothing"')
     with pytest.raises(ReconError, match="no node of the character has this name"):
         Character.read(made, told)

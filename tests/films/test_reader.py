@@ -223,4 +223,4 @@ def test_the_model_files_are_those_of_the_readme():
     assert {name: hashlib.sha256(one).hexdigest() for name, one in files.items()} == (
         script.checksums()
     )
-    assert len(files) == len(script.PLACES) == 2
+    assert len(files) == len(script.PLACES) == 4

@@ -12,7 +12,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import recon
-from recon.core.bone_names import renamed
+from recon.core.bone_names import joint_names_in
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.live.links import LiveLink, VmcLink
 from recon.live.tracking import LiveEstimate
@@ -22,8 +22,8 @@ Pose = dict[str, list[float]]
 FROM_UNITY = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 FROM_UNREAL = np.diag([1.0, -1.0, 1.0]) / 100
 TREES: dict[type, tuple[str, ...]] = {
-    VmcLink: tuple(bone[0].upper() + bone[1:] for bone in renamed(JOINTS, "vrm")),
-    LiveLink: renamed(JOINTS, "unreal"),
+    VmcLink: tuple(bone[0].upper() + bone[1:] for bone in joint_names_in(JOINTS, "vrm")),
+    LiveLink: joint_names_in(JOINTS, "unreal"),
 }
 
 

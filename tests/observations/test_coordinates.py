@@ -15,7 +15,7 @@ from recon.core import rotations as so3
 from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.coordinates import settled_up, unit_of_path
 from recon.core.errors import ObservationError, UnitsError
-from recon.core.hands import facing_agreement, right_handed
+from recon.core.hands import facing_agreement, right_handed_signs
 from recon.core.layouts import keypoint_names
 from recon.core.skeleton import FEET, JOINTS
 from recon.core.units import METRES, Up, to_z_up
@@ -173,7 +173,7 @@ def test_no_laboratory_is_mirrored_but_one(data) -> None:
         assert isinstance(recording, MarkerRecording)
         places, _ = match_markers(recording.marker_names)
         names = [places.get(name, "") for name in recording.marker_names]
-        if right_handed(names, recording.positions, recording.visible)[1]:
+        if right_handed_signs(names, recording.positions, recording.visible)[1]:
             told.append(path.name)
     assert len(paths) > 50
     assert told == ["walk1.trc"]

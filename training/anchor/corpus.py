@@ -97,8 +97,8 @@ class CycleCorpus(TensorStruct):
                 cycles.append(cycle)
                 clips.append(name)
         if len(rows) == 0:
-            raise ValueError(f"{settings.corpus}: no {part} cycle of gait there ({settings.data})")
-        LOG.info("%d %s cycles (%s)", len(rows), part, settings.data)
+            raise ValueError(f"{settings.corpus}: no {part} cycle of gait there")
+        LOG.info("%d %s cycles", len(rows), part)
         columns, translation, shape = (torch.stack(x) for x in zip(*rows, strict=True))
         return cls(
             columns=columns,

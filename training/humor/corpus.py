@@ -135,9 +135,7 @@ class Corpus(TensorStruct):
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
-            raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches {lesson} ({settings.data})"
-            )
+            raise ValueError(f"{settings.corpus}: no {part} clip there teaches {lesson}")
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)
         count = torch.tensor([c.motion.frames for c in clips])

@@ -105,9 +105,7 @@ class BodyCorpus(TensorStruct):
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
-            raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
-            )
+            raise ValueError(f"{settings.corpus}: no {part} clip there teaches steps")
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
         LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / FPS / 60)

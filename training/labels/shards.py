@@ -204,7 +204,7 @@ class Source:
         """
         body, clips = BodyModel.load(), settings.load_clips(part)
         if len(clips) == 0:
-            raise ValueError(f"{settings.corpus}: no {part} clip there ({settings.data})")
+            raise ValueError(f"{settings.corpus}: no {part} clip there")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
         return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
 

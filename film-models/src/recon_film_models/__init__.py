@@ -1,6 +1,6 @@
-"""Model files of MediaPipe's BlazePose, for the detector of `motion-recon`."""
+"""Model files of MediaPipe, for the detectors of people and hands of `motion-recon`."""
 
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-"""Where the files are: `pose_detection.tflite` and `pose_landmark_full.tflite`."""
+"""Where the files are."""
