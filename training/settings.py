@@ -158,7 +158,7 @@ def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | No
         )
     names = [name for name in (own | found) if not _same_setting(own.get(name), found.get(name))]
     if len(names) > 0:
-        said = [_difference(name, found.get(name), own.get(name)) for name in names]
+        said = [_difference_in_words(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
             f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
             "and files of that run"
@@ -176,7 +176,7 @@ def _same_setting(here: Any, there: Any) -> bool:
     return here == there
 
 
-def _difference(name: str, there: Any, here: Any) -> str:
+def _difference_in_words(name: str, there: Any, here: Any) -> str:
     if any(isinstance(value, str) and value.startswith(_CONTENTS) for value in (there, here)):
         return f"{name} (its contents differ)"
     return f"{name} ({there} there, {here} here)"

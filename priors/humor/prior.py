@@ -138,7 +138,7 @@ class Humor(Prior[HumorVariables]):
         own = self.body.template
         if own.dtype == tensor.dtype and own.device == tensor.device:
             return self
-        return _cast(self, tensor.device, tensor.dtype)
+        return _converted_prior(self, tensor.device, tensor.dtype)
 
     def encode(self, motion: Motion) -> HumorVariables:
         """First state and posterior means of a motion, which is brought to 30 Hz.
@@ -178,7 +178,7 @@ class Humor(Prior[HumorVariables]):
 
 
 @lru_cache(maxsize=8)
-def _cast(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
+def _converted_prior(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
     return humor.to(device=device, dtype=dtype)
 
 

@@ -191,7 +191,7 @@ class HumosWeights:
 
     @property
     def shape(self) -> int:
-        """Coefficients of the bodies."""
+        """Number of shape coefficients of the bodies that the networks know."""
         return self.networks.decoder.body.in_features
 
 

@@ -46,10 +46,10 @@ class MarkedBody:
     @cached_property
     def skin(self) -> SkinPoints:
         """The markers as points of the body."""
-        return self._still.markers
+        return self._energies_without_markers.markers
 
     @cached_property
-    def _still(self) -> PoseEnergies:
+    def _energies_without_markers(self) -> PoseEnergies:
         """Energies of one frame in which no marker is seen."""
         count = len(self.markers.labels)
         nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
@@ -61,11 +61,11 @@ class MarkedBody:
         return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
-        """Poses of this body."""
-        return Poses.of(translation, rotations, self._still.rest)
+        """Poses of this body from translations and joint rotations."""
+        return Poses.of(translation, rotations, self._energies_without_markers.rest)
 
     def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
-        """Where the markers are, metres."""
+        """Positions of the markers in some poses, metres."""
         return self.skin.places(poses).mT.double().numpy()
 
     def energies(
@@ -80,7 +80,7 @@ class MarkedBody:
         weight = torch.from_numpy((self.usual_spread / self.spread) ** 2).float()
         pull = (self.usual_spread / _JOINT_SPREAD) ** 2
         return replace(
-            self._still,
+            self._energies_without_markers,
             positions=torch.from_numpy(positions).float().mT.contiguous(),
             visible=torch.from_numpy(visible).float() * weight,
             linked=torch.zeros(len(visible) - 1, dtype=torch.bool),

@@ -73,7 +73,7 @@ def found_body(
     shape, middle = turned.shape[:3], np.median(points, 0)
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True) + middle
-    rough = _chamfer(flat, points)
+    rough = _chamfer_distances(flat, points)
     likely = np.argsort(rough)[: _NEAR * effort]
     costs = np.array([assigned(one, points, _REACH[0])[1] for one in flat[likely]])
     best: FoundBody | None = None
@@ -87,7 +87,7 @@ def found_body(
         start = body.posed(torch.zeros(len(rows), 3), turns)
         rests = body.places(start)
         shift = torch.tensor((flat[chosen[rows]] - rests).mean(1)).float()
-        for found in _fitted(body, body.posed(shift, turns), points):
+        for found in _fits_of_poses(body, body.posed(shift, turns), points):
             if best is None or found.rank < best.rank:
                 best = found
     assert best is not None
@@ -108,7 +108,7 @@ def _one_body(
     return points[among], among
 
 
-def _fitted(
+def _fits_of_poses(
     body: MarkedBody, state: Poses, points: Float[np.ndarray, "points 3"]
 ) -> list[FoundBody]:
     """Poses of one body fitted to the points, and how well each fits."""
@@ -144,7 +144,7 @@ def assigned(
     return marker, float(capped[rows, columns].sum() / fewer)
 
 
-def _chamfer(
+def _chamfer_distances(
     places: Float[np.ndarray, "poses markers 3"], points: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, " poses"]:
     """Mean squared distances from places to the nearest points and back, capped."""
