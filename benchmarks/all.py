@@ -18,8 +18,8 @@ from pathlib import Path
 _CLOUDS = ("clouds", "CORPUS", "--part", "test", "--cases")
 _MIXED = ("depth, sensor unknown", "2D", "2D + depth", "joints", "joints + depth")
 COMMANDS: dict[str, tuple[str, ...]] = {
-    "humor": ("humor", "CORPUS", "--nc", "weights-nc/humor.safetensors"),
-    "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", "weights-nc/humor.safetensors"),
+    "humor": ("humor", "CORPUS"),
+    "cameras": ("cameras", "CORPUS", "--only", "24"),
     "two": ("two", "CORPUS"),
     "coordinates": ("coordinates", "CORPUS"),
     "depth": (*_CLOUDS, "depth"),
@@ -29,13 +29,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "films_rendered": ("films", "rendered", "CORPUS", "--films", "FILMS"),
     "real": ("real", "OBSERVATIONS"),
     "strangers": ("strangers", "CORPUS", "FOLDS"),
-    "generation": ("generation", "CORPUS", "--weights", "open", "nc"),
+    "generation": ("generation", "CORPUS"),
     "uncertainty": ("uncertainty", "CORPUS"),
     "slips": ("slips", "CORPUS", "OBSERVATIONS", "--good", "300"),
     "refine": ("refine", "CORPUS"),
     "recordings": ("complete", "CORPUS", "--part", "validation", "--parts", "recordings"),
-    "completion": ("complete", "CORPUS", "--parts", "cycles", "--weights", "nc", "open"),
-    "retarget": ("retarget", "CORPUS", "--licence", "nc", "--weights", "open", "nc"),
+    "completion": ("complete", "CORPUS", "--parts", "cycles"),
+    "retarget": ("retarget", "CORPUS", "--weights", "open"),
     "speed": ("speed", "CORPUS"),
     "forces": ("forces", "OBSERVATIONS"),
 }  # fmt: skip

@@ -15,7 +15,6 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -72,13 +71,10 @@ def main() -> None:
     """Film, fit, print and write."""
     arguments = over_windows(__doc__)
     arguments.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
-    arguments.add_argument("--nc", type=Path, default=None, help="weights of HuMoR, a row more")
     given = arguments.parse_args()
     body = BodyModel.load()
     windows = listed_windows(given, body, FRAMES)
     methods: dict[str, dict[str, Any]] = {POSE: {"prior": "pose"}, HUMOR: {}}
-    if given.nc is not None:
-        methods["collocation, nc"] = {"weights": str(given.nc)}
     found: dict[str, dict[str, list[Row]]] = {}
     for case in given.cases:
         found[case] = {

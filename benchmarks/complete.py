@@ -1,7 +1,7 @@
 """Completing sparse scans with `recon.complete`: whole recordings, and cycles of gait.
 
     python -m benchmarks.complete CORPUS --part validation --parts recordings --out FOLDER
-    python -m benchmarks.complete CORPUS --parts cycles --weights nc open --each 3 --out FOLDER
+    python -m benchmarks.complete CORPUS --parts cycles --weights open --each 3 --out FOLDER
 
 Bodies nobody has, in clothes, are scanned (`benchmarks.scans`). Recordings are clips of held-out
 people, at most ten seconds of each: gait, and whatever else they do. Cases are scans a second

@@ -1,7 +1,7 @@
 """New motions, after HuMoR's Table 1: prediction, diversity, and who stays on its feet.
 
     python -m benchmarks.generation CORPUS --out FOLDER
-    python -m benchmarks.generation CORPUS --weights open nc --samples 50 --out FOLDER
+    python -m benchmarks.generation CORPUS --weights open --samples 50 --out FOLDER
 
 `recon.predict` goes on from the first frame of every listed window, 50 times for 5 s. The first
 2 s are compared with the window; APD is over the whole 5 s of the samples that stay on their feet.
@@ -58,7 +58,7 @@ class Joints:
 def main() -> None:
     """Predict, sample, compare and write."""
     arguments = over_windows(__doc__)
-    arguments.add_argument("--weights", nargs="+", default=["open"], help="open, nc or files")
+    arguments.add_argument("--weights", nargs="+", default=["open"], help="open or files")
     arguments.add_argument("--samples", type=int, default=50)
     given = arguments.parse_args()
     body = recon.BodyModel.load()

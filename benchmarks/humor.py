@@ -2,7 +2,6 @@
 
     python -m benchmarks.humor CORPUS --out FOLDER
     python -m benchmarks.humor CORPUS --part validation --only 6
-    python -m benchmarks.humor CORPUS --nc weights-nc/humor.safetensors --out FOLDER
 
 The protocols are those of `recon.bench` (docs/bench.md) on all listed windows, those of people
 whose recordings are not free for commercial use with them. Smoothers and the pose prior stand
@@ -11,7 +10,6 @@ the windows by what the description of each recording says is done in it.
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import recon
 from benchmarks.protocol import (
@@ -26,9 +24,7 @@ from benchmarks.protocol import (
 )
 from recon.benchmark.dataset import clip_files
 from recon.benchmark.methods import BenchMethod, method_named
-from recon.benchmark.protocols import noise_of, sensor_of
 from recon.benchmark.table import BenchTable, mean_with_interval, paired_difference
-from recon.formats.observations import PositionsFile
 from training.humor.corpus import OTHER, described_action, kind_of
 
 PROTOCOLS = {
@@ -71,7 +67,6 @@ MAIN = {"noisy-joints": "joints_all", "hidden-points": "observed_hidden"}
 def main() -> None:
     """Fit all windows in all protocols, print and write."""
     arguments = over_windows(__doc__)
-    arguments.add_argument("--nc", type=Path, default=None, help="weights of HuMoR, a row more")
     arguments.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
     given = arguments.parse_args()
     body = recon.BodyModel.load()
@@ -83,8 +78,6 @@ def main() -> None:
             POSE: method_named("pose", body),
             HUMOR: method_named("collocation", body),
         }
-        if given.nc is not None:
-            methods["collocation, nc weights"] = under_weights(given.nc)
         found[name] = recon.bench(
             PROTOCOLS[name], methods, given.corpus,
             part=given.part, splits=given.splits, only=given.only,
@@ -96,17 +89,6 @@ def main() -> None:
     if MAIN.keys() <= found.keys():
         tables["kinds"] = kinds(found, {clip: described_action(files[clip]) for clip in clips})
     tell_of(given, 0, tables, [files[clip] for clip in clips])
-
-
-def under_weights(weights: Path) -> BenchMethod:
-    """`recon.fit` under weights of a file."""
-
-    def fitted(seen: PositionsFile) -> recon.Motion:
-        noise = noise_of(seen)
-        sensor = sensor_of(seen)
-        return recon.fit(sensor, weights=str(weights), noise=noise if noise > 0 else None).motion
-
-    return fitted
 
 
 def means(found: BenchTable, metrics: Metrics) -> Table:

@@ -79,7 +79,7 @@ def load_list(path: Path = LIST) -> tuple[HiddenMarkers, ...]:
 def main() -> None:
     """Hide, fit, print and write."""
     arguments = parser(__doc__, "observations")
-    arguments.add_argument("--weights", default="open", help="of HuMoR: open, nc or a file")
+    arguments.add_argument("--weights", default="open", help="of HuMoR: open or a file")
     arguments.add_argument("--only", nargs="*", default=[""], help="paths that hold one of these")
     given = arguments.parse_args()
     body, errors = BodyModel.load(), dict[HiddenMarkers, Mapping[str, float]]()

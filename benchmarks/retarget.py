@@ -1,6 +1,6 @@
 """Retargeting to other bodies: physics of what `recon.retarget` makes, and of plain copies.
 
-    python -m benchmarks.retarget CORPUS --licence nc --weights open nc --out FOLDER
+    python -m benchmarks.retarget CORPUS --weights open --out FOLDER
 
 Clips, windows and target bodies are those of `benchmarks/identities.toml`. The five numbers of
 HUMOS are as released, the others as in docs/physics.md. Slip is measured while the source's
@@ -27,7 +27,6 @@ from recon.benchmark.dataset import Part, Splits, clip_files
 from recon.body.motion_files import with_equal_pelvis_path, with_shape
 from recon.core.struct import concatenate
 from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, physics_samples
-from training.settings import Licence
 
 IDENTITIES = Path(__file__).parent / "identities.toml"
 SEED, FPS = 2024, 20.0
@@ -75,13 +74,11 @@ class Job:
 def main() -> None:
     """Retarget, measure, print and write."""
     arguments = over_windows(__doc__)
-    arguments.add_argument("--licence", choices=("open", "nc"), default="open",
-                           help="of the source clips")  # fmt: skip
-    arguments.add_argument("--weights", nargs="*", default=[], help="of networks: open, nc, files")
+    arguments.add_argument("--weights", nargs="*", default=[], help="of networks: open, files")
     given = arguments.parse_args()
     torch.set_num_threads(1)
     body, splits = BodyModel.load(), Splits.load(given.splits)
-    jobs = load_jobs(given.corpus, splits, given.part, given.licence, body)[: given.only]
+    jobs = load_jobs(given.corpus, splits, given.part, body)[: given.only]
     methods = METHODS | {f"{own} weights": network(own) for own in given.weights}
     samples = {name: [measured(method, job, body) for job in jobs]
                for name, method in methods.items()}  # fmt: skip
@@ -96,9 +93,8 @@ def network(weights: str) -> Retargeter:
 
 
 def load_jobs(
-    corpus: Path, splits: Splits, part: Part, licence: Licence, body: BodyModel,
-    table: Path = IDENTITIES,
-) -> list[Job]:  # fmt: skip
+    corpus: Path, splits: Splits, part: Part, body: BodyModel, table: Path = IDENTITIES
+) -> list[Job]:
     """All clips that the table lists for a part.
 
     Raises:
@@ -109,8 +105,6 @@ def load_jobs(
     files = clip_files(corpus)
     jobs: list[Job] = []
     for clip, start, frames, target in listed[part]:
-        if licence == "open" and not splits.is_open(clip):
-            continue
         if clip not in files:
             raise FileNotFoundError(f"{corpus}: no clip {clip}, which {table.name} lists")
         motion = recon.load_motion(files[clip]).motion.resample(FPS).window(start, start + frames)
@@ -126,7 +120,7 @@ def load_jobs(
             )
         )
     if len(jobs) == 0:
-        raise ValueError(f"{table.name} lists no {licence} clips of the {part} part")
+        raise ValueError(f"{table.name} lists no clips of the {part} part")
     return jobs
 
 

@@ -21,7 +21,7 @@ _MARKER = re.compile(r"<!-- (?:table|end) [\w-]+ -->")
 
 def documents() -> list[Path]:
     """README.md, the pages of docs/ and the cards of the weights."""
-    cards = [*ROOT.glob("priors/weights/*.md"), *ROOT.glob("weights-nc/*.md")]
+    cards = ROOT.glob("priors/weights/*.md")
     return [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md")), *sorted(cards)]
 
 

@@ -87,10 +87,7 @@ class EstimatedPoints(Markers3D):
     ground_known: bool = False
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
-        """The noise of a typical sensor.
-
-        The energy has its own covariances, so none is estimated.
-        """
+        """The usual noise as a placeholder, since the energy has covariances of its own."""
         del guess, body, given
         return Noise(_SCALE, _SCALE)
 

@@ -76,7 +76,7 @@ def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
 
 
 def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations, with labels added to clouds.
+    """The observations; clouds get body part labels unless they are fitted beside named points.
 
     Where another sensor has named 3D points no labels are added: named points determine the
     posture better.

@@ -91,7 +91,7 @@ class Discs(TensorStruct):
 
 
 @dataclass(frozen=True)
-class _Posed:
+class _PointsBesideDiscs:
     """Points beside their posed discs: e from the middle, h along the normal n."""
 
     unposed: Float[Tensor, "*batch moments 3 points"]
@@ -111,7 +111,9 @@ class _Posed:
     """d² = h² + q² |e - h n|²."""
 
     @classmethod
-    def of(cls, points: Tensor, discs: Discs, bones: Tensor, unposed: Tensor) -> "_Posed":
+    def of(
+        cls, points: Tensor, discs: Discs, bones: Tensor, unposed: Tensor
+    ) -> "_PointsBesideDiscs":
         maps = (bones.flatten(-2).mT @ discs.weights).unflatten(-2, (4, 3))
         turns = maps[..., :3, :, :]
         placed = (unposed[..., None, :] * turns).sum(-3) + maps[..., 3, :, :]
@@ -131,12 +133,12 @@ class _Posed:
         return level * self.normals + self.beyond[..., None, :] * self.offsets
 
 
-class _Squared(torch.autograd.Function):
+class _SquaredDistances(torch.autograd.Function):
     """Squared distances of points from their discs, metres²."""
 
     @staticmethod
     def forward(ctx: Any, bones: Tensor, unposed: Tensor, points: Tensor, discs: Discs) -> Tensor:
-        ctx.found, ctx.discs = _Posed.of(points, discs, bones, unposed), discs
+        ctx.found, ctx.discs = _PointsBesideDiscs.of(points, discs, bones, unposed), discs
         return ctx.found.squared
 
     @staticmethod
@@ -220,7 +222,7 @@ class MatchedCloud(TensorStruct):
     ) -> tuple[Float[Tensor, "*batch covered points"], "MatchedCloud"]:
         """Squared distances at the moments that an estimate covers, metres², and their cloud."""
         covered, bones, unposed = self._carried(estimate)
-        squared = _Squared.apply(bones, unposed, covered.points, covered.discs)
+        squared = _SquaredDistances.apply(bones, unposed, covered.points, covered.discs)
         return squared.where(covered.present, 0.0), covered
 
     def _carried(
@@ -270,7 +272,7 @@ class MatchedCloud(TensorStruct):
         motion, scene = model.motion, model.estimate.scene[model.clip]
         estimate = Estimate(Decoded(motion), model.body.pose(motion), scene)
         one, bones, unposed = self[model.clip]._carried(estimate)
-        discs, found = one.discs, _Posed.of(one.points, one.discs, bones, unposed)
+        discs, found = one.discs, _PointsBesideDiscs.of(one.points, one.discs, bones, unposed)
         with torch.enable_grad():
             squared = found.squared.where(one.present, 0.0).requires_grad_()
             (slope,) = torch.autograd.grad(one._energy(squared), squared)

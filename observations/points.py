@@ -219,7 +219,7 @@ class TrackedPoints(PointsOfBody):
     def weights(
         self,
     ) -> Float[Tensor, "*batch moments points"] | Bool[Tensor, "*b moments points"]:
-        """Weights: `rms_std` over each point's standard deviation.
+        """Weight of each point: `rms_std` divided by the point's standard deviation.
 
         Zero where it was not visible.
         """
@@ -257,7 +257,7 @@ class TrackedPoints(PointsOfBody):
         return (self.positions - points).norm(dim=-1)
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """The standard deviation of a coordinate.
+        """The standard deviation of a coordinate, metres: given, or estimated from the data.
 
         It is the one that is given, or the root mean square of those of the points, or estimated
         from the points' paths.

@@ -102,19 +102,18 @@ def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
 
 
 def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
-    """Load weights by name: `open` (in the package), `nc` (in a source checkout), or a path.
+    """Load weights by name: `open` (in the package), or a path.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or holds the weights of something else.
     """
-    path = weights_path(name, kind)
-    if name == "nc" and not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: the nc weights are not part of the package; take "
-            f"weights-nc/{path.name} from the source repository and give its path"
+    if name == "nc":
+        raise WeightsError(
+            "weights 'nc': versions up to 0.2.0 had these; expected open, whose fits are as "
+            "accurate (docs/results.md), or the path of a file of weights"
         )
-    return load_checkpoint(path, kind)
+    return load_checkpoint(weights_path(name, kind), kind)
 
 
 def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
@@ -169,15 +168,10 @@ FIRST = "pose"
 
 
 def weights_path(name: str | Path, kind: str) -> Path:
-    """The weights file of a prior, of the set `open` or `nc`; any other name is a path.
-
-    The `nc` weights lie in a source checkout and not in the package, since their licence
-    (CC BY-NC 4.0) is another.
-    """
-    if name not in ("open", "nc"):
+    """The weights file of a prior in the package for `open`; any other name is a path."""
+    if name != "open":
         return Path(name)
     found = find_spec("priors")
     assert found is not None  # both packages are installed together
     assert found.origin is not None
-    package, file = Path(found.origin).parent, f"{kind}.safetensors"
-    return package / "weights" / file if name == "open" else package.parent / "weights-nc" / file
+    return Path(found.origin).parent / "weights" / f"{kind}.safetensors"

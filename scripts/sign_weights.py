@@ -1,6 +1,6 @@
 """Adds the checksum to weights files that have none; the tensors stay as they are, bit for bit.
 
-    python -m scripts.sign_weights priors/weights/*.safetensors weights-nc/*.safetensors
+    python -m scripts.sign_weights priors/weights/*.safetensors
 
 Files that have a checksum are only checked.
 """

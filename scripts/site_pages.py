@@ -21,7 +21,6 @@ def places() -> dict[str, str]:
     """Pages in the site of the repository's files that are not in docs/."""
     cards = {
         **{f"priors/weights/{p.name}": f"cards/{p.name}" for p in _sorted("priors/weights/*.md")},
-        **{f"weights-nc/{p.name}": f"cards/nc-{p.name}" for p in _sorted("weights-nc/*.md")},
     }
     examples = {f"examples/{p.name}": f"examples/{p.stem}.md" for p in _sorted("examples/*.py")}
     own = {

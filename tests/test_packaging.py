@@ -53,12 +53,9 @@ def _sources() -> set[str]:
     }
 
 
-def test_the_source_distribution_holds_no_weights_under_another_licence(sdist):
-    """It held weights under CC BY-NC while its metadata says MIT."""
+def test_the_source_distribution_holds_every_source(sdist):
     names = {name.partition("/")[2] for name in sdist.getnames()}
-    assert not [name for name in names if "weights-nc" in name]
     assert {"LICENSE", "NOTICE", "pyproject.toml", *_sources()} <= names
-    assert (ROOT / "weights-nc" / "humor.safetensors").is_file()
 
 
 def test_an_installation_asks_for_nothing_that_only_tests_use(sdist):
@@ -112,9 +109,7 @@ def test_what_is_cited_is_what_is_built_on():
     assert "EIA-0196217" in text
 
 
-CARDS = [
-    path for place in ("priors/weights", "weights-nc") for path in (ROOT / place).glob("*.md")
-]
+CARDS = [*(ROOT / "priors/weights").glob("*.md")]
 
 
 @pytest.mark.parametrize(

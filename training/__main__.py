@@ -44,7 +44,6 @@ def train(
     prior: Positional[Literal["pose", "humor", "anchor", "humos", "labels", "look"]],
     corpus: Positional[Path],
     out: Path,
-    data: Literal["open", "nc"] = "open",
     steps: int | None = None,
     latent: int | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
@@ -65,8 +64,6 @@ def train(
         prior: which one.
         corpus: folder that `recon convert --all` wrote.
         out: weights to write (.safetensors); logs and checkpoints are kept beside them.
-        data: `open` learns from clips whose weights may be shipped, `nc` also from those under a
-            non-commercial licence.
         steps: of the optimiser; for `humos` of its second part, from body to body. Default:
             20,000 for `humor`; 1,200 for `humos`, after 1,500 of its auto-encoder; 12,000 for
             `labels`; 20,000 for `look`.
@@ -93,14 +90,14 @@ def train(
     from recon.formats.writing import writing, writing_file
     from training.run import LOG, logged_to
 
-    report = {"prior": prior, "corpus": str(corpus), "data": data, "seed": seed, **asked}
+    report = {"prior": prior, "corpus": str(corpus), "seed": seed, **asked}
     report["versions"] = versions()
     module, _, name = {**_IN_STEPS, **_AT_ONCE}[prior].partition(":")
     kind = import_module(module)
     if prior != "pose":
         asked["seed"] = seed
     if prior in _AT_ONCE:
-        settings = getattr(kind, name)(corpus=corpus, out=out, data=data, **asked)
+        settings = getattr(kind, name)(corpus=corpus, out=out, **asked)
         outputs = _outputs_of_run(out, {"prior": prior})
         with (
             writing(*outputs, report=report, overwrite=overwrite) as (made, log),
@@ -112,7 +109,7 @@ def train(
     else:
         if prior in ("humor", "look"):
             asked["device"] = device
-        settings = getattr(kind, name)(corpus, out.with_suffix(""), data=data, **asked)
+        settings = getattr(kind, name)(corpus, out.with_suffix(""), **asked)
         kind.train(settings)
         with writing_file(out, report, overwrite=overwrite) as made:
             kind.export_weights(settings, made)

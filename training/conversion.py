@@ -126,7 +126,7 @@ def convert_others(
             **found.report,
             "flat": True,
             "contacts": contacts,
-            "residuals": _residuals(found),
+            "residuals": _residuals_by_second(found),
             "decisions": found.decisions,
             "key": key,
             "checksum": file_checksum(path),
@@ -160,7 +160,7 @@ def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Mak
     return converted
 
 
-def _residuals(found: Conversion) -> list[float]:
+def _residuals_by_second(found: Conversion) -> list[float]:
     """Mean distance of the markers from their places in every second, metres."""
     return [
         float(one.value)

@@ -120,10 +120,10 @@ def _reasons_by_second(
     """Reasons against training on each second, as words of `_SPOILS`."""
     motion = file.motion
     step = max(1, round(motion.fps / _RATE))
-    movement = Movement.of(_thinned(motion, step), body)
+    movement = Movement.of(_every_nth_frame(motion, step), body)
     slide, near = foot_slide(movement)
     raised = _off_ground(movement)
-    fast = _jumps(file, 1.0 if source.true_rate else _HURRY)
+    fast = _implausible_steps(file, 1.0 if source.true_rate else _HURRY)
     unseen = np.zeros(motion.frames, dtype=bool)
     if file.observed is not None:
         unseen = ~file.observed[:, list(_TRUNK_AND_LIMBS)].all(-1).numpy()
@@ -158,7 +158,7 @@ def _reasons_by_second(
     return found
 
 
-def _thinned(motion: Motion, step: int) -> Motion:
+def _every_nth_frame(motion: Motion, step: int) -> Motion:
     return motion.replace(
         translation=motion.translation[::step],
         rotations=motion.rotations[::step],
@@ -200,7 +200,7 @@ def _off_ground(movement: Movement) -> Bool[np.ndarray, " time"]:
     return found
 
 
-def _jumps(file: MotionFile, speed_factor: float) -> Bool[np.ndarray, " steps"]:
+def _implausible_steps(file: MotionFile, speed_factor: float) -> Bool[np.ndarray, " steps"]:
     """Steps to the next frame in which a joint or a turn is faster than bodies are."""
     motion = file.motion
     turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5

@@ -104,10 +104,10 @@ def stretches_to_teach(
             runs[-1] = (runs[-1][0], row.stop, contacts)
         else:
             runs.append((row.first, row.stop, contacts))
-    return [_cut(file, first, stop, contacts) for first, stop, contacts in runs]
+    return [_cut_frames(file, first, stop, contacts) for first, stop, contacts in runs]
 
 
-def _cut(file: MotionFile, first: int, stop: int, contacts: bool) -> MotionFile:
+def _cut_frames(file: MotionFile, first: int, stop: int, contacts: bool) -> MotionFile:
     """Frames of a file: its motion, joints and, where they are wanted, contacts."""
     joints, touching = file.joints, file.contacts if contacts else None
     return MotionFile(

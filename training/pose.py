@@ -42,7 +42,7 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
     """
     learned, held_out = settings.load_clips("train"), settings.load_clips("validation")
     if len(learned) == 0:
-        raise ValueError(f"{settings.corpus}: no clip there may be learned from ({settings.data})")
+        raise ValueError(f"{settings.corpus}: holds no clip to learn from")
 
     rotations = poses(learned, settings.rate, settings.most)[:, 1:]
     density = fit_density(rotations, settings.floor, BodyModel.load())

@@ -23,7 +23,7 @@ class CorpusClip:
 def mirrored_rotations(
     rotations: Float[Tensor, "*shape 22 3 3"],
 ) -> Float[Tensor, "*shape 22 3 3"]:
-    """Rotations of the mirrored pose."""
+    """Joint rotations of poses mirrored left to right."""
     flip = rotations.new_tensor([-1.0, 1.0, 1.0])
     return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
 

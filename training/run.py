@@ -60,10 +60,12 @@ def write_losses(
     lines = [",".join(columns)]
     lines += [",".join(f"{row[column]:.6g}" for column in columns) for row in rows]
     write_text(folder / "losses.csv", "\n".join(lines) + "\n")
-    _draw(rows, panels, folder / "losses.png")
+    _plot_losses(rows, panels, folder / "losses.png")
 
 
-def _draw(rows: Sequence[dict[str, float]], panels: Sequence[Sequence[str]], path: Path) -> None:
+def _plot_losses(
+    rows: Sequence[dict[str, float]], panels: Sequence[Sequence[str]], path: Path
+) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -164,7 +166,7 @@ class Run(Generic[S, N]):
 
     def save(self) -> None:
         """Write the checkpoint atomically: a cut run leaves the old file or the new one."""
-        self._write(
+        self._write_state(
             CHECKPOINT,
             settings=plain_settings(self.settings),
             identity=self.identity,
@@ -176,7 +178,7 @@ class Run(Generic[S, N]):
             sums={name: float(value) for name, value in self.sums.items()},
         )
 
-    def _write(self, name: str, **state: Any) -> None:
+    def _write_state(self, name: str, **state: Any) -> None:
         state |= {
             "averaged": self.averaged.state_dict(),
             "step": self.step,
@@ -198,7 +200,7 @@ class Run(Generic[S, N]):
                 self.sums[name] = self.sums.get(name, 0.0) + value.detach()
             last = self.step == steps
             if self.step % settings.validate_every == 0 or last:
-                self._validate((self.step - first) / (time.monotonic() - began))
+                self._log_and_validate((self.step - first) / (time.monotonic() - began))
                 first, began = self.step, time.monotonic()
             if time.monotonic() - saved > settings.save_every or last:
                 self.save()
@@ -230,7 +232,7 @@ class Run(Generic[S, N]):
             for mean, now in pairs:
                 mean.lerp_(now, 1 - keep)
 
-    def _validate(self, pace: float) -> None:
+    def _log_and_validate(self, pace: float) -> None:
         """Log, save and plot a row of mean training losses and validation errors."""
         count = (self.step - 1) % self.settings.validate_every + 1
         row = {f"train_{name}": float(value) / count for name, value in self.sums.items()}
@@ -241,7 +243,7 @@ class Run(Generic[S, N]):
         LOG.info("step %d, %.1f steps/s: %s", self.step, pace, shown)
         write_losses(self.settings.out, self.rows, self.panels)
         if self.keeps_best and row["score"] == min(row["score"] for row in self.rows):
-            self._write(BEST)
+            self._write_state(BEST)
 
 
 def cosine(progress: float) -> float:

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
 from recon.core.motion import MotionFile
@@ -15,9 +15,6 @@ from training.recordings import CorpusClip
 
 LOG = logging.getLogger("training")
 """Logger of all trainings; its messages also stand in the log of the run."""
-
-Licence = Literal["open", "nc"]
-"""Clips that weights in an open package may learn from, or those for non-commercial use too."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +26,11 @@ class CorpusSettings:
     out: Path
     """Weights to write; or the folder of a run that takes steps: checkpoint.pt, losses.csv,
     losses.png, train.log. A run that was interrupted goes on from its checkpoint."""
-    data: Licence = "open"
-    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
     """Table of the subjects that are held out."""
 
     def files(self, part: Part) -> dict[str, Path]:
-        """The motion files of one part that the licence allows, by clip name.
+        """The motion files of one part whose weights may be shipped, by clip name.
 
         Raises:
             FileNotFoundError: when there is no splits file, or the corpus holds no motion files.
@@ -45,7 +40,7 @@ class CorpusSettings:
         return {
             name: files[name]
             for name, own in splits.parts(list(files)).items()
-            if own == part and (self.data == "nc" or splits.is_open(name))
+            if own == part and splits.is_open(name)
         }
 
     def stretches_that_teach(
@@ -163,7 +158,7 @@ def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | No
         )
     names = [name for name in (own | found) if not _same_setting(own.get(name), found.get(name))]
     if len(names) > 0:
-        said = [_difference(name, found.get(name), own.get(name)) for name in names]
+        said = [_difference_in_words(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
             f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
             "and files of that run"
@@ -181,7 +176,7 @@ def _same_setting(here: Any, there: Any) -> bool:
     return here == there
 
 
-def _difference(name: str, there: Any, here: Any) -> str:
+def _difference_in_words(name: str, there: Any, here: Any) -> str:
     if any(isinstance(value, str) and value.startswith(_CONTENTS) for value in (there, here)):
         return f"{name} (its contents differ)"
     return f"{name} ({there} there, {here} here)"

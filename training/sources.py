@@ -62,10 +62,10 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
 def _clips_of_manifest(folder: Path) -> list[SourceClip]:
     """The recordings of a later collection, as its manifest lists them."""
     with (folder / "manifest.csv").open(newline="", encoding="utf-8-sig") as file:
-        return [_clip(folder, row) for row in csv.DictReader(file)]
+        return [_clip_of_row(folder, row) for row in csv.DictReader(file)]
 
 
-def _clip(folder: Path, row: dict[str, str]) -> SourceClip:
+def _clip_of_row(folder: Path, row: dict[str, str]) -> SourceClip:
     # column `clip` of these manifests names the take; a take may have several windows
     notes = row | {"action": row["description"]}
     if folder.name in _COMMON:
@@ -91,7 +91,7 @@ def copied_clips(data: Path, collection: str) -> list[SourceClip]:
 
 
 def read_markers(clip: SourceClip) -> MarkerRecording:
-    """A recording of markers.
+    """Read the recording of markers of a clip.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -164,7 +164,9 @@ def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
     for person in {clip.subject for clip in clips}:
         own = [clip.name for clip in clips if clip.subject == person]
         for joints, tip, usual in _UPRIGHT:
-            seen = np.concatenate([_direction(found[name], joints, tip) for name in own]).mean(0)
+            seen = np.concatenate(
+                [_direction_of_limb(found[name], joints, tip) for name in own]
+            ).mean(0)
             turn = Rotation.align_vectors(np.array([usual]), seen[None])[0]
             if np.degrees(turn.magnitude()) > _STOOPS:
                 for name in own:
@@ -172,7 +174,9 @@ def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
     return found
 
 
-def _direction(recording: SkeletonRecording, joints: tuple[str, ...], tip: str) -> np.ndarray:
+def _direction_of_limb(
+    recording: SkeletonRecording, joints: tuple[str, ...], tip: str
+) -> np.ndarray:
     last = recording.joint(joints[-1])
     if tip:
         world = recording.positions[:, recording.joint(tip)] - recording.positions[:, last]

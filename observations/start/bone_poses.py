@@ -92,7 +92,7 @@ class BoneTargets(TensorStruct):
     """Vector from the joint of the bone, in the bone's frame, metres."""
 
     def residuals(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
-        """Predicted minus seen places, metres."""
+        """Residuals, predicted minus measured positions of the points, metres."""
         pick = self.bone[..., None, None].expand(*self.bone.shape, 3, 4)
         placed = state.bones.gather(1, pick)
         predicted = (placed[..., :3] @ self.place[..., None])[..., 0] + placed[..., 3]
@@ -120,7 +120,7 @@ class BonePoses(TensorStruct):
         coordinates: Float[Tensor, "rows 63"],
         body: "PoseSolver",
     ) -> "BonePoses":
-        """Poses of a skeleton."""
+        """Poses of a skeleton from translations, root rotations and pose coordinates."""
         rotations = torch.cat((root[:, None], body.density.rotations(coordinates)), 1)
         orientations, joints = forward_kinematics(rotations, body.rest)
         joints = joints + translation[:, None]

@@ -1,4 +1,4 @@
-"""A first guess from one camera.
+"""The first guess of a fit from the keypoints of one camera.
 
 The rest body turned and scaled to fit the keypoints of every frame.
 """

@@ -112,7 +112,7 @@ def labelled_start(
         else list(with_one_batch_axis(eye).cpu())
     )
     known = labels.to(device="cpu", dtype=torch.float32).map(with_one_batch_axis)
-    tracker = _Tracker.of(body)
+    tracker = _PoseTracker.of(body)
     seen = zip(
         with_one_batch_axis(points).cpu(), with_one_batch_axis(present).cpu(), eyes, strict=True
     )
@@ -134,7 +134,7 @@ def labelled_start(
 
 
 @dataclass(frozen=True)
-class _Tracker:
+class _PoseTracker:
     """Constants of the body that the tracker uses, in single precision."""
 
     body: BodyModel
@@ -146,7 +146,7 @@ class _Tracker:
     region: Int[Tensor, " surfels"]
 
     @classmethod
-    def of(cls, body: BodyModel) -> "_Tracker":
+    def of(cls, body: BodyModel) -> "_PoseTracker":
         body = body.to(device="cpu", dtype=torch.float32)
         cover = Surfels.of(body, _COVER)
         index = torch.from_numpy(cover.vertices)
@@ -225,7 +225,7 @@ class _Tracker:
     def _cheapest_hypotheses(
         self, moments: _PosedFrames, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
-        """The hypothesis chosen for every frame (Viterbi)."""
+        """Choose a hypothesis for every frame, with the least total cost over time (Viterbi)."""
         rows, readings = len(moments.number), len(_READINGS)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),

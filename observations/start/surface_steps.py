@@ -88,7 +88,7 @@ class SeenSurface:
         return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
-        """Some of the rows."""
+        """The points of some of the frames."""
         eye = None if self.eye is None else self.eye[index]
         return replace(
             self, points=self.points[index], present=self.present[index],

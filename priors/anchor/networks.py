@@ -122,8 +122,7 @@ def load_weights(path: str | Path) -> AnchorWeights:
     """Read a weights file.
 
     Args:
-        path: a file; or `open` for the weights in the package, `nc` for those of a source
-            checkout that may not be used commercially.
+        path: a file; or `open` for the weights in the package.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -82,7 +82,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
 
     @classmethod
     def load(cls, weights: str = "open", body: BodyModel | None = None) -> "AnchorFrames":
-        """Load the bundled weights (`open`), the `nc` weights of a source checkout, or a file.
+        """Load the bundled weights (`open`) or a file.
 
         Raises:
             FileNotFoundError: when there is no such file.

@@ -294,7 +294,7 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
-class _Joints(TensorStruct):
+class _JointEnergy(TensorStruct):
     """½ Σ |p - p̂|² of all joints of one frame; metres²."""
 
     positions: Float[Tensor, "clips 22 3"]
@@ -337,7 +337,7 @@ def first_states(
     velocities[:, 0] = full[:, -6:-3]
 
     prior = PosePrior.load(weights=PoseWeights(pose=1e-5, shape=1e-5))
-    motion = _fitted(positions, shape, body, prior)
+    motion = _poses_fitted_to_joints(positions, shape, body, prior)
     return (
         State(
             translation=motion.translation[:, 0] * (1 - level),
@@ -352,7 +352,7 @@ def first_states(
     )
 
 
-def _fitted(
+def _poses_fitted_to_joints(
     positions: Float[Tensor, "clips 22 3"],
     shape: Float[Tensor, "clips shape"],
     body: BodyModel,
@@ -362,7 +362,7 @@ def _fitted(
     rotations[:, :, 0] = positions.new_tensor(_FACING)
     pelvis = body.rest_joints(shape)[:, 0]
     start = Motion.create((positions[:, 0] - pelvis)[:, None], rotations, shape, REFERENCE_FPS)
-    data = Term("joints", _Joints(positions), 1.0)
+    data = Term("joints", _JointEnergy(positions), 1.0)
     scene = Scene.create(len(positions), like=positions)
     estimate, _ = run_stages(prior.stages((data,)), body, start, scene)
     return estimate.motion.detach()

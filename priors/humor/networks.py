@@ -39,10 +39,10 @@ class GroupNorm(nn.GroupNorm):
         """The normalised input after a ReLU; faster when weights need no gradient."""
         if self.weight.requires_grad:
             return self(x).relu()
-        return _Rectified.apply(x, self.weight, self.bias, self.num_groups, self.eps)
+        return _NormalisationAndReLU.apply(x, self.weight, self.bias, self.num_groups, self.eps)
 
 
-class _Rectified(torch.autograd.Function):
+class _NormalisationAndReLU(torch.autograd.Function):
     """Normalisation, scale, shift and ReLU with their derivative in place.
 
     The same numbers as operation by operation, in a quarter of the time for many rows: those

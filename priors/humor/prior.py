@@ -73,7 +73,7 @@ class Humor(Prior[HumorVariables]):
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
-                package, `nc` the non-commercial ones of a source checkout.
+                package.
             body: whose joints the network sees; None is the bundled body.
             mixture: the authors' prior_gmm.npz; None takes the one beside the weights in a
                 .safetensors file, and with a .pth the bundled one.
@@ -138,7 +138,7 @@ class Humor(Prior[HumorVariables]):
         own = self.body.template
         if own.dtype == tensor.dtype and own.device == tensor.device:
             return self
-        return _cast(self, tensor.device, tensor.dtype)
+        return _converted_prior(self, tensor.device, tensor.dtype)
 
     def encode(self, motion: Motion) -> HumorVariables:
         """First state and posterior means of a motion, which is brought to 30 Hz.
@@ -178,7 +178,7 @@ class Humor(Prior[HumorVariables]):
 
 
 @lru_cache(maxsize=8)
-def _cast(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
+def _converted_prior(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
     return humor.to(device=device, dtype=dtype)
 
 
@@ -208,8 +208,7 @@ def read_weights(path: str | Path) -> Checkpoint:
     """Read weights of recon (.safetensors) or a PyTorch checkpoint (.pth, .pt).
 
     Args:
-        path: a file; or `open` for the weights in the package, `nc` for those of a source
-            checkout that may not be used commercially.
+        path: a file; or `open` for the weights in the package.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -216,7 +216,7 @@ def roll_out(
     pelvis: Float[Tensor, "batch 3"],
     latents: Float[Tensor, "batch steps 48"],
 ) -> Rollout:
-    """The steps that given latents make.
+    """Roll out the steps that given latents decode to.
 
     Args:
         decoder: frozen weights.
@@ -250,7 +250,7 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
 def _to_loop_layout(
     packed: Float[Tensor, "batch 339"], pelvis: Float[Tensor, "batch 3"]
 ) -> Float[Tensor, "batch 337"]:
-    """A canonical state in the loop's layout."""
+    """Rearrange a canonical state to the layout of `FrozenDecoder`."""
     return (packed - _joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
 
 

@@ -191,7 +191,7 @@ class HumosWeights:
 
     @property
     def shape(self) -> int:
-        """Coefficients of the bodies."""
+        """Number of shape coefficients of the bodies that the networks know."""
         return self.networks.decoder.body.in_features
 
 
@@ -199,8 +199,7 @@ def load_weights(path: str | Path) -> HumosWeights:
     """Read a weights file.
 
     Args:
-        path: a file; or `open` for the weights in the package, `nc` for those of a source
-            checkout that may not be used commercially.
+        path: a file; or `open` for the weights in the package.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -88,7 +88,7 @@ class Humos(Prior[HumosVariables]):
 
     @classmethod
     def load(cls, weights: str = "open", body: BodyModel | None = None) -> "Humos":
-        """Load the bundled weights (`open`), the `nc` weights of a source checkout, or a file.
+        """Load the bundled weights (`open`) or a file.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -178,7 +178,7 @@ class Humos(Prior[HumosVariables]):
         )
 
     def frames(self, variables: HumosVariables) -> BodyFrames:
-        """The frames that codes alone decode to, relative to the clip's first frame."""
+        """Frames decoded from the latent codes without details, relative to the first frame."""
         count = variables.valid.shape[-1]
         codes = self.weights.density.codes(variables.latent)
         coarse = frames_at_rate(count, variables.fps)

@@ -223,13 +223,13 @@ class CloudLabeller:
         places = [None] * len(flat) if at is None else list(at.to(flat))
         said = stack(
             [
-                label_probabilities(self._clip(cloud, shown, fps, eye, level), shown)
+                label_probabilities(self._labels_of_clip(cloud, shown, fps, eye, level), shown)
                 for cloud, shown, eye in zip(flat, here, places, strict=True)
             ]
         ).to(dtype=points.dtype)
         return said.map(lambda rows: rows.reshape(*batch, *rows.shape[1:]))
 
-    def _clip(
+    def _labels_of_clip(
         self, points: Tensor, present: Tensor, fps: float, eyes: Tensor | None, level: bool
     ) -> RawLabels:
         """Raw outputs of the network for one clip, computed a few frames at a time."""

@@ -211,7 +211,7 @@ class SeenClouds(TensorStruct):
 
 @dataclass(frozen=True)
 class RawLabels(TensorStruct):
-    """The network's outputs for every point."""
+    """The network's raw outputs for every point, before they become probabilities."""
 
     regions: Float[Tensor, "moments points 12"]
     """Logarithms of odds of the regions."""

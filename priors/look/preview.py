@@ -63,7 +63,7 @@ class LookAtPoints:
 
     @torch.no_grad()
     def __call__(self, observations: Sequence[Sensor], body: BodyModel) -> ProposedMotions:
-        """The proposed motions at 30 Hz.
+        """Propose motions at 30 Hz for the observations of a clip.
 
         Raises:
             ObservationError: when an observation is no named points in space, or nothing is seen.
@@ -104,7 +104,7 @@ class LookAtPoints:
         total, sums, shape, weight = torch.zeros(frames), list[Tensor](), 0.0, 0.0
         for some in (firsts[k : k + _TOGETHER] for k in range(0, len(firsts), _TOGETHER)):
             cuts = [slice(first, first + length) for first in some]
-            found = self.network(_windows(seen, cuts), body)
+            found = self.network(_cut_windows(seen, cuts), body)
             parts = [so3.to_6d(found.rotations).flatten(-2), found.pelvis, found.log_std]
             if not sums:
                 sums = [one.new_zeros(one.shape[1], frames, one.shape[-1]) for one in parts]
@@ -184,7 +184,7 @@ def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
     return mixed.where(both[..., None], one.values[nearest]), exact | both
 
 
-def _windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
+def _cut_windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
     """Windows of the single clip, as a batch of clips."""
     count = len(cuts)
     return SeenPoints(

@@ -328,14 +328,14 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         )
 
     @cached_property
-    def _scales(self) -> "_Scales":
+    def _scales(self) -> "_VariableScales":
         """Scales of the variables: inverse square roots of the curvature of data plus prior."""
         stiffness = self.density.stiffness.double()
         pose = stiffness[3:, 3:] + max(2 * self.weighed.pose, _SOFTEST) * torch.eye(
             COORDINATES, dtype=torch.float64, device=stiffness.device
         )
         turn, bend = _inverse_root(stiffness[:3, :3]), _inverse_root(pose)
-        return _Scales(
+        return _VariableScales(
             translation=stiffness.new_tensor(len(JOINTS) ** -0.5),
             root=turn,
             pose=bend,
@@ -367,7 +367,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
 
 @dataclass(frozen=True)
-class _Scales(TensorStruct):
+class _VariableScales(TensorStruct):
     """The scale of each kind of variable: radians, metres, ... per unit."""
 
     translation: Float[Tensor, ""]

@@ -85,7 +85,7 @@ def fit(
             frame, metres.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
             "package.module:Class".
-        weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
+        weights: of a prior given by its name: `open` or a file.
         method: how the prior is fitted, one of its `methods`; `look` gives a preview instead.
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them

@@ -56,8 +56,7 @@ def sample(
         fps: of `humos`: rate of the motions, frames per second; default: 30.
         temperature: of `humor`: factor on the standard deviations of the prior; higher ones make
             motions that vary more; default: 0.9.
-        weights: of a prior that is given by its name: `open`, `nc` (not for commercial use) or a
-            file.
+        weights: of a prior that is given by its name: `open` or a file.
         body: a SMPL-family file; default: the bundled body.
         seed: of everything random; the same seed gives the same motions.
         device: where to compute, `cpu` or, of `humor`, `cuda`.
@@ -119,7 +118,7 @@ def predict(
         at: seconds after the motion's first frame from which on it is not known; default: its end.
         temperature: factor on the standard deviations of the prior; higher ones make motions that
             vary more; default: 0.9.
-        weights: of a prior that is given by its name: `open`, `nc` or a file.
+        weights: of a prior that is given by its name: `open` or a file.
         body: the motion's body; a SMPL-family file; default: the bundled body.
         seed: of everything random.
         device: where to compute, `cpu` or `cuda`.

@@ -50,7 +50,7 @@ def interpolate(
         a: a motion of one clip that walks or runs.
         b: another.
         at: share of the second, 0 to 1.
-        weights: of the prior: `open`, `nc` (not for commercial use) or a file.
+        weights: of the prior: `open` or a file.
         body: both motions' body; a SMPL-family file; default: the bundled body.
         fps: rate of the result, frames per second; default: the first motion's.
 

@@ -75,7 +75,7 @@ def retarget(
         motion: a motion of one clip of a second or longer, at any rate.
         shape: the other body; in Python also a motion or result of somebody.
         method: `physics` or `network`.
-        weights: of the network: `open`, `nc` (not for commercial use) or a file.
+        weights: of the network: `open` or a file.
         body: the motion's body; a SMPL-family file; default: the bundled body.
         fps: rate of the result, frames per second; default: the motion's.
         ground: height of the level ground in the motion, metres; default: what the motion's file

@@ -111,7 +111,7 @@ class FitOptions:
     prior: str | PriorLike = "humor"
     """A registered name, the place of a class, or a loaded prior."""
     weights: str = "open"
-    """Weights of a prior that is given by its name: `open`, `nc` or a file."""
+    """Weights of a prior that is given by its name: `open` or a file."""
     method: Method | None = None
     """One of the prior's `methods`, or a network that gives a preview; None is the usual way."""
     noise: tuple[float | None, ...] = ()

@@ -69,12 +69,12 @@ class WholeRecording:
         """The two default priors, both with the weights of this name.
 
         Raises:
-            WeightsError: when it is neither `open` nor `nc`.
+            WeightsError: when it is not `open`.
         """
         del body
-        if weights not in ("open", "nc"):
+        if weights != "open":
             raise WeightsError(
-                f"weights: two priors complete a recording, expected open or nc for both, got "
+                f"weights: two priors complete a recording, expected open for both, got "
                 f"{weights}; give a file with --prior anchor, or a WholeRecording"
             )
         return cls(weights=weights, cycle_weights=weights)

@@ -103,8 +103,7 @@ class FitSettings(ReadOptions):
     HuMoR with cycles of gait where little was seen. Or one that another package registered, or
     the class of one of your own, package.module:Class."""
     weights: str = "open"
-    """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
-    file."""
+    """Weights of the prior: `open` or a file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
     itself is moved; default) or `rollout` (a first state and latents are, as published). Or fitted

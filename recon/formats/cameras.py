@@ -94,7 +94,7 @@ def checked_camera(
             positive, a rotation that is none, or an image size that is neither stated nor given.
     """
     where = f"{path}, camera {fields.name}"
-    matrix = _numbers(fields.matrix, "camera matrix", where)
+    matrix = _float_array(fields.matrix, "camera matrix", where)
     if matrix.shape != (3, 3):
         raise FormatError(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
@@ -111,7 +111,7 @@ def checked_camera(
     )
 
 
-def _numbers(value: Any, what: str, where: str) -> np.ndarray:
+def _float_array(value: Any, what: str, where: str) -> np.ndarray:
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -128,7 +128,7 @@ def _image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple
             f"{where}: the calibration does not state the image size; give it with --image-size "
             "WIDTH HEIGHT"
         )
-    size = _numbers(given if stated is None else stated, "image size", where)
+    size = _float_array(given if stated is None else stated, "image size", where)
     if size.shape != (2,):
         raise FormatError(f"{where}: expected a width and a height in pixels, got {size.tolist()}")
     IMAGE_SIZE.check(size, where, "image size")
@@ -138,7 +138,7 @@ def _image_size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple
 def _distortion(value: Any, where: str) -> np.ndarray | None:
     if value is None:
         return None
-    numbers = _numbers(value, "distortion", where).ravel()
+    numbers = _float_array(value, "distortion", where).ravel()
     longest = _COEFFICIENTS[-1]
     if len(numbers) > longest and not numbers[longest:].any():
         numbers = numbers[:longest]
@@ -154,7 +154,7 @@ def _distortion(value: Any, where: str) -> np.ndarray | None:
 
 def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
     if fields.pose is not None:
-        pose = _numbers(fields.pose, "pose", where)
+        pose = _float_array(fields.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose
         if pose.ndim != 3 or pose.shape[1:] not in ((3, 4), (4, 4)) or len(pose) == 0:
             raise FormatError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
@@ -164,12 +164,12 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
     elif fields.rotation is None or fields.translation is None:
         raise FormatError(f"{where}: expected both rotation and translation, got only one")
     else:
-        turn = _numbers(fields.rotation, "rotation", where)
+        turn = _float_array(fields.rotation, "rotation", where)
         if turn.size == 3:
             import cv2
 
             turn = np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0])
-        translation = _numbers(fields.translation, "translation", where).reshape(1, -1)
+        translation = _float_array(fields.translation, "translation", where).reshape(1, -1)
         if turn.shape != (3, 3) or translation.shape != (1, 3):
             raise FormatError(
                 f"{where}: expected a rotation of 3 or 3x3 numbers and a translation of 3, got "

@@ -95,9 +95,9 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
     if where:
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
-    translation = _array(path, arrays, _PLACE).reshape(-1, 3)
+    translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
     if "smpl_scaling" in arrays:  # AIST++ scales the body instead of its path
-        translation = translation / _numbers(arrays["smpl_scaling"]).ravel()[:1]
+        translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
         raise FormatError(
@@ -113,11 +113,11 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         path, arrays, rotations, translation, known
     )
     axis = _up_axis_of(path, rotations[known], up, notes)
-    betas = next((_numbers(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
+    betas = next((_numeric_array(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
     known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
     betas = betas.reshape(-1, betas.shape[-1]).mean(0) if known_shape else np.zeros(1)
     limits.SHAPE.check(betas, path, "betas")
-    rates = [_numbers(tree[key]).ravel() for key in _RATES if key in tree]
+    rates = [_numeric_array(tree[key]).ravel() for key in _RATES if key in tree]
     rate = next((float(one[0]) for one in rates if one.dtype.kind in "fiu" and one.size), None)
     return BodyEstimate(rotations, translation, known, betas, rate, axis, tuple(notes))
 
@@ -188,14 +188,14 @@ def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
     """Split arrays whose first axis is people, and whose second is frames, into people."""
-    place = _numbers(next(arrays[key] for key in _PLACE if key in arrays))
+    place = _numeric_array(next(arrays[key] for key in _PLACE if key in arrays))
     if place.ndim != 3 or place.shape[1] == 1:
         yield arrays
         return
     for row in range(len(place)):
         yield {
             key: value[row]
-            for key, value in {key: _numbers(value) for key, value in arrays.items()}.items()
+            for key, value in {key: _numeric_array(value) for key, value in arrays.items()}.items()
             if value.ndim >= 2 and len(value) == len(place)
         }
 
@@ -207,7 +207,7 @@ def _chosen_person(
         raise FormatError(f"{path}: expected a person from 0 to {len(people) - 1}, got {person}")
     if person is not None:
         return person, []
-    frames = [len(_numbers(next(a[k] for k in _PLACE if k in a))) for _, a in people]
+    frames = [len(_numeric_array(next(a[k] for k in _PLACE if k in a))) for _, a in people]
     number = int(np.argmax(frames))
     if len(people) == 1:
         return 0, []
@@ -219,7 +219,9 @@ def _chosen_person(
 
 def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
     if any(key in arrays for key in _ROOT) and any(key in arrays for key in _BODY):
-        parts = [_matrices(path, _array(path, arrays, keys)) for keys in (_ROOT, _BODY)]
+        parts = [
+            _matrices(path, _array_by_any_name(path, arrays, keys)) for keys in (_ROOT, _BODY)
+        ]
         if len(parts[0]) != len(parts[1]):
             raise FormatError(
                 f"{path}: expected as many frames of the root's rotation as of the others', got "
@@ -227,7 +229,7 @@ def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
             )
         turns = np.concatenate(parts, 1)
     else:
-        turns = _matrices(path, _array(path, arrays, _WHOLE))
+        turns = _matrices(path, _array_by_any_name(path, arrays, _WHOLE))
     if turns.shape[1] < 22:
         raise FormatError(
             f"{path}: expected rotations of SMPL's first 22 joints, got {turns.shape[1]}"
@@ -252,9 +254,9 @@ def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 
     return np.where(finite[..., None, None], matrices, np.nan)
 
 
-def _array(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
+def _array_by_any_name(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
     key = next(name for name in names if name in arrays)
-    value = _numbers(arrays[key])
+    value = _numeric_array(arrays[key])
     NUMBERS.check(value.size, path, key)
     if value.dtype.kind not in "fiu" or value.ndim < 2 or len(value) == 0:
         raise FormatError(
@@ -263,7 +265,7 @@ def _array(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
     return value.astype(np.float64)
 
 
-def _numbers(value: Any) -> np.ndarray:
+def _numeric_array(value: Any) -> np.ndarray:
     """The value as a numeric array; an empty array where it is none."""
     if isinstance(value, np.ndarray):
         return value
@@ -291,7 +293,7 @@ def _held_at_every_frame(
     frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:
-        ids = _numbers(arrays[key]).ravel()
+        ids = _numeric_array(arrays[key]).ravel()
         if ids.dtype.kind not in "iu" or len(ids) != len(finite) or (np.diff(ids) <= 0).any():
             raise FormatError(f"{path}: expected rising {key}, one for every frame")
         frames = ids - ids[0]

@@ -121,19 +121,19 @@ def motion_from(
             f"{len(translation)} and {len(poses)}"
         )
     limits.FRAMES.check(len(poses), path, "poses")
-    version = int(_scalar(path, numeric, "format_version", 0.0))
+    version = int(_number_or_default(path, numeric, "format_version", 0.0))
     if version > MOTION_FORMAT or version < 0:
         raise FormatError(f"{path}: written by a newer version (format {version}); update recon")
     if (up := _text(arrays, "up_axis", "z")) != "z":
         raise FormatError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
     rate = next(key for key in _RATES if key in arrays)
-    fps = snapped_rate(_scalar(path, numeric, rate, 0.0, limits.FRAME_RATE))
+    fps = snapped_rate(_number_or_default(path, numeric, rate, 0.0, limits.FRAME_RATE))
     motion = Motion.create(
         translation=torch.from_numpy(translation).to(dtype),
         rotations=so3.exp(torch.from_numpy(poses[:, :66].reshape(-1, 22, 3))).to(dtype),
         shape=torch.from_numpy(_betas(path, numeric)).to(dtype),
         fps=fps,
-        start_time=_scalar(path, numeric, "start_time", 0.0, limits.TIME),
+        start_time=_number_or_default(path, numeric, "start_time", 0.0, limits.TIME),
     )
     if "pose_hand" in numeric or poses.shape[1] in _FINGERS:
         from recon.core.fingers import hands_of_arrays  # few motions have fingers
@@ -365,7 +365,7 @@ def _check_finite(path: Path, key: str, value: np.ndarray) -> None:
         raise FormatError(f"{path}: {key} holds NaN or infinity; missing frames must be cut out")
 
 
-def _scalar(
+def _number_or_default(
     path: Path,
     arrays: dict[str, np.ndarray],
     key: str,

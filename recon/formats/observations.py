@@ -32,7 +32,7 @@ _NOT_WRITTEN = ("decisions", "focal_std", "path", "camera")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File:
+class _ObservationFields:
     """Optional data that an observation of any kind may have."""
 
     truth_visible: Bool[np.ndarray, "truth 22"] | None = None
@@ -44,7 +44,7 @@ class _File:
 
 
 @dataclass(frozen=True)
-class PositionsFile(_File):
+class PositionsFile(_ObservationFields):
     """Named 3D points: body joints, markers or keypoints."""
 
     kind: Literal["joints3d", "markers3d", "keypoints3d"]
@@ -68,7 +68,7 @@ class PositionsFile(_File):
 
 
 @dataclass(frozen=True)
-class KeypointsFile(_File):
+class KeypointsFile(_ObservationFields):
     """2D keypoints of one view."""
 
     pixels: Float[np.ndarray, "time points 2"]
@@ -84,7 +84,7 @@ class KeypointsFile(_File):
 
 
 @dataclass(frozen=True)
-class PointsFile(_File):
+class PointsFile(_ObservationFields):
     """Point clouds of all frames, in one array of points."""
 
     points: Float[np.ndarray, "points 3"]
@@ -115,7 +115,7 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
     """
     path = Path(path)
     check_override(unit)
-    found = _Arrays(path, load_arrays(path))
+    found = _FileArrays(path, load_arrays(path))
     kind, keys = found.text("kind"), ", ".join(sorted(found.arrays))
     if kind not in _KEYS:
         raise FormatError(
@@ -165,7 +165,7 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
 
 
 def _positions_file(
-    arrays: "_Arrays", kind: Any, metres: float, common_fields: dict[str, Any]
+    arrays: "_FileArrays", kind: Any, metres: float, common_fields: dict[str, Any]
 ) -> PositionsFile:
     visible = arrays.checked("visible", (None, None), "b")
     positions = arrays.checked("positions", (*visible.shape, 3))
@@ -195,7 +195,7 @@ def _positions_file(
     )
 
 
-def _keypoints_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> KeypointsFile:
+def _keypoints_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> KeypointsFile:
     confidence = arrays.checked("confidence", (None, None), limit=limits.CONFIDENCE)
     pixels = arrays.checked("pixels", (*confidence.shape, 2))
     limits.PIXEL.check(pixels, arrays.path, "pixels", seen=confidence > 0)
@@ -215,7 +215,7 @@ def _keypoints_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> Keypoin
     )
 
 
-def _points_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> PointsFile:
+def _points_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> PointsFile:
     path = arrays.path
     points = arrays.checked("points", (None, 3), limit=limits.POSITION)
     frame = arrays.checked("frame", points.shape[:1], "iu")
@@ -240,7 +240,7 @@ def _points_file(arrays: "_Arrays", common_fields: dict[str, Any]) -> PointsFile
     return PointsFile(points=points, camera=camera, **{**common_fields, **vars(clock)})
 
 
-def _camera(found: "_Arrays", frames: int) -> CameraArrays:
+def _camera(found: "_FileArrays", frames: int) -> CameraArrays:
     """The camera of an observation file, with one pose or one per frame."""
     arrays = found.arrays
     fields = CameraFields(
@@ -271,7 +271,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True)
-class _Arrays:
+class _FileArrays:
     """The arrays of one file, each checked when it is used."""
 
     path: Path

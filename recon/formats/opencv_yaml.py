@@ -111,7 +111,7 @@ def _read_values(path: Path) -> dict[str, Any]:
         )
     values: dict[str, Any] = {}
     for start, stop in zip(starts, [*starts[1:], len(text)], strict=False):
-        name, value = _entry(path, text[start:stop])
+        name, value = _parsed_entry(path, text[start:stop])
         if name in values:
             raise FormatError(f"{path}: expected every entry once, got {name} twice")
         if value is not None:
@@ -119,11 +119,11 @@ def _read_values(path: Path) -> dict[str, Any]:
     return values
 
 
-def _entry(path: Path, text: str) -> tuple[str, Any]:
+def _parsed_entry(path: Path, text: str) -> tuple[str, Any]:
     """The name and value of one entry; None for an empty one."""
     if found := _MATRIX_TEXT.match(text):
         name, rows, columns, data = found.groups()
-        numbers = [_scalar(cell) for cell in data.replace("\n", " ").split(",")]
+        numbers = [_number_or_text(cell) for cell in data.replace("\n", " ").split(",")]
         if len(numbers) != int(rows) * int(columns) or any(isinstance(n, str) for n in numbers):
             raise FormatError(
                 f"{path}: expected {rows} x {columns} numbers in {name}, but it is damaged"
@@ -138,7 +138,7 @@ def _entry(path: Path, text: str) -> tuple[str, Any]:
         if value.startswith("["):
             items = value.strip("[] ").split(",")
             return found[1], [_unquoted(item) for item in items if item.strip()]
-        return found[1], _scalar(value)
+        return found[1], _number_or_text(value)
     return "", None
 
 
@@ -146,7 +146,7 @@ def _unquoted(text: str) -> str:
     return text.strip().strip("\"'")
 
 
-def _scalar(text: str) -> float | str:
+def _number_or_text(text: str) -> float | str:
     try:
         return float(text.strip())
     except ValueError:

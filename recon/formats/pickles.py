@@ -67,7 +67,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
 
 
 def array_in(value: object, name: str, path: Path) -> np.ndarray:
-    """Make an array of a value of a tree, also of chumpy's and scipy's records.
+    """Convert a value of an unpickled tree to an array, also chumpy's and scipy's records.
 
     Raises:
         ValueError: when it is none, damaged, or has more numbers than a body model.
@@ -84,7 +84,7 @@ def array_in(value: object, name: str, path: Path) -> np.ndarray:
     raise FormatError(f"{path}: {name} should be an array, is {type(value).__name__}")
 
 
-class _Inert:
+class _InertObject:
     """Placeholder for a pickled object of any library: keeps its state and runs nothing."""
 
     state: Mapping[str, Any]
@@ -95,7 +95,7 @@ class _Inert:
         self.state = state
 
 
-class _Chumpy(_Inert):
+class _Chumpy(_InertObject):
     """A pickled chumpy.Ch with its array `x`, or chumpy's Select of entries `idxs` of `a`."""
 
     def value(self) -> object:
@@ -107,7 +107,7 @@ class _Chumpy(_Inert):
         return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
 
 
-class _CompressedRows(_Inert):
+class _CompressedRows(_InertObject):
     """A pickled scipy.sparse.csr_matrix; repeated entries add up."""
 
     def value(self) -> np.ndarray:
@@ -168,13 +168,13 @@ def _some_bytes(value: object = b"", *encoding: str) -> bytes:
 
 def _inert_record(kind: type, base: type, state: object) -> object:
     """Replacement for copyreg._reconstructor that makes only inert records."""
-    if not issubclass(kind, _Inert) or base is not object:
+    if not issubclass(kind, _InertObject) or base is not object:
         raise TypeError(f"unexpected record of type {kind.__name__}")
     del state
     return kind.__new__(kind)
 
 
-def _storage(data: bytes) -> Any:
+def _torch_storage(data: bytes) -> Any:
     """Replacement for the function with which torch reads the numbers of a pickled tensor."""
     import torch
 
@@ -183,7 +183,7 @@ def _storage(data: bytes) -> Any:
     return torch.load(BytesIO(data), map_location="cpu", weights_only=True)
 
 
-def _tensor(
+def _array_of_tensor(
     storage: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *rest: object
 ) -> np.ndarray:
     """Replacement for the function that builds a pickled torch tensor; gives an array."""
@@ -196,7 +196,7 @@ def _tensor(
     return numbers.as_strided(shape, strides, offset).numpy()
 
 
-class _JoblibArray(_Inert):
+class _JoblibArray(_InertObject):
     """Joblib's record of an array, whose bytes follow the record in the file."""
 
     def read(self, file: BytesIO) -> np.ndarray:
@@ -230,8 +230,8 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("copyreg", "_reconstructor"): _inert_record,
     ("collections", "OrderedDict"): OrderedDict,
     ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
-    ("torch.storage", "_load_from_bytes"): _storage,
-    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
+    ("torch.storage", "_load_from_bytes"): _torch_storage,
+    ("torch._utils", "_rebuild_tensor_v2"): _array_of_tensor,
     ("chumpy.ch", "Ch"): _Chumpy,
     ("chumpy", "Ch"): _Chumpy,
     ("chumpy.reordering", "Select"): _Chumpy,

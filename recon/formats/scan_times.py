@@ -122,13 +122,13 @@ def frame_numbers_of_times(
         return _nearest_steps(times, count), count / span, float(times[0])
     if span > _LONGEST:
         raise FormatError(
-            f"{path}: the times are not evenly spaced (up to {off:.2f} frames off), "
-            f"which is possible for {_LONGEST:g} s at most; resample first"
+            f"{path}: the times are not evenly spaced (up to {off:.2f} frames off); recordings "
+            f"longer than {_LONGEST:g} s need even spacing, so resample first"
         )
     if float(steps.min()) < 1 / _FINEST:
         raise FormatError(
-            f"{path}: two scans are {1000 * float(steps.min()):.2g} ms apart, and the others lie "
-            f"not evenly spaced; leave one of them out"
+            f"{path}: two scans are only {1000 * float(steps.min()):.2g} ms apart, and the others "
+            f"are not evenly spaced; leave one of the two out"
         )
     finest = math.ceil(span * _FINEST)
     for count in range(len(times) - 1, finest):

@@ -112,7 +112,7 @@ def _checked_arrays(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
             f"{path}: not a body model of the SMPL family: no {', '.join(missing)}; "
             f"it holds {', '.join(sorted(fields)[:20]) or 'nothing'}"
         )
-    numbers = {name: _numbers(fields[name], name, path) for name in _NEEDED}
+    numbers = {name: _checked_numbers(fields[name], name, path) for name in _NEEDED}
     template, weights = numbers["v_template"], numbers["weights"]
     if template.ndim != 2 or weights.ndim != 2 or numbers["shapedirs"].ndim != 3:
         raise FormatError(f"{path}: v_template, weights, shapedirs should have 2, 2, 3 dimensions")
@@ -145,7 +145,7 @@ def _checked_arrays(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     )
 
 
-def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
+def _checked_numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
     if array.dtype.kind not in "fiu":
         raise FormatError(f"{path}: {name} should hold numbers, holds {array.dtype}")
     MODEL_NUMBERS.check(array.size, path, name)
@@ -183,7 +183,7 @@ def _pose_correctives(
 ) -> np.ndarray | None:
     if "posedirs" not in fields:
         return None
-    directions = _numbers(fields["posedirs"], "posedirs", path)
+    directions = _checked_numbers(fields["posedirs"], "posedirs", path)
     shape = (vertices, 3, 9 * (joints - 1))
     if directions.shape != shape:
         raise FormatError(

@@ -62,7 +62,7 @@ def read_colmap(path: Path) -> "CameraTrack":
         )
     found = {name: re.findall(r"\d+", Path(name).stem)[-1:] for name in images}
     names = sorted(images, key=lambda name: (int((found[name] or "0")[0]), name))
-    rows = np.array([_numbers(images[name][1:8], path) for name in names])
+    rows = np.array([_parsed_numbers(images[name][1:8], path) for name in names])
     T = np.linalg.inv(rigid_transforms(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
     numbers = [int(found[name][0]) for name in names if found[name]]
     counted = len(set(numbers)) == len(names)
@@ -86,7 +86,7 @@ def read_tum(path: Path) -> "CameraTrack":
             raise FormatError(
                 f"{path}: expected timestamp tx ty tz qx qy qz qw, got {line[:80]!r}"
             )
-        rows.append(_numbers(fields, path))
+        rows.append(_parsed_numbers(fields, path))
     table = np.array(rows).reshape(-1, 8)
     times = table[:, 0]
     if len(table) < 2 or not (np.diff(times) > 0).all():
@@ -109,15 +109,17 @@ def _camera(path: Path, camera_id: str) -> CameraFields:
             f"{path}: expected a camera of the models {', '.join(_MODELS)}, got "
             f"{' '.join(fields)[:80]!r}"
         )
-    own = dict(zip(names, _numbers(fields[4:], path), strict=True))
+    own = dict(zip(names, _parsed_numbers(fields[4:], path), strict=True))
     fx, fy = own.get("fx", own.get("f", 0.0)), own.get("fy", own.get("f", 0.0))
     lens = [own.get(name, 0.0) for name in _LENS]
     # COLMAP counts from the corner of the first pixel, OpenCV from its middle
     matrix = [[fx, 0, own["cx"] - 0.5], [0, fy, own["cy"] - 0.5], [0, 0, 1]]
-    return CameraFields("track", matrix, _numbers(fields[2:4], path), lens if any(lens) else None)
+    return CameraFields(
+        "track", matrix, _parsed_numbers(fields[2:4], path), lens if any(lens) else None
+    )
 
 
-def _numbers(fields: list[str], path: Path) -> list[float]:
+def _parsed_numbers(fields: list[str], path: Path) -> list[float]:
     try:
         return [float(one) for one in fields]
     except ValueError as error:

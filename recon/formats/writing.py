@@ -41,7 +41,7 @@ def writing(
         refuse_place(output)
         own_files(output, overwrite=overwrite)
     with ExitStack() as stack:
-        stages = [stack.enter_context(_staged(output)) for output in outputs]
+        stages = [stack.enter_context(_staged_output(output)) for output in outputs]
         with _named_as_asked(stages):
             yield tuple(stage.path for stage in stages)
         # checked again, since hours may have passed
@@ -127,7 +127,7 @@ class _StagedOutput:
 
 
 @contextmanager
-def _staged(output: Output) -> Iterator[_StagedOutput]:
+def _staged_output(output: Output) -> Iterator[_StagedOutput]:
     real = output.real
     # an existing folder may be a mount point, which cannot be replaced
     beside = real / real.name if output.is_folder and real.is_dir() else real

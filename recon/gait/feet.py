@@ -163,10 +163,10 @@ def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
 
 def _stances_of_foot(feet: Feet, side: int) -> list[GaitStance]:
     strikes = _strike_frames(
-        feet, side, _peaks(_distance_ahead(feet, feet.heels[:, side]), feet.fps)
+        feet, side, _peak_frames(_distance_ahead(feet, feet.heels[:, side]), feet.fps)
     )
     offs = _toe_off_frames(
-        feet, side, _peaks(-_distance_ahead(feet, feet.toes[:, side]), feet.fps)
+        feet, side, _peak_frames(-_distance_ahead(feet, feet.toes[:, side]), feet.fps)
     )
     events = sorted([(k, "strike") for k in strikes] + [(k, "off") for k in offs])
     found: list[GaitStance] = []
@@ -186,7 +186,7 @@ def _distance_ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np
     return ((points - feet.pelvis)[:, :2] * feet.forward).sum(-1)
 
 
-def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " peaks"]:
+def _peak_frames(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " peaks"]:
     """Frames of local maxima; near the ends a rise on one side is enough."""
     from scipy.signal import find_peaks
 

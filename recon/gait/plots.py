@@ -79,7 +79,7 @@ def plot_steps(gait: Gait) -> str:
     axes.set_ylim(-0.6, 1.7)
     axes.set_xlabel("time (s)")
     axes.set_title("stances: | foot strike, ▲ foot off", loc="left")
-    return _svg(figure, "steps")
+    return _svg_text(figure, "steps")
 
 
 def plot_cycles(gait: Gait) -> str:
@@ -90,12 +90,12 @@ def plot_cycles(gait: Gait) -> str:
     figure.legend(
         marks.values(), marks, loc="outside upper center", ncols=len(marks), frameon=False
     )
-    return _svg(figure, "cycles")
+    return _svg_text(figure, "cycles")
 
 
 def plot_angles(gait: Gait) -> str:
     """Plot joint angles over time, for motions without cycles of gait."""
-    return _svg(_panels_of_angles(gait, _draw_over_time, "time (s)"), "angles")
+    return _svg_text(_panels_of_angles(gait, _draw_over_time, "time (s)"), "angles")
 
 
 def plot_residuals(found: PointResiduals) -> str:
@@ -108,7 +108,7 @@ def plot_residuals(found: PointResiduals) -> str:
     axes.set_ylabel(f"{found.measure} ({found.unit})")
     axes.tick_params(axis="x", labelrotation=90, labelsize=7)
     axes.margins(x=0.01)
-    return _svg(figure, f"residuals of {found.name}")
+    return _svg_text(figure, f"residuals of {found.name}")
 
 
 def _panels_of_angles(
@@ -169,7 +169,7 @@ def _figure(height: float) -> Any:
     return figures.Figure(figsize=(9.0, height), layout="constrained")
 
 
-def _svg(figure: Any, name: str) -> str:
+def _svg_text(figure: Any, name: str) -> str:
     """A figure as an SVG element for a page; equal figures give equal text."""
     text = io.StringIO()
     # ids inside the SVGs of one page must differ, which the salt ensures

@@ -113,14 +113,14 @@ def _laboratory_report(
         },
         gait=gait,
         residuals=_residuals_of_report(said),
-        warnings=tuple(_messages(said, "warnings")),
-        repairs=tuple(_messages(said, "repairs")),
-        notes=tuple(_messages(said, "diagnosis")),
+        warnings=tuple(_finding_messages(said, "warnings")),
+        repairs=tuple(_finding_messages(said, "repairs")),
+        notes=tuple(_finding_messages(said, "diagnosis")),
         decisions=tuple(str(one) for one in decisions),
     )
 
 
-def _messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
+def _finding_messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
     """Messages of all findings of one kind, except residuals, which have plots."""
     return [
         str(one["message"])

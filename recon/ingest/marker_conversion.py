@@ -147,11 +147,11 @@ def _refuse_unusual_places(recording: MarkerRecording, markers: MarkerSet, fit: 
     astray = mean_residual(fit, recording)
     if beside > _BESIDE or astray > _ASTRAY:
         raise ReconError(
-            f"{recording.name}: its points have no names, and on the body that fits best they lie "
-            f"{100 * beside:.1f} cm beside usual places of markers and {1000 * astray:.0f} mm "
-            "from where these move, so it is not to be believed: check unit and axis (--unit, "
-            "--up), or give a recording of the same person and set that has names, or the table "
-            "of the set, with --mapping"
+            f"{recording.name}: its points have no names, and on the best fitting body they lie "
+            f"{100 * beside:.1f} cm from usual places of markers and move {1000 * astray:.0f} mm "
+            "differently from the skin, so the fit is not to be believed: check unit and axis "
+            "(--unit, --up), or give with --mapping a recording of the same person and markers "
+            "that has names, or the table of the marker set"
         )
 
 

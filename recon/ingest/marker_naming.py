@@ -20,8 +20,8 @@ from recon.mocap.recording import MarkerRecording
 
 _RATE, _BEGINNINGS = 10.0, 6
 """Frames a second that the body follows, and frames in which it is looked for."""
-_GOOD = 0.1, 1.4
-"""Cost at which it is found, and how that grows by metre of the markers' spread."""
+_GOOD = 0.12, 2.4
+"""Rank at which it is found, and how that grows by metre of the markers' spread."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
 on both sides of the first from which they are found at first."""
@@ -56,52 +56,49 @@ class Naming:
 
     def run(self) -> None:
         """Find the body, follow and fit it, and name the tracks; without a body none is named."""
-        found, at = self._beginning()
+        found, at = self._first_body()
         if found.cost > _NOWHERE:
             return
-        unknown = found.body.spread
+        unknown, spread = found.body.usual_spread, found.body.spread
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow(found, at, near)
-            self._settle()
+            self._name_tracks()
             body = self._calibrated(found.body, near)
             pose = body.posed(self._translation[[at]], self._rotations[[at]])
             found = replace(found, body=body, pose=pose)
         body = found.body
         self._sum[:], self._count[:] = 0.0, 0.0
         self._follow(found, at, every)
-        self._settle()
+        self._name_tracks()
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 body = self._calibrated(body, every)
-                table = replace(body, offsets=body.markers.nominal, spread=unknown)
+                table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
-                self._settle()
+                self._name_tracks()
             body = self._calibrated(body, every)
         self._look_again(body, body)
-        self._settle()
+        self._name_tracks()
 
-    def _beginning(self) -> tuple[FoundBody, int]:
+    def _first_body(self) -> tuple[FoundBody, int]:
         """The body in the key frame that it fits best, and the number of this frame."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
-        best: tuple[FoundBody, int] | None = None
+        found: list[tuple[FoundBody, int]] = []
         for effort in (1, 3):  # unusual poses need a longer search
             for part in parts:
                 at = int(part[counts[part].argmax()])
-                found = found_body(self._points(at)[0], self.bodies, effort)
-                if best is None or found.cost < best[0].cost:
-                    best = found, at
-                if best[0].cost < _GOOD[0] + _GOOD[1] * best[0].body.spread:
-                    return best
-            assert best is not None
-            if best[0].cost < 1.4 * (_GOOD[0] + _GOOD[1] * best[0].body.spread):
-                return best
-        assert best is not None
+                found.append((found_body(self._points_and_tracks(at)[0], self.bodies, effort), at))
+                if found[-1][0].rank < _GOOD[0] + _GOOD[1] * found[-1][0].body.usual_spread:
+                    return found[-1]
+            best = min(found, key=lambda one: one[0].rank)
+            if best[0].rank < 1.2 * (_GOOD[0] + _GOOD[1] * best[0].body.usual_spread):
+                break
         return best
 
-    def _points(self, at: int) -> tuple[np.ndarray, np.ndarray]:
+    def _points_and_tracks(self, at: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions of the points of a key frame, and their tracks."""
         frame = self.keys[at]
         shown = self.track[frame] >= 0
@@ -114,18 +111,20 @@ class Naming:
         for order in (keys[keys >= at], keys[keys < at][::-1]):
             pose = found.pose
             for k in order.tolist():
-                points, tracks = self._points(k)
+                points, tracks = self._points_and_tracks(k)
                 if k != at:  # pose by the tracks named so far, before new ones are named
-                    pose = _posed(body, pose, points, self._assigned(self._mean(tracks)))
+                    pose = _fit_pose(
+                        body, pose, points, self._markers_of_points(self._mean_log_odds(tracks))
+                    )
                 said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
-                held = self._assigned(self._mean(tracks) + said)
-                kept[k] = pose = _posed(body, pose, points, held)
+                held = self._markers_of_points(self._mean_log_odds(tracks) + said)
+                kept[k] = pose = _fit_pose(body, pose, points, held)
                 said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
                 self._sum[tracks] += said
                 self._count[tracks] += 1
-        self._move(kept)
+        self._store_poses(kept)
 
-    def _move(self, poses: list[Poses]) -> None:
+    def _store_poses(self, poses: list[Poses]) -> None:
         self._translation = torch.cat([one.translation for one in poses])
         self._rotations = torch.cat([one.rotations for one in poses])
 
@@ -137,13 +136,17 @@ class Naming:
         poses = body.posed(self._translation[some], self._rotations[some])
         return body.calibrated(x[some], seen[some], poses)
 
-    def _mean(self, tracks: Int[np.ndarray, " points"]) -> Float[np.ndarray, "points markers"]:
+    def _mean_log_odds(
+        self, tracks: Int[np.ndarray, " points"]
+    ) -> Float[np.ndarray, "points markers"]:
         """Mean log odds of every marker for some tracks, weighted by the tracks' lengths."""
         count = self._count[tracks][:, None]
         return self._sum[tracks] / np.maximum(count, 1) * np.minimum(count, _WEIGHT)
 
     @staticmethod
-    def _assigned(odds: Float[np.ndarray, "points markers"]) -> Int[np.ndarray, " points"]:
+    def _markers_of_points(
+        odds: Float[np.ndarray, "points markers"],
+    ) -> Int[np.ndarray, " points"]:
         from scipy.optimize import linear_sum_assignment
 
         rows, columns = linear_sum_assignment(-np.maximum(odds, 0.0))
@@ -152,14 +155,14 @@ class Naming:
         marker[rows[good]] = columns[good]
         return marker
 
-    def _settle(self) -> None:
+    def _name_tracks(self) -> None:
         """Name every track by its votes: the markers it is assigned to, frame by frame."""
         every = np.arange(len(self.marker))
-        total = self._mean(every)
+        total = self._mean_log_odds(every)
         votes = np.zeros_like(total)
         for k in range(len(self.keys)):
-            tracks = self._points(k)[1]
-            marker = self._assigned(total[tracks])
+            tracks = self._points_and_tracks(k)[1]
+            marker = self._markers_of_points(total[tracks])
             votes[tracks[marker >= 0], marker[marker >= 0]] += 1
         frames = self._frames_of_tracks()
         taken = np.zeros((self.seen.frames, total.shape[1]), bool)
@@ -203,9 +206,9 @@ class Naming:
         x, seen = self.named(self.keys)
         poses = body.posed(self._translation, self._rotations)
         poses = minimise_frames(body.energies(x, seen), poses, _STEP).state
-        self._move([poses])
+        self._store_poses([poses])
         places = told.places(poses)
-        frames, numbers = self._sampled()
+        frames, numbers = self._sampled_tracks()
         path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
         self._sum[:], self._count[:] = 0.0, 0.0
         for frame in np.unique(frames).tolist():
@@ -216,7 +219,7 @@ class Naming:
             self._sum[mine] += _log_odds(points[:, None] - place, told.spread)
             self._count[mine] += 1
 
-    def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
+    def _sampled_tracks(self) -> tuple[np.ndarray, np.ndarray]:
         """Frames and tracks for comparing tracks: a sample of the frames of every track."""
         frames, numbers = list[np.ndarray](), list[np.ndarray]()
         for track, own in enumerate(self._frames_of_tracks()):
@@ -226,7 +229,7 @@ class Naming:
         return np.concatenate(frames), np.concatenate(numbers)
 
 
-def _posed(
+def _fit_pose(
     body: MarkedBody, pose: Poses, points: np.ndarray, marker: Int[np.ndarray, " points"]
 ) -> Poses:
     """Fit a pose to the points that are assigned to markers, starting from another pose."""
@@ -241,7 +244,7 @@ def _posed(
 
 
 def _log_odds(
-    away: Float[np.ndarray, "points markers 3"], spread: float
+    away: Float[np.ndarray, "points markers 3"], spread: Float[np.ndarray, " markers"]
 ) -> Float[np.ndarray, "points markers"]:
     """Log odds of every point being every marker, against lying anywhere in a cubic metre."""
     near = -0.5 * (away**2).sum(-1) / spread**2 - np.log(15.75 * spread**3)

@@ -165,7 +165,7 @@ def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, 
     The other joints are free: two joints that only turn against each other unseen are not known.
     """
     rows = torch.arange(len(poses.translation)).split(_AT_ONCE)
-    blocks = torch.cat([_variances(energies, poses, some) for some in rows])
+    blocks = torch.cat([_rotation_covariances(energies, poses, some) for some in rows])
     turns = poses.orientations[:, 1:].double()
     variance = turns.mT @ blocks @ turns
     away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
@@ -176,7 +176,7 @@ def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, 
     return pull * (axes * (1 / share - 1)) @ axes.mT
 
 
-def _variances(
+def _rotation_covariances(
     energies: PoseEnergies, poses: Poses, rows: Int[Tensor, " rows"]
 ) -> Float[Tensor, "rows 21 3 3"]:
     """Inverse Hessian blocks for the rotation of every joint about the axes of the world."""

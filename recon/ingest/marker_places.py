@@ -17,8 +17,11 @@ from recon.mocap.recording import MarkerRecording
 
 _FITTED, _DRAWN = 40, 100
 """Frames of a named trial that the body is fitted to, and poses drawn from the density."""
-_KNOWN, _TABLE = 0.02, 0.05
-"""Metres by which a marker lies beside its place, once offsets are known, and by a table."""
+_KNOWN, _TABLE, _LOOSE_TABLE = 0.02, 0.05, 0.08
+"""Standard deviations of a marker from its place, metres: once its offset is known, by a table,
+and by a table that names no more than a region, such as the thigh."""
+_JOINT_SPREAD = 0.6
+"""Standard deviation of joints from the natural pose, radians."""
 _STATURES = (-3.0, -1.5, 0.0, 1.5)
 """First coefficients of the shapes that somebody unknown may have: 1.3 to 1.9 m."""
 
@@ -31,17 +34,22 @@ class MarkedBody:
     markers: MarkerSet
     shape: Float[Tensor, " shape"]
     offsets: Float[Tensor, "markers 3"]
-    spread: float
-    """Metres by which a marker lies beside its place."""
+    spread: Float[np.ndarray, " markers"]
+    """Standard deviation of each marker from its place, metres."""
     poses: Float[Tensor, "poses 21 3 3"]
+
+    @property
+    def usual_spread(self) -> float:
+        """The median of `spread`, metres."""
+        return float(np.median(self.spread))
 
     @cached_property
     def skin(self) -> SkinPoints:
         """The markers as points of the body."""
-        return self._still.markers
+        return self._energies_without_markers.markers
 
     @cached_property
-    def _still(self) -> PoseEnergies:
+    def _energies_without_markers(self) -> PoseEnergies:
         """Energies of one frame in which no marker is seen."""
         count = len(self.markers.labels)
         nothing = np.zeros((1, count, 3)), np.zeros((1, count), bool)
@@ -53,11 +61,11 @@ class MarkedBody:
         return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
-        """Poses of this body."""
-        return Poses.of(translation, rotations, self._still.rest)
+        """Poses of this body from translations and joint rotations."""
+        return Poses.of(translation, rotations, self._energies_without_markers.rest)
 
     def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
-        """Where the markers are, metres."""
+        """Positions of the markers in some poses, metres."""
         return self.skin.places(poses).mT.double().numpy()
 
     def energies(
@@ -65,12 +73,18 @@ class MarkedBody:
         positions: Float[np.ndarray, "frames markers 3"],
         visible: Bool[np.ndarray, "frames markers"],
     ) -> PoseEnergies:
-        """Energies of the poses of frames that do not depend on each other."""
+        """Energies of the poses of frames that do not depend on each other.
+
+        Markers whose place is surer count more, and the natural pose less.
+        """
+        weight = torch.from_numpy((self.usual_spread / self.spread) ** 2).float()
+        pull = (self.usual_spread / _JOINT_SPREAD) ** 2
         return replace(
-            self._still,
+            self._energies_without_markers,
             positions=torch.from_numpy(positions).float().mT.contiguous(),
-            visible=torch.from_numpy(visible).float(),
+            visible=torch.from_numpy(visible).float() * weight,
             linked=torch.zeros(len(visible) - 1, dtype=torch.bool),
+            pull=torch.full((1,), pull),
         )
 
     def calibrated(
@@ -84,7 +98,8 @@ class MarkedBody:
         free = replace(some.poses.untied(), weight=1.0)
         known = replace(some, under=None, poses=free)
         found = calibrated(known, poses.translation, poses.rotations, OUTLIER)
-        return replace(self, shape=found.shape, offsets=found.offsets, spread=_KNOWN)
+        spread = np.where(visible.any(0), _KNOWN, self.spread)
+        return replace(self, shape=found.shape, offsets=found.offsets, spread=spread)
 
 
 def body_of_trial(
@@ -103,7 +118,8 @@ def body_of_trial(
     known = markers or full_body_markers(trial, body)
     fit = fit_markers(trial.select(known.labels).evenly_spread(_FITTED), known, body)
     poses = torch.cat((fit.motion.rotations[::4, 1:], _usual_poses()))
-    return MarkedBody(body, known, fit.motion.shape, fit.offsets, _KNOWN, poses)
+    spread = np.full(len(known.labels), _KNOWN)
+    return MarkedBody(body, known, fit.motion.shape, fit.offsets, spread, poses)
 
 
 def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:
@@ -111,8 +127,8 @@ def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:
     shapes = [torch.zeros(body.shape_size) for _ in _STATURES]
     for shape, stature in zip(shapes, _STATURES, strict=True):
         shape[0] = stature
-    usual = _usual_poses()
-    return [MarkedBody(body, markers, own, markers.nominal, _TABLE, usual) for own in shapes]
+    usual, spread = _usual_poses(), np.where(markers.loose, _LOOSE_TABLE, _TABLE)
+    return [MarkedBody(body, markers, own, markers.nominal, spread, usual) for own in shapes]
 
 
 def _usual_poses() -> Float[Tensor, "poses 21 3 3"]:

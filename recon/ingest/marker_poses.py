@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
-from priors.pose.prior import PosePrior
+from priors.pose.prior import PoseDensity, PosePrior
 from recon.body.derivatives import CarriedPoints
 from recon.body.levers import (
     COORDINATES,
@@ -143,18 +143,24 @@ class SkinPoints(TensorStruct):
 
 
 @cache
+def pose_density() -> PoseDensity:
+    """The bundled pose prior's density of poses."""
+    return PosePrior.load().density
+
+
+@cache
 def natural_pose() -> Float[Tensor, "21 3 3"]:
     """A relaxed standing pose, used for joints that no marker determines.
 
     It is the mean rotation of every body joint over the motions that the bundled pose prior
     learned.
     """
-    return PosePrior.load().density.mean.float()
+    return pose_density().mean.float()
 
 
 def drawn_poses(count: int) -> Float[Tensor, "count 21 3 3"]:
     """Poses drawn from the bundled pose prior, always the same ones."""
-    draw, density = torch.Generator().manual_seed(0), PosePrior.load().density
+    draw, density = torch.Generator().manual_seed(0), pose_density()
     z = torch.randn(count, len(density.basis), generator=draw, dtype=density.basis.dtype)
     return density.rotations(z).float()
 

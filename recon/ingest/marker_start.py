@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from recon.core import rotations as so3
 from recon.ingest.marker_places import MarkedBody
-from recon.ingest.marker_poses import Poses
+from recon.ingest.marker_poses import Poses, pose_density
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
 _TURNS, _USUAL, _NEAR, _TRIED = 16, 40, 200, 12
@@ -23,6 +23,8 @@ _APART = 0.6
 """Metres between points of a body and those of others or of objects."""
 _REACH = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1, 0.1, 0.1)
 """Metres beyond which a point is no marker, by iteration."""
+_UNUSUAL = 0.01
+"""Share of markers that do not fit that weighs as much as a unit of `FoundBody.unusual`."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
 
@@ -36,6 +38,13 @@ class FoundBody:
     """The marker that every point is, -1 of others."""
     cost: float
     """Share of markers and points that do not fit, 0 to 1."""
+    unusual: float
+    """Mean squared coordinate of the pose in the density of poses; about 1 of usual ones."""
+
+    @property
+    def rank(self) -> float:
+        """What the best of several bodies has least of: legs put on backwards fit as well."""
+        return self.cost + _UNUSUAL * self.unusual
 
 
 def found_body(
@@ -64,7 +73,7 @@ def found_body(
     shape, middle = turned.shape[:3], np.median(points, 0)
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True) + middle
-    rough = _chamfer(flat, points)
+    rough = _chamfer_distances(flat, points)
     likely = np.argsort(rough)[: _NEAR * effort]
     costs = np.array([assigned(one, points, _REACH[0])[1] for one in flat[likely]])
     best: FoundBody | None = None
@@ -78,8 +87,8 @@ def found_body(
         start = body.posed(torch.zeros(len(rows), 3), turns)
         rests = body.places(start)
         shift = torch.tensor((flat[chosen[rows]] - rests).mean(1)).float()
-        for found in _fitted(body, body.posed(shift, turns), points):
-            if best is None or found.cost < best.cost:
+        for found in _fits_of_poses(body, body.posed(shift, turns), points):
+            if best is None or found.rank < best.rank:
                 best = found
     assert best is not None
     marker = np.full(len(among), -1)
@@ -99,7 +108,7 @@ def _one_body(
     return points[among], among
 
 
-def _fitted(
+def _fits_of_poses(
     body: MarkedBody, state: Poses, points: Float[np.ndarray, "points 3"]
 ) -> list[FoundBody]:
     """Poses of one body fitted to the points, and how well each fits."""
@@ -115,7 +124,8 @@ def _fitted(
         state = minimise_frames(body.energies(x, seen), state, _FEW).state
     places = body.places(state)
     found = [assigned(one, points, _REACH[-1]) for one in places]
-    return [FoundBody(body, state[[k]], *found[k]) for k in range(count)]
+    unusual = pose_density().coordinates(state.rotations[:, 1:]).square().mean(-1).tolist()
+    return [FoundBody(body, state[[k]], *found[k], unusual[k]) for k in range(count)]
 
 
 def assigned(
@@ -134,7 +144,7 @@ def assigned(
     return marker, float(capped[rows, columns].sum() / fewer)
 
 
-def _chamfer(
+def _chamfer_distances(
     places: Float[np.ndarray, "poses markers 3"], points: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, " poses"]:
     """Mean squared distances from places to the nearest points and back, capped."""

@@ -19,7 +19,7 @@ def tracks_of(
 ) -> Int[np.ndarray, "time points"]:
     """Number of the track of every visible point, from 0; -1 where a point is not visible."""
     reach = _JUMP + _ACCELERATION / fps**2
-    before, after = _velocities(positions, visible)
+    before, after = _displacements(positions, visible)
     steps = positions[1:] - positions[:-1]
     error = np.linalg.norm(steps - (before[:-1] + after[1:]) / 2, axis=-1)
     joined = visible[1:] & visible[:-1] & (error < reach)
@@ -29,10 +29,10 @@ def tracks_of(
     track = np.where(visible, np.maximum.accumulate(numbers, axis=0) - 1, -1)
     ends = visible.copy()
     ends[:-1] &= ~joined
-    return _linked(track, positions, begins, ends, before, reach)
+    return _joined_tracks(track, positions, begins, ends, before, reach)
 
 
-def _velocities(
+def _displacements(
     x: Float[np.ndarray, "time points 3"], visible: Bool[np.ndarray, "time points"]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacements of points since the previous frame and to the next; 0 where unknown."""
@@ -41,7 +41,7 @@ def _velocities(
     return np.concatenate((none, steps)), np.concatenate((steps, none))
 
 
-def _linked(
+def _joined_tracks(
     track: Int[np.ndarray, "time points"],
     x: Float[np.ndarray, "time points 3"],
     begins: Bool[np.ndarray, "time points"],

@@ -117,7 +117,7 @@ class SubjectModel(TensorStruct):
 
 @dataclass(frozen=True)
 class MappedFrames(TensorStruct):
-    """Positions and orientations of the mapped joints of recordings, in our order."""
+    """Positions and orientations of the mapped joints of recordings, in recon's joint order."""
 
     positions: Float[Tensor, "time points 3"]
     orientations: Float[Tensor, "time bones 3 3"]
@@ -125,7 +125,7 @@ class MappedFrames(TensorStruct):
 
     @classmethod
     def of(cls, recording: SkeletonRecording, skeleton: SkeletonMap) -> "MappedFrames":
-        """All frames of a recording."""
+        """The mapped joints in all frames of a recording."""
         points = [recording.joint(name) for _, name in skeleton.positions]
         bones = [recording.joint(name) for _, name in skeleton.orientations]
         positions = torch.from_numpy(recording.positions[:, points]).float()

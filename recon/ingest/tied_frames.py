@@ -72,7 +72,7 @@ class TiedFrames(ABC, Generic[S]):
 
 @dataclass(frozen=True)
 class LevenbergMarquardt:
-    """Settings of the minimisation."""
+    """Settings of `minimise_frames`: limits, tolerances and damping."""
 
     max_iterations: int = 50
     """A safety net: frames end by tolerance."""
@@ -92,7 +92,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class MinimisedFrames(Generic[S]):
-    """The result of a minimisation."""
+    """The frames after a minimisation, with their energies."""
 
     state: S
     value: Float[Tensor, " frames"]
@@ -130,7 +130,7 @@ def minimise_frames(
     rows = every if rows is None else rows
     value, gradient = energies.energies_and_gradients(state, every)
     between, pull = energies.tie_energies(state)
-    curvatures = _Curvatures.none(gradient)
+    curvatures = _HessianFactors.none(gradient)
     damping = torch.full_like(value, settings.damping)
     promised = torch.full_like(value, torch.inf)
     rounding = _ROUNDING * torch.finfo(value.dtype).eps
@@ -190,7 +190,7 @@ def minimise_frames(
 
 
 @dataclass
-class _Curvatures:
+class _HessianFactors:
     """Cholesky factors of the frames' damped Hessians, ties included."""
 
     factors: Float[Tensor, "frames n n"]
@@ -200,7 +200,7 @@ class _Curvatures:
     """Curvatures computed so far."""
 
     @classmethod
-    def none(cls, gradient: Float[Tensor, "frames n"]) -> "_Curvatures":
+    def none(cls, gradient: Float[Tensor, "frames n"]) -> "_HessianFactors":
         """An empty store for the factors of all frames."""
         frames, size = gradient.shape
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)

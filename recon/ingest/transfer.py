@@ -97,7 +97,7 @@ def align(
 
 
 @dataclass(frozen=True)
-class _Pairs:
+class _SurfacePairs:
     """Vertices of the moved body, with residuals to the points that they should meet."""
 
     vertices: Int[Tensor, " pairs"]
@@ -118,7 +118,7 @@ class _Surface:
 
     def pairs(
         self, here: Float[np.ndarray, "others 3"], faces: Int[np.ndarray, "faces 3"]
-    ) -> _Pairs:
+    ) -> _SurfacePairs:
         """Pair vertices of either surface with the nearest points of the other one."""
         own = vertex_normals(here, faces)
         some, ours = _sparse_indices(len(here)), _sparse_indices(len(self.vertices))
@@ -133,7 +133,7 @@ class _Surface:
         seen = (own[vertices] * directions).sum(-1) > _FACING
         share = _OUTLIER_AT_REST**2 / (_OUTLIER_AT_REST**2 + np.square(residuals).sum(-1))
         arrays = (vertices, residuals, directions, np.square(share) * seen)
-        return _Pairs(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
+        return _SurfacePairs(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
 
 def _sparse_indices(count: int) -> Int[np.ndarray, " some"]:
@@ -194,7 +194,7 @@ class _Alignment(Problem[Tensor]):
         return x + steps[0]
 
     def _residuals(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Jacobian, residuals and their weights."""
+        """The Jacobian, the residuals, and the residuals' weights."""
         if isinstance(self.goal, Tensor):
             here, slopes = _points_and_derivatives(self.target, x, None)
             away = (here - self.goal).flatten()

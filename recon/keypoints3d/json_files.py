@@ -49,7 +49,7 @@ def read_json_points(path: Path, person: int | None = None) -> Points3D:
 
 
 def _reader_of(value: Any) -> Callable[[Any, str, int | None], Points3D] | None:
-    entries = _entries(value)
+    entries = _frame_entries(value)
     records = [one for one in entries if isinstance(one, dict)]
     if any(key in one for one in records for key in _WORLD):
         return _read_mediapipe
@@ -62,7 +62,7 @@ def _reader_of(value: Any) -> Callable[[Any, str, int | None], Points3D] | None:
     )
 
 
-def _entries(value: Any) -> list[Any]:
+def _frame_entries(value: Any) -> list[Any]:
     if isinstance(value, dict):
         value = next((value[key] for key in _FRAMES if key in value), [value])
     return value if isinstance(value, list) else []
@@ -75,11 +75,15 @@ def _listed_names(value: dict[str, Any]) -> tuple[str, ...]:
 
 def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     """Read MediaPipe's world landmarks: metres from the middle of the hips, y down, z away."""
-    frames = listed_frames(_entries(value), name)
+    frames = listed_frames(_frame_entries(value), name)
     first, last = frames[0][0], frames[-1][0]
     FRAMES.check(last - first + 1, name)
-    found = [_people(entry, _WORLD, f"{name}, frame {number}") for number, entry in frames]
-    image = [_people(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
+    found = [
+        _people_of_frame(entry, _WORLD, f"{name}, frame {number}") for number, entry in frames
+    ]
+    image = [
+        _people_of_frame(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames
+    ]
     known = found
     if all(len(a) == len(b) for a, b in zip(found, image, strict=True)):
         known = [  # match people in the image, as all world landmarks have the hips at the origin
@@ -97,7 +101,7 @@ def _read_mediapipe(value: Any, name: str, person: int | None) -> Points3D:
     return Points3D(name, positions, layout="mediapipe33", unit="m", decisions=decisions)
 
 
-def _people(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
+def _people_of_frame(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
     """The landmarks of all people in one frame; NaN where not seen."""
     people = people_of_landmarks(entry, keys) if isinstance(entry, dict) else None
     found = [landmarks(one, "xyz", place) for one in people or []]
@@ -106,7 +110,7 @@ def _people(entry: Any, keys: tuple[str, ...], place: str) -> list[Person]:
 
 def _read_azure_kinect(value: Any, name: str, person: int | None) -> Points3D:
     """Read Azure Kinect's joints: millimetres in the depth camera's frame, y down, z forward."""
-    frames = [one for one in _entries(value) if isinstance(one, dict)]
+    frames = [one for one in _frame_entries(value) if isinstance(one, dict)]
     names = _listed_names(value)
     people = [
         (k, [(as_identity(one.get("body_id", 0), name), _joints_of_body(one, f"{name}, frame {k}"))
@@ -136,7 +140,7 @@ def _joints_of_body(body: dict[str, Any], place: str) -> Person:
 def _read_named(value: Any, name: str, person: int | None) -> Points3D:
     """Read a list of names with x, y, z (and a confidence) of every point in every frame."""
     del person
-    names, numbers = _listed_names(value), as_floats(_entries(value), name)
+    names, numbers = _listed_names(value), as_floats(_frame_entries(value), name)
     if numbers.ndim != 3 or numbers.shape[1] != len(names) or numbers.shape[2] not in (3, 4):
         raise FormatError(
             f"{name}: expected x, y, z of {len(names)} points in every frame, got numbers of "

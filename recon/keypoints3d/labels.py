@@ -139,13 +139,13 @@ def _plain_spelling(label: str) -> str:
     lowered = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
     if short := _ABBREVIATED.match(lowered):
         side = "left" if short[1] == "l" else "right"
-        return _sided(side, short[2].replace("_", ""))
+        return _with_side(side, short[2].replace("_", ""))
     word = plain_part_name(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
     side, _, rest = word.partition("_")
-    return _sided(side, rest) if side in ("left", "right") and rest else word
+    return _with_side(side, rest) if side in ("left", "right") and rest else word
 
 
-def _sided(side: str, name: str) -> str:
+def _with_side(side: str, name: str) -> str:
     return f"{side}_{_SAME_SIDED.get(name, name)}"
 
 

@@ -41,7 +41,7 @@ def read_people(frames: Frames, name: str, person: int | None = None) -> Points3
         return None
     found = [(k, reader(entry, f"{name}, frame {k}") or []) for k, entry in frames]
     points = points_of_one_person(found, name, person)
-    times = _seconds([entry for _, entry in frames])
+    times = _times_in_seconds([entry for _, entry in frames])
     if times is None:
         return points
     return points.with_rate_of_times(np.linspace(0.0, times[-1], len(points.positions)))
@@ -108,7 +108,7 @@ def listed_in_time(value: Any, name: str) -> Frames:
             value = next((value[key] for key in _LISTS if key in value), [])
     if not isinstance(value, list):
         return []
-    times = _seconds(value)
+    times = _times_in_seconds(value)
     if times is None:
         return listed_frames(value, name)
     steps = np.diff(times, prepend=times[0])
@@ -116,7 +116,7 @@ def listed_in_time(value: Any, name: str) -> Frames:
     return list(zip(numbers.tolist(), value, strict=True))
 
 
-def _seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
+def _times_in_seconds(entries: list[Any]) -> Float[np.ndarray, " frames"] | None:
     """Times of ZED's frames, seconds from the first; None if missing or not rising."""
     stamps = [one.get("timestamp") if isinstance(one, dict) else None for one in entries]
     numbers = [float(one) for one in stamps if isinstance(one, int)]
@@ -152,14 +152,17 @@ def _people_under_keys(entry: Any, people_key: str, points_key: str, place: str)
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         return None
     found = [
-        (as_identity(one.get("id", one.get("person_id")), place), _points(one[points_key], place))
+        (
+            as_identity(one.get("id", one.get("person_id")), place),
+            _points_with_nan(one[points_key], place),
+        )
         for one in listed
         if one.get(points_key)
     ]
     return found if found and all(x.shape[1] == 3 for _, x in found) else None
 
 
-def _points(value: Any, place: str) -> np.ndarray:
+def _points_with_nan(value: Any, place: str) -> np.ndarray:
     """Rows x, y, z; NaN where a fourth number, a confidence, is not positive."""
     numbers = as_floats(value, place)
     if numbers.ndim == 1:

@@ -81,7 +81,7 @@ def read_session(folder: Path) -> Points3D:
 
 
 def _with_hands(points: Points3D, path: Path) -> Points3D:
-    """MediaPipe's body points of a session, joined by hand points from the files beside them."""
+    """Add the hand points of a session's other files to MediaPipe's points of the body."""
     layout = LAYOUTS["mediapipe33"]
     parts = [path.with_name(path.name.replace("body", f"{side}_hand", 1)) for side in SIDES]
     if points.positions.shape[1] != len(layout) or not all(one.exists() for one in parts):

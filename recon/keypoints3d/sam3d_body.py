@@ -243,13 +243,15 @@ def _people_by_frame(path: Path) -> list[list[Any]]:
     if path.is_dir():
         return list(_people_in_folder(path))
     if path.suffix.lower() == ".npz":
-        return _people_of_arrays(_arrays(path), path)
+        return _people_of_arrays(_read_arrays(path), path)
     with path.open("rb") as file:
         content = read_pickle(file, path)
     if isinstance(content, np.ndarray):
         content = content.tolist()
     if isinstance(content, dict) and _POINTS not in content:
-        content = [content[key] for key in sorted(content, key=lambda one: _numbers(str(one)))]
+        content = [
+            content[key] for key in sorted(content, key=lambda one: _numbers_in_name(str(one)))
+        ]
     frames = content if isinstance(content, list) else [content]
     return [list(_people_of(one)) for one in frames]
 
@@ -262,7 +264,7 @@ def _people_of(frame: object) -> Sequence[Any]:
     return frame if isinstance(frame, list | tuple) else (frame,)
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays that recon uses; others, such as pickled masks, are not opened."""
     try:
         check_sizes(path, only=tuple(_SHAPES))
@@ -300,8 +302,8 @@ def _people_of_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> list[list
 
 def _people_in_folder(folder: Path) -> Iterator[list[Any]]:
     """Read a file per person and frame, numbered by name: frame first, then person."""
-    files = sorted(folder.glob("*.npz"), key=lambda one: _numbers(one.stem))
-    numbers = [_numbers(one.stem) for one in files]
+    files = sorted(folder.glob("*.npz"), key=lambda one: _numbers_in_name(one.stem))
+    numbers = [_numbers_in_name(one.stem) for one in files]
     if len({len(one) for one in numbers}) > 1 or not numbers[0]:
         numbers = [(k,) for k in range(len(files))]
     changing = [k for k, column in enumerate(zip(*numbers, strict=True)) if len(set(column)) > 1]
@@ -310,11 +312,11 @@ def _people_in_folder(folder: Path) -> Iterator[list[Any]]:
     FRAMES.check(last - first + 1, folder)
     at: dict[int, list[Any]] = {}
     for file, number in zip(files, numbers, strict=True):
-        for people in _people_of_arrays(_arrays(file), file):
+        for people in _people_of_arrays(_read_arrays(file), file):
             at.setdefault(number[frame], []).extend(people)
     for k in range(first, last + 1):
         yield at.get(k, [])
 
 
-def _numbers(text: str) -> tuple[int, ...]:
+def _numbers_in_name(text: str) -> tuple[int, ...]:
     return tuple(int(one) for one in re.findall(r"\d{1,15}", text))

@@ -85,7 +85,7 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
     needed = [k for axes in columns.values() for k in axes]
     values = numbers_of_columns(rows, needed, name, most=len(header)).reshape(len(rows), -1, 3)
     lower = [cell.lower() for cell in header]
-    frames, times = (_column(rows, lower, words, name) for words in (_FRAME, _TIME))
+    frames, times = (_numbers_of_column(rows, lower, words, name) for words in (_FRAME, _TIME))
     if frames is None or not np.isfinite(frames).all() or len(frames) == 0:
         return Points3D(name, values, tuple(columns)).with_rate_of_times(times)
     steps = np.diff(frames)
@@ -106,7 +106,7 @@ def _read_wide(rows: list[list[str]], header: list[str], name: str) -> Points3D:
 
 
 def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
-    frames = _column(rows, header, (*_FRAME, ""), name)
+    frames = _numbers_of_column(rows, header, (*_FRAME, ""), name)
     if frames is None:
         raise FormatError(f"{name}: expected a column `frame` beside keypoint, x, y, z")
     if not np.isfinite(frames).all():
@@ -132,14 +132,14 @@ def _read_long(rows: list[list[str]], header: list[str], name: str) -> Points3D:
             )
         spot[:] = values[k]
     points = Points3D(name, positions, tuple(place))
-    times = _column(rows, header, _TIME, name)
+    times = _numbers_of_column(rows, header, _TIME, name)
     known, first = np.unique(index, return_index=True)
     return (
         points if times is None or len(known) < count else points.with_rate_of_times(times[first])
     )
 
 
-def _column(
+def _numbers_of_column(
     rows: list[list[str]], header: list[str], words: Sequence[str], name: str
 ) -> np.ndarray | None:
     """The numbers of the column named by the first of some words; None if there is none.

@@ -143,7 +143,7 @@ def _first_fit(
     body: BodyModel,
     poses: PosePrior,
 ) -> _FirstMotion:
-    """A fit under the pose prior."""
+    """Fit a first motion to the first moments under the pose prior."""
     first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=shape)
     batch: Any = [one[None] for one in seen]

@@ -66,7 +66,7 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
         moment = json.loads(line)
         points, time = moment["points"], moment.get("time")
         several = any(_is_sensor(one) for one in points)
-        arrays = [_array(one) for one in points] if several else _array(points)
+        arrays = [_points_array(one) for one in points] if several else _points_array(points)
         return arrays, None if time is None else float(str(time))  # float("True") raises
     except Exception as error:  # bad lines are reported; the stream goes on
         raise ReconError(
@@ -82,7 +82,7 @@ def _is_sensor(value: Any) -> bool:
     )
 
 
-def _array(rows: Any) -> np.ndarray:
+def _points_array(rows: Any) -> np.ndarray:
     """Rows of three numbers; null, or a row with null in it, becomes NaN."""
     return np.array(
         [

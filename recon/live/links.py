@@ -32,7 +32,7 @@ _LONGEST_SUBJECT = 100
 
 
 @dataclass(frozen=True)
-class _Axes:
+class _ProgramAxes:
     """Another program's axes."""
 
     world: Float[np.ndarray, "3 3"]
@@ -58,11 +58,11 @@ class _Axes:
 
 
 _PARENTS = np.array(PARENTS[1:])
-_UNITY = _Axes(
+_UNITY = _ProgramAxes(
     np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.diag([-1.0, 1.0, 1.0])
 )
 """y up, the rest pose faces z."""
-_UNREAL = _Axes(
+_UNREAL = _ProgramAxes(
     np.diag([1.0, -1.0, 1.0]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 )
 """z up, the rest pose faces y."""
@@ -106,15 +106,17 @@ class Link(AbstractContextManager[Any]):
                 self._socket.send(packet)
             except ConnectionRefusedError as error:
                 # the error is about the previous packet; the present one was not sent yet
-                self._tell(error, "nobody listens there yet; packets are sent all the same")
+                self._complain_once(
+                    error, "nobody listens there yet; packets are sent all the same"
+                )
                 self._socket.send(packet)
         except ConnectionRefusedError:
             return
         except OSError as error:
             size = f" ({len(packet):,} bytes)" if error.errno == errno.EMSGSIZE else ""
-            self._tell(error, f"a packet{size} was not sent: {error}")
+            self._complain_once(error, f"a packet{size} was not sent: {error}")
 
-    def _tell(self, error: OSError, message: str) -> None:
+    def _complain_once(self, error: OSError, message: str) -> None:
         if error.errno not in self._told:
             self._told.add(error.errno)
             self._complain(f"{self._address}: {message}")
@@ -157,7 +159,7 @@ class VmcLink(Link):
         self._tracked = [head("OK", 1, 3, 0, found) for found in (0, 1)]
         self._time = head("T", 0.0)
         pose = [0.0] * 7
-        self._root = head("Root/Pos", "root", *pose) + _floats([*pose[1:], 1.0])
+        self._root = head("Root/Pos", "root", *pose) + _packed_floats([*pose[1:], 1.0])
         # VRM names these bones as Unity does, except for the capital first letter
         vrm = joint_names_in(JOINTS, "vrm")
         self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
@@ -169,9 +171,13 @@ class VmcLink(Link):
             return
         for one in estimate.every:
             rows = np.concatenate(_UNITY.bones(one), 1)
-            bones = [bone + _floats(row) for bone, row in zip(self._bones, rows, strict=True)]
+            bones = [
+                bone + _packed_floats(row) for bone, row in zip(self._bones, rows, strict=True)
+            ]
             tracked = self._tracked[int(one.observed.any())]
-            self._send_bundles([tracked, self._time + _floats([one.time]), self._root, *bones])
+            self._send_bundles(
+                [tracked, self._time + _packed_floats([one.time]), self._root, *bones]
+            )
 
     def _send_bundles(self, messages: Sequence[bytes]) -> None:
         """Send messages in as few bundles as possible; a bundle fits into one packet."""
@@ -184,7 +190,7 @@ class VmcLink(Link):
         self._send_packet(bundle)
 
 
-def _floats(values: Sequence[float] | np.ndarray) -> bytes:
+def _packed_floats(values: Sequence[float] | np.ndarray) -> bytes:
     return np.array(values, dtype=">f4").tobytes()
 
 
@@ -228,17 +234,23 @@ class LiveLink(Link):
         """Send an estimate, with those before it that became final with it; None sends nothing."""
         for one in () if estimate is None else estimate.every:
             offsets, turns = _UNREAL.bones(one)
-            bones = [_bone("root", -1, [0.0] * 3, [0.0, 0.0, 0.0, 1.0]) | {"Time": one.time}]
+            bones = [
+                _bone_record("root", -1, [0.0] * 3, [0.0, 0.0, 0.0, 1.0]) | {"Time": one.time}
+            ]
             rows = zip(
                 self._names, PARENTS, (100 * offsets).round(5).tolist(), turns.round(8).tolist(),
                 strict=True,
             )  # fmt: skip
-            bones += [_bone(name, parent + 1, place, turn) for name, parent, place, turn in rows]
+            bones += [
+                _bone_record(name, parent + 1, place, turn) for name, parent, place, turn in rows
+            ]
             packet = json.dumps({self._subject: bones}, separators=(",", ":"))
             self._send_packet(packet.encode("ascii"))
 
 
-def _bone(name: str, parent: int, location: list[float], turn: list[float]) -> dict[str, Any]:
+def _bone_record(
+    name: str, parent: int, location: list[float], turn: list[float]
+) -> dict[str, Any]:
     return {
         "Name": name, "Parent": parent, "Location": location, "Rotation": turn,
         "Scale": [1.0, 1.0, 1.0],

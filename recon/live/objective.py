@@ -30,7 +30,7 @@ VARIABLES = 69
 
 @dataclass(frozen=True)
 class Window(TensorStruct):
-    """The window of motion that is optimised."""
+    """The variables of a window of motion: translations, root rotations and pose coordinates."""
 
     translation: Float[Tensor, "time 3"]
     """SMPL translation, metres."""
@@ -135,7 +135,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Objective:
-    """The constants of a window's objective."""
+    """The objective of a window of motion: the body, weights and priors that stay the same."""
 
     body: BodyModel
     density: PoseDensity

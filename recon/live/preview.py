@@ -100,8 +100,8 @@ class PreviewTracking(TrackedPerson):
         motion, found = likeliest_motion(
             self.look, with_triangulated_views(one[None] for one in given), self.body
         )
-        self._tell(found.doubt, findings)
-        motion = with_shape(motion, self._learned(motion.shape[0]), self.body)[0]
+        self._add_findings(found.doubt, findings)
+        motion = with_shape(motion, self._mean_shape(motion.shape[0]), self.body)[0]
         # one more frame on either side, to compute speeds
         first, last = max(rows[0] - 1, 0), min(stop, len(self.times) - 1)
         times = torch.arange(first, last + 1, dtype=torch.float64) / fps
@@ -121,10 +121,10 @@ class PreviewTracking(TrackedPerson):
             for row in rows
         ]
         self.final = stop
-        self._forget(stop - 1 - round(_BEFORE_S * fps))
+        self._drop_oldest(stop - 1 - round(_BEFORE_S * fps))
         return estimates
 
-    def _tell(self, doubt: str | None, findings: list[Finding]) -> None:
+    def _add_findings(self, doubt: str | None, findings: list[Finding]) -> None:
         if self.doubted is None:
             said = "a preview: what a network proposes at first sight, not refined by a fit"
             findings.append(Finding("preview", said))
@@ -132,7 +132,7 @@ class PreviewTracking(TrackedPerson):
             findings.append(Finding("unfamiliar", doubt))
         self.doubted = doubt is not None
 
-    def _learned(self, proposed: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
+    def _mean_shape(self, proposed: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
         """The shape that is held, or the mean of those that were proposed so far."""
         if self.person.shape is not None:
             return self.person.shape
@@ -143,7 +143,7 @@ class PreviewTracking(TrackedPerson):
         assert self.shape is not None
         return self.shape
 
-    def _forget(self, count: int) -> None:
+    def _drop_oldest(self, count: int) -> None:
         """Drop moments that the network is no longer shown."""
         if count > 0:
             self.seen = tuple(frames_between(one, count, one.moments) for one in self.seen)

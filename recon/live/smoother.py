@@ -31,7 +31,7 @@ class ShapeKnowledge:
         return cls(shape.new_zeros(len(shape), len(shape)), torch.zeros_like(shape), 0)
 
     def gradient(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
-        """Derivative of the energy."""
+        """Gradient of the energy by the shape."""
         return self.information @ shape - self.pull
 
     def value(self, shape: Float[Tensor, " shape"]) -> float:
@@ -117,7 +117,7 @@ class SmoothedWindow:
 
     def refined(self, steps: int) -> "SmoothedWindow":
         """The window after at most `steps` damped Gauss-Newton steps."""
-        refinement = _Refinement()
+        refinement = _WindowProblem()
         options = replace(_OPTIONS, max_iterations=steps)
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
@@ -129,7 +129,7 @@ class SmoothedWindow:
         where it rises twice as much as the push. The next push, which computes the energy anyway,
         damps its own step where the energy of a frame has risen.
         """
-        refinement, row = _Refinement(), torch.zeros(1, dtype=torch.long)
+        refinement, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
         model = refinement.model(self, row)
         energy = float(model.value.sum()) / self.active
         factor = Factor(model.hessian[0], _DAMPING if energy > _RISE * self.energy else 0.0)
@@ -152,7 +152,7 @@ class SmoothedWindow:
         return self.objective.weights.shape * self.objective.rate * self.active
 
 
-class _Refinement(Problem[SmoothedWindow]):
+class _WindowProblem(Problem[SmoothedWindow]):
     """The energy of one window, in steps of its active frames and of the shape that is learned."""
 
     equations: Equations | None = None

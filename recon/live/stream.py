@@ -133,7 +133,7 @@ class Stream:
                 used, and the stream goes on with the next.
         """
         with torch.no_grad():
-            return self._pushed(seen, time)
+            return self._push_moment(seen, time)
 
     def finish(self) -> tuple[LiveEstimate, ...]:
         """The estimates of the last moments; the stream then starts over."""
@@ -142,7 +142,7 @@ class Stream:
             self._given = None
             return () if newest is None else (*newest.earlier, replace(newest, earlier=()))
 
-    def _pushed(self, seen: Any, time: float | None) -> LiveEstimate | None:
+    def _push_moment(self, seen: Any, time: float | None) -> LiveEstimate | None:
         if self._sensors is None and not _is_observation(seen):
             raise ObservationError(
                 "arrays do not name their points: give Stream(template=...), an observation "

@@ -114,7 +114,7 @@ class Tracking(TrackedPerson):
     """Moments since points were seen, once there is a motion."""
 
     @property
-    def _now(self) -> SmoothedWindow:
+    def _current_window(self) -> SmoothedWindow:
         """The current window; only valid after the first motion was fitted."""
         assert self.smoothed is not None
         return self.smoothed
@@ -127,13 +127,17 @@ class Tracking(TrackedPerson):
                 self.gathered.pop(0)
             if len(self.gathered) < max(BEGINNING, self.lag + 1) or self.gathered[-1].empty:
                 return []
-            return self._final_estimates(self.lag) if self._begin(findings) else []
+            return self._final_estimates(self.lag) if self._fit_first_motion(findings) else []
         for moment in moments:
-            self._extend(moment, findings)
+            self._add_moment(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
         # the pose prior's energy is cheap to check, and its unchecked steps may be too long
-        self.smoothed = self._now.refined(1) if self.prior is None else self._now.stepped()
+        self.smoothed = (
+            self._current_window.refined(1)
+            if self.prior is None
+            else self._current_window.stepped()
+        )
         return self._final_estimates(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
@@ -166,7 +170,7 @@ class Tracking(TrackedPerson):
         """The remaining estimates, up to the last frame with points."""
         if self.smoothed is None:
             several = sum(not moment.empty for moment in self.gathered) >= _MIN_MOMENTS
-            if not several or not self._begin(findings):
+            if not several or not self._fit_first_motion(findings):
                 return []
         while self.since_seen > 0 and len(self.times) > self.final:
             self.since_seen -= 1
@@ -180,7 +184,7 @@ class Tracking(TrackedPerson):
             return self.person
         return KnownShape(now.objective.shape, now.knowledge if now.learning else None)
 
-    def _begin(self, findings: list[Finding]) -> bool:
+    def _fit_first_motion(self, findings: list[Finding]) -> bool:
         """Fit a first motion to the collected moments; returns whether there is one."""
         self.since_seen = self.unseen
         try:
@@ -199,9 +203,9 @@ class Tracking(TrackedPerson):
         self.gathered = []
         return True
 
-    def _extend(self, moment: Moment, findings: list[Finding]) -> None:
+    def _add_moment(self, moment: Moment, findings: list[Finding]) -> None:
         most = self.lag + 1 + _BEYOND
-        after = self._now.extended(self.sensors.empty_moment, most, _LEARNED)
+        after = self._current_window.extended(self.sensors.empty_moment, most, _LEARNED)
         self.times.append(moment.time)
         dropped = len(self.times) - after.window.frames
         self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)
@@ -260,7 +264,7 @@ class Tracking(TrackedPerson):
         return done
 
     def _final_estimates(self, lag: int) -> list[LiveEstimate]:
-        now, stop = self._now, len(self.times) - lag
+        now, stop = self._current_window, len(self.times) - lag
         rows = range(self.final, stop)
         if len(rows) == 0:
             return []

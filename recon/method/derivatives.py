@@ -163,7 +163,7 @@ class Neighbourhood:
         place = motion.translation.clone()
         for axis in range(_AXES):
             place[1 + axis, :, axis] += STEP
-        return self._estimate(motion.replace(translation=place))
+        return self._as_estimate(motion.replace(translation=place))
 
     @cached_property
     def perturbed_columns(self) -> Estimate:
@@ -180,9 +180,9 @@ class Neighbourhood:
         for k in range(shapes):
             shape[1 + FRAME + k, k] += STEP
         turned = motion.rotations @ so3.exp(steps)
-        return self._estimate(motion.replace(translation=place, rotations=turned, shape=shape))
+        return self._as_estimate(motion.replace(translation=place, rotations=turned, shape=shape))
 
-    def _estimate(self, motion: Motion) -> Estimate:
+    def _as_estimate(self, motion: Motion) -> Estimate:
         """The motions as estimates, with the coordinates of the ground moved in the last rows."""
         rows = len(motion.translation)
         if self.ground is None:

@@ -61,7 +61,7 @@ class FreeMotion(Prior[FreeVariables]):
         )
 
     def decode(self, variables: FreeVariables) -> Decoded:
-        """Apply the steps to their base."""
+        """The motion after the steps are applied to their base."""
         steps = torch.cat((variables.root[..., None, :], variables.pose), -2)
         return Decoded(
             Motion(

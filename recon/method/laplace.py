@@ -163,7 +163,7 @@ def _deviations_of_window(
     if not factor.definite:
         raise ArithmeticError("the Hessian of the fit is not positive definite")
     found = factor.inverse()
-    marginals = _marginals(found, near.seen(), shapes)
+    marginals = _marginal_deviations(found, near.seen(), shapes)
     if measure is not None:
         # the measured quantity depends on the rotations only
         slopes = torch.nn.functional.pad(measure(motion[0]), (3, len(h.corner)))
@@ -198,7 +198,7 @@ def _nearest_frames(sensor: Sensor, motion: Motion) -> Tensor:
     return frame.clamp(0, motion.frames - 1)
 
 
-def _marginals(
+def _marginal_deviations(
     inverse: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
 ) -> Deviations:
     """Standard deviations of every frame's joints and root, and of the shape.

@@ -92,19 +92,19 @@ class _Unwhitened(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, u: Tensor, factors: Sequence[Factor], hessian_size: int) -> Tensor:
         ctx.map = factors, hessian_size
-        return _mapped([one.solve_upper for one in factors], u, hessian_size)
+        return _map_each_clip([one.solve_upper for one in factors], u, hessian_size)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
         factors, hessian_size = ctx.map
         return (
-            _mapped([one.solve_lower for one in factors], gradients[0], hessian_size),
+            _map_each_clip([one.solve_lower for one in factors], gradients[0], hessian_size),
             None,
             None,
         )
 
 
-def _mapped(
+def _map_each_clip(
     functions: Sequence[Callable[[Tensor], Tensor]],
     flat: Float[Tensor, "rows n"],
     hessian_size: int,

@@ -42,10 +42,10 @@ def paced(sensor: S, pace: float = PACE) -> S:
     view = sensor.view
     if sensor.named is None and (view is None or view.camera.T_camera_world.shape[-3] > 1):
         return sensor
-    return _averaged(sensor, pace)
+    return _averaged_in_time(sensor, pace)
 
 
-def _averaged(sensor: S, pace: float) -> S:
+def _averaged_in_time(sensor: S, pace: float) -> S:
     """Means of named points at evenly spaced moments, the first and the last frame included.
 
     Each frame counts for the nearest moment alone. Where the frames of a moment are not centred

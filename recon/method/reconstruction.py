@@ -56,7 +56,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
             f"start: expected the time of an observation, {first.start_time:g} s to "
             f"{stop:g} s: {frames} frames at "
             f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
-            f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
+            f"at {start.fps:g} from {start.start_time:g} s on; cut or extend the motion first"
         )
     missing = body.shape_size - start.shape.shape[-1]
     if missing < 0:

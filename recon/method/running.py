@@ -149,7 +149,7 @@ def run_hypotheses(
             held, origin, began = held.proposed(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
         stage = held.of(stage)
-        unknowns, solution = _solved(stage, body, held.unknowns, watch)
+        unknowns, solution = _run_stage(stage, body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
         reports.append(StageReport(stage, solution, perf_counter() - started, began=began))
         if stage.kept is not None:
@@ -178,12 +178,12 @@ def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> 
     return replace(held, prior=prior, unknowns=unknowns)
 
 
-def _solved(
+def _run_stage(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
     """The unknowns after a stage, and the solver's report."""
     if not stage.matches:
-        return _minimised(stage, body, unknowns, watch)
+        return _minimise_once(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _ITERATION_SHARE)
     last = replace(stage.minimiser, max_iterations=most)
     rough = replace(last, tolerance_decrease=max(last.tolerance_decrease, _ROUGH))
@@ -192,12 +192,12 @@ def _solved(
         with torch.no_grad():
             estimate = unknowns.estimate(stage.prior, body, stage.portion)
         held = replace(stage, minimiser=minimiser).matched(estimate)
-        unknowns, solution = _minimised(held, body, unknowns, watch)
+        unknowns, solution = _minimise_once(held, body, unknowns, watch)
         solutions.append(solution)
     return unknowns, joined_in_turn(solutions)
 
 
-def _minimised(
+def _minimise_once(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
     start = unknowns.detach()

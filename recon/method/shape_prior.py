@@ -75,6 +75,6 @@ def _coefficient_energy(mean: Float[Tensor, " shape"], std: float) -> Energy:
 
 
 def _frames_at_30_hz(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Frames that exist, taken at 30 Hz."""
+    """Number of frames that the clip would have at 30 Hz."""
     motion = estimate.motion
     return motion.valid.sum(-1).to(motion.shape) * (REFERENCE_FPS / motion.fps)

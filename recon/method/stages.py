@@ -70,7 +70,7 @@ class Stage(Generic[S]):
         """
         names = [term.name for term in self.terms]
         if len(names) == 0 or len(set(names)) < len(names):
-            raise ValueError(f"stage {self.name!r} needs terms with names of their own: {names}")
+            raise ValueError(f"stage {self.name!r} needs terms of different names, got {names}")
 
     @property
     def matches(self) -> bool:

@@ -183,12 +183,12 @@ def _vertex_error(predicted: PosedBody, truth: PosedBody) -> float | None:
     everything = torch.arange(len(predicted.model.template), device=predicted.joints.device)
     errors = [
         metrics.point_errors(a.points(everything), b.points(everything)).mean(-1)
-        for a, b in zip(_chunks(predicted), _chunks(truth), strict=True)
+        for a, b in zip(_frame_chunks(predicted), _frame_chunks(truth), strict=True)
     ]
     return metrics.mean(torch.cat(errors))
 
 
-def _chunks(posed: PosedBody) -> list[PosedBody]:
+def _frame_chunks(posed: PosedBody) -> list[PosedBody]:
     starts = range(0, len(posed.joints), _CHUNK)
     parts = [slice(start, start + _CHUNK) for start in starts]
     return [

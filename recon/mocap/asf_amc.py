@@ -132,7 +132,7 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
     length = finite_numbers([units.get("length", "1")], 1, f"{name}: units length")[0]
     root, origin = _parse_root(sections["root"], degrees, name)
     bones = {"root": root}
-    for block in _blocks(sections["bonedata"]):
+    for block in _bone_blocks(sections["bonedata"]):
         bone = _parse_bone(block, degrees, name)
         bones[bone.name] = bone
     parents: dict[str, str] = {}
@@ -153,7 +153,7 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
     return _Skeleton(bones, parents, origin, "cmu" if length == _CMU_LENGTH else None)
 
 
-def _blocks(lines: list[list[str]]) -> list[dict[str, list[str]]]:
+def _bone_blocks(lines: list[list[str]]) -> list[dict[str, list[str]]]:
     blocks: list[dict[str, list[str]]] = []
     for words in lines:
         if words[0] == "begin":

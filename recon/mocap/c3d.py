@@ -39,7 +39,7 @@ _Parameters = Mapping[str, np.ndarray | tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Header:
-    """Where and how samples are stored."""
+    """The header of a C3D file: where and how samples are stored."""
 
     processor: int
     points: int
@@ -88,7 +88,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
         if header.points == 0 and "ROTATION" in groups:
             raw = _joint_centres(data, header, groups, path)
         else:
-            raw = _markers(data, header, groups, path)
+            raw = _read_markers(data, header, groups, path)
     except (struct.error, IndexError) as error:
         # the file states an offset beyond its end
         raise FormatError(f"{path}: damaged C3D file, it ends before all promised data") from error
@@ -105,7 +105,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Ma
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=usual)
 
 
-def _markers(
+def _read_markers(
     data: bytes, header: Header, groups: Mapping[str, _Parameters], path: Path
 ) -> MarkerRecording:
     """Read the points other than a model's angles and forces, in the file's unit and axes."""
@@ -149,7 +149,7 @@ def chosen_points(
     header: Header, groups: Mapping[str, _Parameters]
 ) -> tuple[list[str], list[int]]:
     """Names of all points, and indices of those that are positions, not angles or forces."""
-    names = _labels(point := groups.get("POINT", {}), header.points)
+    names = _point_labels(point := groups.get("POINT", {}), header.points)
     outputs = {label for key in _OUTPUTS for label in texts(point, key)}
     return names, [k for k, name in enumerate(names) if name not in outputs]
 
@@ -166,7 +166,7 @@ def _joint_centres(
     if not (start := int(_positive_number(rotation, "DATA_START"))):
         raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
     raw = data[(start - 1) * BLOCK :]
-    values = _floats(raw[: len(raw) // 4 * 4], header.processor)
+    values = _doubles(raw[: len(raw) // 4 * 4], header.processor)
     rate = _positive_number(rotation, "RATE") or _positive_number(groups.get("POINT", {}), "RATE")
     fps, said = stated_rate(rate or header.rate, path, "ROTATION:RATE")
     first, last = header.first_and_last_frame(groups.get("TRIAL", {}))
@@ -215,7 +215,7 @@ def read_header(data: bytes, path: Path) -> Header:
     if processor not in (INTEL, DEC, MIPS):
         raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
     words = np.frombuffer(data, ">u2" if processor == MIPS else "<u2", 10, 2).tolist()
-    scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
+    scale, rate = _doubles(data[12:16] + data[20:24], processor).tolist()
     empty = words[0] == 0  # without points the scale may be anything
     if words[7] == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
         raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
@@ -223,7 +223,7 @@ def read_header(data: bytes, path: Path) -> Header:
     return Header(processor, *sizes, scale, words[7], rate, words[8])
 
 
-def _floats(data: bytes, processor: int) -> np.ndarray:
+def _doubles(data: bytes, processor: int) -> np.ndarray:
     """Doubles from the four-byte numbers of any of three processors."""
     # no warnings about signalling NaNs of damaged files
     with np.errstate(invalid="ignore"):
@@ -249,14 +249,14 @@ def read_parameters(data: bytes, header: Header) -> dict[str, _Parameters]:
         if group < 0:
             groups[-group] = name
         else:
-            found.setdefault(group, {})[name] = _parameter(data, after + 2, header)
+            found.setdefault(group, {})[name] = _read_parameter(data, after + 2, header)
         if step <= 0:
             break
         place = after + step
     return {groups.get(number, ""): values for number, values in found.items()}
 
 
-def _parameter(data: bytes, place: int, header: Header) -> np.ndarray | tuple[str, ...]:
+def _read_parameter(data: bytes, place: int, header: Header) -> np.ndarray | tuple[str, ...]:
     size, rank = struct.unpack_from("bB", data, place)
     start = place + 2 + rank
     shape = data[place + 2 : start]
@@ -268,7 +268,7 @@ def _parameter(data: bytes, place: int, header: Header) -> np.ndarray | tuple[st
         text = raw.decode("latin-1")
         return tuple(text[k : k + width].strip("\0 ") for k in range(0, len(text), width or 1))
     if size == 4:
-        return _floats(raw, header.processor)
+        return _doubles(raw, header.processor)
     return np.frombuffer(raw, header.order + _TYPES.get(size, "u1"))
 
 
@@ -310,7 +310,7 @@ def _read_numbers(
     table = np.ascontiguousarray(table[:, columns])
     if not real:
         return table.astype(np.float64)
-    return _floats(table.tobytes(), header.processor).reshape(table.shape)
+    return _doubles(table.tobytes(), header.processor).reshape(table.shape)
 
 
 @dataclass(frozen=True)
@@ -385,7 +385,7 @@ def texts(group: _Parameters, key: str) -> tuple[str, ...]:
     return value if isinstance(value, tuple) else ()
 
 
-def _labels(point: _Parameters, count: int) -> list[str]:
+def _point_labels(point: _Parameters, count: int) -> list[str]:
     labels = list(texts(point, "LABELS"))
     number = 2
     while f"LABELS{number}" in point:

@@ -68,9 +68,9 @@ def write_renamed_c3d(
     beside = [said[k] if k < len(said) else "" for k in kept]
     texts = {"LABELS": new, "DESCRIPTIONS": [*[""] * len(names), *beside] if said else []}
     before = (data[0] - 1) * c3d.BLOCK
-    size = len(_parameters(data, header, texts, len(new), 0))
+    size = len(_parameter_section(data, header, texts, len(new), 0))
     data_start = (before + size) // c3d.BLOCK + 1
-    out = bytearray(data[:before]) + _parameters(data, header, texts, len(new), data_start)
+    out = bytearray(data[:before]) + _parameter_section(data, header, texts, len(new), data_start)
     struct.pack_into(f"{header.order}H", out, 2, len(new))
     struct.pack_into(f"{header.order}H", out, 16, data_start)
     out += body.tobytes() + data[start + frames * width :]
@@ -78,12 +78,12 @@ def write_renamed_c3d(
     path.write_bytes(out)
 
 
-def _parameters(
+def _parameter_section(
     data: bytes, header: c3d.Header, texts: dict[str, list[str]], count: int, start: int
 ) -> bytes:
     """The parameter section with other labels, number of points and first block of data."""
     place = (data[0] - 1) * c3d.BLOCK
-    entries = _entries(data, header)
+    entries = _parameter_entries(data, header)
     numbers = {"USED": count, "DATA_START": start}
     points = next(-number for number, name, _ in entries if number < 0 and name == "POINT")
     parts: list[bytes] = []
@@ -91,7 +91,7 @@ def _parameters(
         word = name.rstrip("0123456789") if number == points else ""
         if word in texts:
             if name == word and texts[word]:
-                parts += _texts(entry, word, texts[word], header)
+                parts += _text_entries(entry, word, texts[word], header)
         elif number == points and name in numbers:
             raw = struct.pack(f"{header.order}H", numbers[name])
             parts.append(_with_values(entry, raw, 2, (), header))
@@ -103,7 +103,7 @@ def _parameters(
     return bytes(out)
 
 
-def _entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, bytes]]:
+def _parameter_entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, bytes]]:
     """Group number (negative of a group itself), name and bytes of every entry."""
     place, found = (data[0] - 1) * c3d.BLOCK + 4, list[tuple[int, str, bytes]]()
     while place + 2 <= len(data) and data[place] != 0:
@@ -111,7 +111,7 @@ def _entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, bytes]]:
         after = place + 2 + abs(length)
         name = data[place + 2 : after].decode("latin-1").strip().upper()
         step = struct.unpack_from(f"{header.order}h", data, after)[0]
-        end = after + step if step > 0 else _end(data, after + 2, number)
+        end = after + step if step > 0 else _end_of_last_entry(data, after + 2, number)
         entry = bytearray(data[place:end])
         struct.pack_into(f"{header.order}h", entry, 2 + abs(length), end - after)
         found.append((number, name, bytes(entry)))
@@ -121,7 +121,7 @@ def _entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, bytes]]:
     return found
 
 
-def _end(data: bytes, place: int, number: int) -> int:
+def _end_of_last_entry(data: bytes, place: int, number: int) -> int:
     """Where the last entry ends, whose length is not stated."""
     if number > 0:
         size, rank = struct.unpack_from("bB", data, place)
@@ -129,7 +129,7 @@ def _end(data: bytes, place: int, number: int) -> int:
     return place + 1 + data[place]
 
 
-def _texts(entry: bytes, word: str, texts: list[str], header: c3d.Header) -> list[bytes]:
+def _text_entries(entry: bytes, word: str, texts: list[str], header: c3d.Header) -> list[bytes]:
     """Entries of a parameter that holds these texts, and of its continuations (LABELS2, ...)."""
     parts: list[bytes] = []
     width = max(1, *(len(text.encode("latin-1", "replace")) for text in texts))

@@ -67,7 +67,7 @@ def read_force_plates(path: Path) -> ForcePlates:
     for k, kind in enumerate(types.astype(int)):
         try:
             wrench = _wrench(analog, k, int(kind), metres * origins[k], metres)
-            plate, said = _plate(wrench, metres * corners[k])
+            plate, said = _oriented_plate(wrench, metres * corners[k])
             kept.append(plate)
             notes += [f"force plate {k + 1}: {one}" for one in said]
         except FormatError as error:
@@ -165,7 +165,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
     return uniform_filter1d(flat, samples, axis=0, mode="nearest")[::samples]
 
 
-def _plate(
+def _oriented_plate(
     wrench: Float[np.ndarray, "time 9"], corners: Float[np.ndarray, "4 3"]
 ) -> tuple[_Plate, list[str]]:
     """A plate with its loads, and notes on corrected signs and units of moments.

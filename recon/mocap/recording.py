@@ -163,7 +163,7 @@ def settle_skeleton(
     if not all(np.isfinite(array).all() for array in arrays):
         raise FormatError(f"{raw.name}: expected finite numbers, got NaN or infinity")
     length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
-    unit, reason = _unit(unit, declared, length, told.unit_from_bones, raw.name)
+    unit, reason = _decided_unit(unit, declared, length, told.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
     up_reason = f"up axis {up}: given"
     if up is None:
@@ -211,7 +211,9 @@ def settle_markers(
     shown = visible.any(1)
     ends = [np.where(visible[..., None], positions, far)[shown] for far in (math.inf, -math.inf)]
     extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
-    unit, reason = _unit(unit, declared, float(extent.max()), told.unit_from_markers, raw.name)
+    unit, reason = _decided_unit(
+        unit, declared, float(extent.max()), told.unit_from_markers, raw.name
+    )
     up_reason = f"up axis {up}: given"
     if up is None:
         up, up_reason = told.settled_up(
@@ -237,7 +239,7 @@ _GIVEN_SIZE_M = (0.3, 10)
 """Metres outside of which nobody, and no group of people, was recorded."""
 
 
-def _unit(
+def _decided_unit(
     given: str | None,
     declared: str | None,
     size: float,

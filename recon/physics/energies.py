@@ -86,7 +86,11 @@ def slide(estimate: Estimate) -> Float[Tensor, "*batch"]:
     points = _surface_points(estimate.body)[..., surface.sole, :]
     contact = ((CONTACT_HEIGHT - points[..., 2]) / CONTACT_SOFTNESS).sigmoid()
     step = points[..., :2].diff(dim=-3).square().sum(-1) * (motion.fps / REFERENCE_FPS) ** 2
-    cost = contact[..., 1:, :] * contact[..., :-1, :] * _bounded(step, SLIP_SCALE / REFERENCE_FPS)
+    cost = (
+        contact[..., 1:, :]
+        * contact[..., :-1, :]
+        * _geman_mcclure(step, SLIP_SCALE / REFERENCE_FPS)
+    )
     areas = surface.areas[surface.sole]
     feet = [(cost[..., foot] @ areas[foot]) / areas[foot].sum() for foot in surface.soles]
     exists = motion.valid[..., 1:] & motion.valid[..., :-1]
@@ -107,7 +111,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     moving = dynamics_of(estimate)
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
     near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
-    cost = share_carried(moving) * near * _bounded(away, BALANCE_SCALE)
+    cost = share_carried(moving) * near * _geman_mcclure(away, BALANCE_SCALE)
     total = cost.where(estimate.motion.inner(step), 0.0).sum(-1)
     return 0.5 * total * (REFERENCE_FPS / estimate.motion.fps)
 
@@ -130,7 +134,7 @@ def lowest_point(heights: Float[Tensor, "*batch points"]) -> Float[Tensor, "*bat
     return (heights * (-heights / SOFTNESS).softmax(-1)).sum(-1)
 
 
-def _bounded(square: Float[Tensor, "*shape"], scale: float) -> Float[Tensor, "*shape"]:
+def _geman_mcclure(square: Float[Tensor, "*shape"], scale: float) -> Float[Tensor, "*shape"]:
     """Geman and McClure's ρ of a squared distance: the square itself near zero, s² far away."""
     return square * scale**2 / (square + scale**2)
 

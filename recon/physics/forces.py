@@ -141,7 +141,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     misfit = float(away[alone].median()) if bool(alone.any()) else USUAL_MISFIT_M
     trusted = alone[:, None] & contact
     centre = _pressure_centres(centre, points[..., :2], target, trusted, misfit)
-    centre = _smoothed(centre, contact, motion.fps)
+    centre = _smoothed_within_stances(centre, contact, motion.fps)
     # second differences smear a push-off into flight
     explained = maximum_filter1d((carried | (load < FULL_LOAD)).numpy(), 4 * step + 1)
     warnings = _support_warnings(explained, contact)
@@ -231,7 +231,7 @@ def _pressure_centres(
     return pressed.lerp(inside, part * trusted[..., None].to(pressed))
 
 
-def _smoothed(
+def _smoothed_within_stances(
     centre: Float[Tensor, "time 2 2"], contact: Bool[Tensor, "time 2"], fps: float
 ) -> Float[Tensor, "time 2 2"]:
     """Centres of pressure, low-passed within every stance."""

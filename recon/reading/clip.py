@@ -69,7 +69,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         notes = [decision for one in projects for decision in one.decisions]
         detections: list[Path] = []
         for path in paths:
-            found = _read(path, settings, body, own)
+            found = _read_path(path, settings, body, own)
             if found is None:
                 detections.append(path)
             else:
@@ -103,7 +103,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         return clip_between(clip, first, last)
 
 
-def _read(
+def _read_path(
     path: Path, settings: FitSettings, body: BodyModel, plugin_readers: Sequence[Reader]
 ) -> tuple[Content, Sequence[str]] | None:
     """The data of a file or folder, and notes on how it was read; None for 2D detections."""
@@ -316,7 +316,7 @@ def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
     ).cameras
     if len(cameras) != 1:
         raise ObservationError(
-            f"{settings.camera}: expected the one sensor of {path}, got {', '.join(cameras)}"
+            f"{settings.camera}: expected one camera, that of {path}, got {', '.join(cameras)}"
         )
     return read_depth_images(
         path,

@@ -259,7 +259,7 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
     Raises:
         ObservationError: when nothing rises above the ground in at least `_SHOWN` of the frames.
     """
-    rises = [len(cloud) >= _LEAST and _rises(cloud) for cloud in clouds]
+    rises = [len(cloud) >= _LEAST and _rises_above_ground(cloud) for cloud in clouds]
     if sum(rises) <= _SHOWN * len(clouds):
         where = f", but in {sum(rises)} of {len(clouds)} frames" if any(rises) else ""
         raise ObservationError(
@@ -273,7 +273,7 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
     ]
 
 
-def _rises(cloud: Float[np.ndarray, "points 3"]) -> bool:
+def _rises_above_ground(cloud: Float[np.ndarray, "points 3"]) -> bool:
     """Whether points rise above the ground z = 0, and are not just its wide, flat noise."""
     wide = np.ptp(np.quantile(cloud[:, :2], (0.05, 0.95), axis=0), axis=0).max() > _WIDE
     return bool(np.quantile(cloud[:, 2], 0.5 if wide else 0.9) > _FLAT)

@@ -94,10 +94,10 @@ def rough_poses(
         some = views[number][:: max(len(views[number].points) // _LOOKED, 1)]
         best, apart = 0.0, np.inf
         for turn in np.linspace(0, 2 * np.pi, _TURNS, endpoint=False) if common else ():
-            T = _moved(np.eye(4), np.array([0, 0, turn, 0, 0, 0]))
+            T = _moved_pose(np.eye(4), np.array([0, 0, turn, 0, 0, 0]))
             T[:3, 3] = (goal - way @ T[:3, :3].T).mean(0)
             off = float(np.linalg.norm(way @ T[:3, :3].T + T[:3, 3] - goal, axis=1).mean())
-            pairs, _ = _pairs(some, own, T, np.eye(4), tree, *_ROUGHLY)
+            pairs, _ = _residuals_and_jacobian(some, own, T, np.eye(4), tree, *_ROUGHLY)
             if len(pairs) / (off + _CELL) > best:
                 best, apart, poses[number] = len(pairs) / (off + _CELL), off, T
         if apart > _ALIKE:
@@ -150,7 +150,9 @@ def aligned(
             shares = np.zeros(count)
             for i, j in permutations(range(count), 2):
                 T, some = np.linalg.inv(poses[j]) @ poses[i], views[i][::every]
-                residuals, jacobian = _pairs(some, views[j], T, poses[j], trees[j], reach, along)
+                residuals, jacobian = _residuals_and_jacobian(
+                    some, views[j], T, poses[j], trees[j], reach, along
+                )
                 weighted = jacobian * ((1 + (residuals / kernel) ** 2) ** -2)[:, None]
                 sign = np.eye(count)[i] - np.eye(count)[j]
                 hessian += np.kron(np.outer(sign, sign), weighted.T @ jacobian)
@@ -160,14 +162,14 @@ def aligned(
             step = np.zeros(6 * count)
             step[moving] = -np.linalg.solve(damped[np.ix_(moving, moving)], gradient[moving])
             poses = np.stack(
-                [_moved(*pair) for pair in zip(poses, step.reshape(-1, 6), strict=True)]
+                [_moved_pose(*pair) for pair in zip(poses, step.reshape(-1, 6), strict=True)]
             )
             if np.abs(step).max() < _STILL:
                 break
     return poses, shares
 
 
-def _pairs(
+def _residuals_and_jacobian(
     one: OrientedCloud,
     other: OrientedCloud,
     T_other_one: Float[np.ndarray, "4 4"],
@@ -197,7 +199,9 @@ def _pairs(
     return residuals, np.concatenate((np.cross(places, normals), normals), 1)
 
 
-def _moved(T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+def _moved_pose(
+    T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]
+) -> Float[np.ndarray, "4 4"]:
     """A pose after a small rotation and translation in the world."""
     from scipy.spatial.transform import Rotation
 

@@ -114,7 +114,7 @@ class _FrameLinks:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """One hypothesis of all links so far."""
+    """One hypothesis of which detections belong to which people so far."""
 
     people: tuple[_Person, ...]
     cost: float
@@ -149,14 +149,14 @@ def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLink
         detections: of one view.
         rows: detections that are people, by frame.
     """
-    found = _Linking(detections, rows)
+    found = _LinkSearch(detections, rows)
     for frame in np.unique(detections.frame[rows]).tolist():
         found.step(frame)
     return found.links()
 
 
-class _Linking:
-    """The assignments followed in parallel."""
+class _LinkSearch:
+    """Links detections frame by frame, following several assignments in parallel."""
 
     def __init__(self, detections: Detections, rows: Int[np.ndarray, " rows"]) -> None:
         self.seen = detections
@@ -174,7 +174,7 @@ class _Linking:
             for one in self.followed
         ]
         here = without_fragments(self.seen, every, [p.rows[-1] for p in alive[0].people])
-        here = self._distinct(here, alive[0].people, frame)
+        here = self._without_duplicates(here, alive[0].people, frame)
         after: list[_Assignment] = []
         for one in alive:
             costs = self._costs_of_links(one.people, here, frame)
@@ -209,7 +209,9 @@ class _Linking:
                 fresh += 1
         return PersonLinks(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
 
-    def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
+    def _without_duplicates(
+        self, rows: Sequence[int], people: Sequence[_Person], frame: int
+    ) -> list[int]:
         """Detections of a frame; of several that show one person the most confident is kept."""
         lately = [
             p.expected(frame)

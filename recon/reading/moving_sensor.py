@@ -73,7 +73,7 @@ Plane = tuple[Float[np.ndarray, "3"], float]
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class _PlanesInStretch:
     """The ground and walls seen in a part of the clip."""
 
     grounds: tuple[Plane, ...]
@@ -89,10 +89,10 @@ def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
 
 def _planes_in_stretches(
     clouds: Sequence[np.ndarray], eye: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
-) -> list[_Stretch]:
+) -> list[_PlanesInStretch]:
     """Ground and walls as they are seen in some stretches of the clip."""
     length = max(1, round(_SHARE * len(clouds)))
-    found: list[_Stretch] = []
+    found: list[_PlanesInStretch] = []
     for first in np.linspace(0, len(clouds) - length, min(_PLACES, len(clouds))).astype(int):
         stretch = clouds[first : first + length]
         ground = find_ground(stretch, up).ground
@@ -103,7 +103,7 @@ def _planes_in_stretches(
             grounds = ((upwards, float(ground.offset)),)
         turn = _turn_to_z(upwards)
         walls = find_walls([cloud @ turn.T for cloud in stretch], turn @ eye)
-        found.append(_Stretch(grounds, tuple((turn.T @ n, offset) for n, offset in walls)))
+        found.append(_PlanesInStretch(grounds, tuple((turn.T @ n, offset) for n, offset in walls)))
     return found
 
 

@@ -172,9 +172,9 @@ def match_cameras(
     both = f"views: {', '.join(views)}; cameras: {', '.join(cameras)}"
     chosen = list(cameras) if len(views) == len(cameras) == 1 else []
     for view in views if not chosen else ():
-        words = _words(view)
-        same = [name for name in cameras if _words(name) == words]
-        found = same or [name for name in cameras if _contains(words, _words(name))]
+        words = _words_of_name(view)
+        same = [name for name in cameras if _words_of_name(name) == words]
+        found = same or [name for name in cameras if _contains(words, _words_of_name(name))]
         if len(found) != 1:
             raise ObservationError(
                 f"view {view} matches {' and '.join(found) or 'no camera'} by name; rename it, or "
@@ -193,7 +193,7 @@ def match_cameras(
     return chosen, tuple(notes)
 
 
-def _words(name: str) -> tuple[str, ...]:
+def _words_of_name(name: str) -> tuple[str, ...]:
     """Words and numbers of a name, in lower case and without leading zeros."""
     parts: list[str] = re.findall(r"[a-z]+|\d+", name.lower())
     words = [str(int(part)) if part.isdigit() else _SAME.get(part) or part for part in parts]

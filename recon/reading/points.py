@@ -189,7 +189,7 @@ def _check_size(
     frames = np.flatnonzero(visible.sum(1) >= 4)
     frames = frames[:: max(len(frames) // _MOMENTS, 1)]
     seen = visible[frames, :, None]
-    sizes = [_spread(np.where(seen, p, np.nan)) for p in (positions[frames], rest.numpy())]
+    sizes = [_median_spread(np.where(seen, p, np.nan)) for p in (positions[frames], rest.numpy())]
     ratio = float(np.median(sizes[0] / sizes[1])) if len(frames) > 0 else 1.0
     if SIZE[0] <= ratio <= SIZE[1]:
         return
@@ -201,7 +201,7 @@ def _check_size(
     )
 
 
-def _spread(points: np.ndarray) -> Float[np.ndarray, " frames"]:
+def _median_spread(points: np.ndarray) -> Float[np.ndarray, " frames"]:
     """Median distance of (frames, points, 3) from their middle; a few may be wild or NaN."""
     middle = finite_median(points.swapaxes(-1, -2))
     return finite_median(np.linalg.norm(points - middle[:, None], axis=-1)) + 1e-9

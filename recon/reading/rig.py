@@ -97,7 +97,7 @@ class Rig:
 
 
 def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
-    """The cameras that saw one person.
+    """Find the cameras that saw one person: poses, focal lengths and delays.
 
     Args:
         views: at least two, of the same frames and the same names of points.
@@ -110,7 +110,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     views = [view.shifted(frames) for view, frames in zip(views, late, strict=True)]
     frames, points = views[0].confidence.shape
     seen = np.stack([view.confidence.reshape(-1) > _SEEN for view in views])
-    places = np.stack([_normalised(view).reshape(-1, 2) for view in views])
+    places = np.stack([_normalised_coordinates(view).reshape(-1, 2) for view in views])
     speeds = np.stack([_image_velocities(view).reshape(-1, 2) for view in views])
     used = np.flatnonzero(seen.sum(0) >= 2)
     if len(used) > _MOST_POINTS:
@@ -121,7 +121,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     )
     places = (places + later[:, None, None] * speeds) / scale[:, None, None]
     nearest = _nearest_points(poses, places, seen)
-    off = np.linalg.norm(_projected(poses, nearest) - places, axis=-1)
+    off = np.linalg.norm(_projected_points(poses, nearest) - places, axis=-1)
     error = float(np.median(off[seen & (seen.sum(0) >= 2)]))
     if error > _OFF:
         raise ObservationError(
@@ -140,7 +140,7 @@ def rig_of_person(views: Sequence[FilmedPerson], longest_shift: int) -> Rig:
     )
 
 
-def _normalised(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
+def _normalised_coordinates(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"]:
     """Normalised image coordinates of the keypoints: x/z and y/z in the camera's frame."""
     return (view.pixels - view.centre) / view.focal
 
@@ -150,7 +150,7 @@ def _image_velocities(view: FilmedPerson) -> Float[np.ndarray, "frames points 2"
     seen = view.confidence > _SEEN
     three = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0)
     three[[0, -1]] = False
-    return np.where(three[..., None], np.gradient(_normalised(view), axis=0), 0.0)
+    return np.where(three[..., None], np.gradient(_normalised_coordinates(view), axis=0), 0.0)
 
 
 def _frame_shifts(views: Sequence[FilmedPerson], longest: int) -> tuple[int, ...]:
@@ -174,7 +174,7 @@ def _disagreement(one: FilmedPerson, other: FilmedPerson) -> float:
         return np.inf
     some = np.flatnonzero(seen)
     some = some[np.linspace(0, len(some) - 1, min(len(some), _SAMPLED)).astype(int)]
-    a, b = (_normalised(view).reshape(-1, 2)[some] for view in (one, other))
+    a, b = (_normalised_coordinates(view).reshape(-1, 2)[some] for view in (one, other))
     matrix, _ = _essential_matrix(a, b, _DETECTOR)
     a, b = (np.concatenate((x, np.ones((len(x), 1))), -1) for x in (a, b))
     there, here = a @ matrix.T, b @ matrix
@@ -277,7 +277,7 @@ def _nearest_points(
     return np.where((seen.sum(0) >= 2)[:, None], points, np.nan)
 
 
-def _projected(
+def _projected_points(
     poses: Float[np.ndarray, "views 3 4"], points: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, "views points 2"]:
     there = points @ poses[:, :, :3].swapaxes(-1, -2) + poses[:, None, :, 3]
@@ -332,7 +332,7 @@ def _bundle_adjusted(
 def _jacobian_sparsity(
     view: np.ndarray, point: np.ndarray, views: int, residuals: int, unknowns: int
 ) -> csr_array:
-    """Which residual depends on which unknown.
+    """Sparsity of the Jacobian: which residual depends on which unknown.
 
     Images depend on their camera and their point, the other residuals on all cameras.
     """

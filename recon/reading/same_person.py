@@ -189,16 +189,16 @@ class _TriangulatedPairs:
         for w, view in enumerate(self.views):
             if w == v:
                 continue
-            chosen = _best_track(view, self._errors(group, w))
+            chosen = _best_track(view, self._errors_with_group(group, w))
             if chosen:
                 group[w] = chosen
         if len(group) > 1:
             others = {w: members for w, members in group.items() if w != v}
-            errors = self._errors(others, v) | {a: 0.0}
+            errors = self._errors_with_group(others, v) | {a: 0.0}
             group[v] = (a, *(b for b in _best_track(self.views[v], errors) if b != a))
         return group
 
-    def _errors(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
+    def _errors_with_group(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
         """How badly each track of a view fits a group: its largest error with any member view."""
         return {
             b: max(min(self.get(v, k, w, b).error for k in group[v]) for v in group)
@@ -241,9 +241,9 @@ class _TriangulatedPairs:
             names = [self.views[v].name for v, _ in members]
             worst = ", ".join(f"{name} {e:.1%}" for name, e in zip(names, errors, strict=True))
             raise ObservationError(
-                "rays of the views meet by pairs, but not all in one place: points of all miss "
-                f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
-                "each view have its own camera?"
+                "the views agree in pairs, but not all together: points triangulated from all "
+                f"views miss their keypoints by {worst} of the body size (at most {_JOINTLY:.0%} "
+                "expected). Does each view have its own camera?"
             )
         trunk = _trunk_length(pair)
         if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:

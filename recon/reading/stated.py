@@ -80,7 +80,7 @@ def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detection
         behind, lines, hands = found.background, found.lines, found.hands
         return replace(
             found, pixels=pixels, image_size=expected,
-            hands=None if hands is None else _scaled(hands, ratio),
+            hands=None if hands is None else _scaled_hands(hands, ratio),
             lines=None if lines is None else (lines + 0.5) * ratio - 0.5,
             background=None if behind is None
             else replace(behind, pixels=(behind.pixels + 0.5) * ratio - 0.5),
@@ -90,7 +90,7 @@ def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detection
     return found, f"{said}: taken as cut at the right and below"
 
 
-def _scaled(
+def _scaled_hands(
     hands: Float[np.ndarray, "rows 42 3"], ratio: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "rows 42 3"]:
     pixels = np.where(hands[..., 2:] > 0, (hands[..., :2] + 0.5) * ratio - 0.5, 0.0)

@@ -96,11 +96,11 @@ def tracks_of_people(detections: Detections) -> tuple[Track, ...]:
 
 
 def _tracks_of_shot(detections: Detections, within: Bool[np.ndarray, " rows"]) -> list[Track]:
-    """The tracks of some of the detections."""
+    """Tracks of the people in one shot of a film."""
     seen = (detections.confidence > 0).sum(1) >= FEWEST_KEYPOINTS
     rows = np.flatnonzero(seen & within)
     labels, ended = detections.identity[rows], {}
-    if (labels < 0).any() or not _consistent(detections, rows, labels):
+    if (labels < 0).any() or not _are_numbers_consistent(detections, rows, labels):
         found = linked(detections, rows)
         labels, ended = found.labels, found.ended
     order = dict.fromkeys(labels[labels >= 0].tolist())
@@ -150,7 +150,9 @@ def _stands_beside(other: Track, mover: Track) -> bool:
     return other.movement < _STANDS and mover.movement > _MOVES * max(other.movement, _STANDS / 3)
 
 
-def _consistent(detections: Detections, rows: np.ndarray, identity: np.ndarray) -> bool:
+def _are_numbers_consistent(
+    detections: Detections, rows: np.ndarray, identity: np.ndarray
+) -> bool:
     """Whether person numbers are consistent: none jumps or occurs twice in a frame."""
     for label in np.unique(identity):
         own = rows[identity == label]

@@ -262,7 +262,7 @@ class SeenViews:
         """
         kept = [(v, track) for v, track in enumerate(tracks) if track is not None]
         return Views(
-            files=tuple(self._observation(v, track) for v, track in kept),
+            files=tuple(self._observation_of_track(v, track) for v, track in kept),
             names=tuple(self.names[v] for v, _ in kept),
             first_frame=self.first_frame,
             decisions=(*self.decisions, *who),
@@ -289,7 +289,7 @@ class SeenViews:
             who = "moves; a bystander is as complete"
         return self.of([track], (f"{self.names[0]}: {track} ({who} of {len(tracks)} tracks)",))
 
-    def _observation(self, view: int, track: Track) -> KeypointsFile:
+    def _observation_of_track(self, view: int, track: Track) -> KeypointsFile:
         shape = (self.frames, track.confidence.shape[1])
         pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
         pixels[track.frame - self.first_frame] = track.pixels

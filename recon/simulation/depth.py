@@ -71,7 +71,7 @@ class DepthSensor:
     """Metres."""
 
     def deviation(self, depth: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """Standard deviation of a measured depth, metres."""
+        """Standard deviation of depths measured at these true depths, metres."""
         return self.constant + self.quadratic * np.square(depth - 0.4)
 
 

@@ -136,7 +136,7 @@ def box(size: Sequence[float], bottom: float = 0.0) -> FurnitureMesh:
 def table(width: float = 1.2, depth: float = 0.7, height: float = 0.73) -> FurnitureMesh:
     """A table: a plate on four legs, metres."""
     return joined_meshes(
-        [box((width, depth, _LEG), height - _LEG), _legs(width, depth, height - _LEG)]
+        [box((width, depth, _LEG), height - _LEG), _four_legs(width, depth, height - _LEG)]
     )
 
 
@@ -144,7 +144,7 @@ def chair(width: float = 0.44, height: float = 0.45, back: float = 0.45) -> Furn
     """A chair whose back is at its rear (-y), so that whoever sits on it faces +y; metres."""
     seat = box((width, width, _LEG), height - _LEG)
     rest = box((width, _LEG, back), height).placed((0.0, (_LEG - width) / 2, 0.0))
-    return joined_meshes([seat, rest, _legs(width, width, height - _LEG)])
+    return joined_meshes([seat, rest, _four_legs(width, width, height - _LEG)])
 
 
 def furnished(
@@ -168,7 +168,7 @@ def furnished(
     return mesh.placed((middle[0], middle[1], 0.0), heading - np.pi / 2)
 
 
-def _legs(width: float, depth: float, height: float) -> FurnitureMesh:
+def _four_legs(width: float, depth: float, height: float) -> FurnitureMesh:
     x, y = (width - _LEG) / 2, (depth - _LEG) / 2
     leg = box((_LEG, _LEG, height))
     return joined_meshes([leg.placed((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)])

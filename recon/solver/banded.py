@@ -141,7 +141,7 @@ class Factor:
         self._scale = _inverse_roots(matrix.inner[:, 0])
         self._edge_scale = _inverse_roots(matrix.corner)
         raised = 1.0 + damping + _ROUNDING * torch.finfo(matrix.corner.dtype).eps
-        own, beside = _blocks(matrix, self._scale)
+        own, beside = _scaled_blocks(matrix, self._scale)
         self._shape = own.shape[:-1]
         border = self._in_blocks(matrix.border * self._scale[..., None] * self._edge_scale)
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
@@ -272,7 +272,7 @@ def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch
     return torch.where(diagonal > 0, diagonal, 1.0).rsqrt()
 
 
-def _blocks(
+def _scaled_blocks(
     matrix: Banded, scale: Float[Tensor, "time n"]
 ) -> tuple[Float[Tensor, "blocks *some size size"], Float[Tensor, "between size size"]]:
     """Scaled diagonal blocks of several frames each, and the blocks that couple neighbours."""

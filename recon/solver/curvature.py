@@ -94,11 +94,11 @@ class Curvature:
             return -cautious[:, None] * gradient
         pairs = self.pairs[:, : self.used].flatten(1, 2)
         products = (gradient[:, None] @ pairs.mT).view(-1, self.used, 2)
-        self._complete(added, products[added])
+        self._accept_or_drop_pair(added, products[added])
         self.products[:, : self.used] = products
 
         order = (self.count[:, None] + torch.arange(self.used, device=gradient.device)) % self.used
-        coefficients, scale = self._solve(order, products, cautious)
+        coefficients, scale = self._coefficients(order, products, cautious)
         found = -(scale[:, None] * gradient + (coefficients[:, None] @ pairs)[:, 0])
 
         slope = (found * gradient).sum(-1)
@@ -106,7 +106,7 @@ class Curvature:
         self.live &= descends[:, None]
         return torch.where(descends[:, None], found, -cautious[:, None] * gradient)
 
-    def _complete(
+    def _accept_or_drop_pair(
         self, rows: Int64[Tensor, " rows"], products: Float64[Tensor, "rows used 2"]
     ) -> None:
         """Enter the products of the newest y with every s and y, and accept or drop the new pair.
@@ -129,7 +129,7 @@ class Curvature:
         self.live[rows, slot] = good
         self.scale[rows] = torch.where(good, curvature / size, self.scale[rows])
 
-    def _solve(
+    def _coefficients(
         self,
         order: Int64[Tensor, "active used"],
         products: Float64[Tensor, "active used 2"],

@@ -100,33 +100,33 @@ def minimise(
     Returns:
         The state, and how each problem ended; that has no `x`, zero columns of it.
     """
-    runs = [_Run(options.damping) for _ in range(count)]
+    runs = [_ProblemRun(options.damping) for _ in range(count)]
     active = torch.arange(count)
     for _ in range(options.max_iterations):
         model = problem.model(x, active)
         here = [runs[row] for row in active.tolist()]
         for run, terms in zip(here, model.value.double().cpu(), strict=True):
             run.begin(terms)
-        x = _stepped(problem, x, active, model, here, options)
+        x = _step_all(problem, x, active, model, here, options)
         active = active[[run.end is None for run in here]]
         if len(active) == 0:
             break
-        if callback is not None and callback(_progress(runs, active)) is True:
+        if callback is not None and callback(_progress_of_runs(runs, active)) is True:
             for row in active.tolist():
                 runs[row].end = Termination.STOPPED
             break
     if options.max_iterations == 0:
         for run, terms in zip(runs, problem.value(x, active).double().cpu(), strict=True):
             run.begin(terms)
-    return x, _solution(runs)
+    return x, _solution_of_runs(runs)
 
 
-def _stepped(
+def _step_all(
     problem: Problem[X],
     x: X,
     active: Int[Tensor, " active"],
     model: Quadratic,
-    runs: Sequence["_Run"],
+    runs: Sequence["_ProblemRun"],
     options: GaussNewton,
 ) -> X:
     """The state after a step of every active problem, more damped where one is refused."""
@@ -150,7 +150,7 @@ def _stepped(
 
 
 @dataclass
-class _Run:
+class _ProblemRun:
     """The progress of one problem of a batch."""
 
     damping: float
@@ -207,7 +207,7 @@ class _Run:
             self.end = Termination.LINE_SEARCH
 
 
-def _progress(runs: Sequence[_Run], active: Int[Tensor, " active"]) -> Progress:
+def _progress_of_runs(runs: Sequence[_ProblemRun], active: Int[Tensor, " active"]) -> Progress:
     return Progress(
         max(run.evaluations for run in runs),
         active.numpy().copy(),
@@ -216,7 +216,7 @@ def _progress(runs: Sequence[_Run], active: Int[Tensor, " active"]) -> Progress:
     )
 
 
-def _solution(runs: Sequence[_Run]) -> Solution:
+def _solution_of_runs(runs: Sequence[_ProblemRun]) -> Solution:
     longest = max(len(run.trace) for run in runs)
     padded = [run.trace + run.trace[-1:] * (longest - len(run.trace)) for run in runs]
     trace = torch.stack([torch.stack(rows) for rows in padded])

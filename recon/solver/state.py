@@ -78,9 +78,9 @@ class ActiveElements:
         largest: Float64[np.ndarray, " active"],
     ) -> None:
         """Make the current trial the best point of these elements."""
-        self.best_x = _choose(rows, x, self.best_x)
-        self.best_gradient = _choose(rows, gradient, self.best_gradient)
-        self.best_terms = _choose(rows, terms, self.best_terms)
+        self.best_x = _rows_replaced(rows, x, self.best_x)
+        self.best_gradient = _rows_replaced(rows, gradient, self.best_gradient)
+        self.best_terms = _rows_replaced(rows, terms, self.best_terms)
         self.largest = np.where(rows, largest, self.largest)
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
@@ -118,10 +118,10 @@ class ActiveElements:
         if len(rows) > 0:
             step = self.best_x[rows].double() - self.x[rows].double()
             self.curvature.add(rows, step, self.best_gradient[rows] - self.gradient[rows])
-        self.x = _choose(finished, self.best_x, self.x)
-        self.gradient = _choose(finished, self.best_gradient, self.gradient)
+        self.x = _rows_replaced(finished, self.best_x, self.x)
+        self.gradient = _rows_replaced(finished, self.best_gradient, self.gradient)
         found = self.curvature.direction(self.gradient, rows)
-        self.direction = _choose(finished, found, self.direction)
+        self.direction = _rows_replaced(finished, found, self.direction)
         self.steepest = np.where(finished, ~moved, self.steepest)
         self.searches.begin(finished, self.searches.low[1].copy())
 
@@ -202,7 +202,7 @@ class BatchState:
         )
 
 
-def _choose(
+def _rows_replaced(
     rows: Bool[np.ndarray, " active"],
     new: Float[Tensor, "active columns"],
     old: Float[Tensor, "active columns"],

@@ -267,7 +267,9 @@ def write_rrd(path: Path, show: Show) -> None:
         if show.points is not None:
             _log_points(rerun, stream, show.points, frame)
         if show.cloud is not None:
-            scan = rerun.Points3D(_array(show.cloud[frame]), radii=CLOUD_RADIUS_M, colors=CLOUD)
+            scan = rerun.Points3D(
+                _numpy_array(show.cloud[frame]), radii=CLOUD_RADIUS_M, colors=CLOUD
+            )
             stream.log("/world/scan", scan)
         for view in show.cameras:
             _log_camera(rerun, stream, view, frame)
@@ -275,7 +277,7 @@ def write_rrd(path: Path, show: Show) -> None:
     stream.disconnect()
 
 
-def _array(tensor: torch.Tensor) -> np.ndarray:
+def _numpy_array(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().cpu().float().numpy()
 
 
@@ -283,7 +285,7 @@ def _log_figure(rerun: Any, stream: Any, figure: Figure, frame: int) -> None:
     node = figure.node
     # one frame at a time, since all meshes of a long motion would need gigabytes
     posed = figure.body.pose(figure.motion.window(frame, frame + 1).detach())
-    vertices, joints = _array(posed.vertices[0]), _array(posed.joints[0])
+    vertices, joints = _numpy_array(posed.vertices[0]), _numpy_array(posed.joints[0])
     normals = vertex_normals(vertices, figure.body.faces.cpu().numpy())
     mesh = rerun.Mesh3D.from_fields(vertex_positions=vertices, vertex_normals=normals)
     stream.log(node("body"), mesh)
@@ -299,31 +301,32 @@ def _log_figure(rerun: Any, stream: Any, figure: Figure, frame: int) -> None:
         spheres = rerun.Points3D(joints[touching], radii=CONTACT_RADIUS_M, colors=CONTACT)
         stream.log(node("contacts"), spheres)
     if figure.joint_std is not None:
-        radii = _array(figure.joint_std[frame])
+        radii = _numpy_array(figure.joint_std[frame])
         spheres = rerun.Points3D(joints, radii=radii, colors=(*CERTAINTY, 90))
         stream.log(node("standard deviation"), spheres)
 
 
 def _log_points(rerun: Any, stream: Any, points: Points, frame: int) -> None:
     seen = points.visible[frame].cpu().numpy()
-    places = _array(points.positions[frame])[seen]
+    places = _numpy_array(points.positions[frame])[seen]
     stream.log("/world/points/seen", rerun.Points3D(places, radii=points.radius, colors=VISIBLE))
     if points.estimated is not None:
-        missing = _array(points.estimated[frame])[~seen]
+        missing = _numpy_array(points.estimated[frame])[~seen]
         hidden = rerun.Points3D(missing, radii=points.radius, colors=MISSING)
         stream.log("/world/points/hidden", hidden)
 
 
 def _log_camera(rerun: Any, stream: Any, view: View, frame: int) -> None:
     camera = view.at(frame)
-    pose = _array(camera.T_world_camera)
+    pose = _numpy_array(camera.T_world_camera)
     stream.log(view.node, rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
     lens = rerun.Pinhole(
-        image_from_camera=_array(camera.camera_matrix), resolution=list(camera.image_size),
+        image_from_camera=_numpy_array(camera.camera_matrix), resolution=list(camera.image_size),
         image_plane_distance=0.3,
     )  # fmt: skip
     stream.log(view.node, lens)
     if view.pixels is not None:
         stream.log(
-            f"{view.node}/detected", rerun.Points2D(_array(view.pixels[frame]), colors=VISIBLE)
+            f"{view.node}/detected",
+            rerun.Points2D(_numpy_array(view.pixels[frame]), colors=VISIBLE),
         )

@@ -46,7 +46,7 @@ def _embedded_films(show: Show, overlay: Path | None) -> str:
             write_overlay(overlay := Path(folder) / "films.mp4", show)
         data = base64.b64encode(overlay.read_bytes()).decode("ascii")
     # times in the middle of a frame: at a frame's first instant browsers still show the previous
-    return _video(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
+    return _video_html(f"data:video/mp4;base64,{data}", 0.5 / show.fps, 1.0)
 
 
 def _linked_films(show: Show, page: Path) -> str:
@@ -58,7 +58,7 @@ def _linked_films(show: Show, page: Path) -> str:
         place = os.path.relpath(film.path.resolve(), page.resolve().parent)
         offset = show.figures[0].motion.start_time - on_clock.start_time + 0.5 / film.frame_rate
         name = html.escape(visible(film.path.name))
-        parts.append(_video(quote(place), offset, film.clock.speed))
+        parts.append(_video_html(quote(place), offset, film.clock.speed))
         parts.append(
             f"<p>{html.escape(visible(view.name))}: {name} is too long to be part of this page. "
             "Keep it where it lies, as seen from here; a browser may not know its format.</p>"
@@ -66,7 +66,7 @@ def _linked_films(show: Show, page: Path) -> str:
     return "".join(parts)
 
 
-def _video(source: str, offset: float, speed: float) -> str:
+def _video_html(source: str, offset: float, speed: float) -> str:
     """A video without sound; at t seconds of the scene it shows (t + offset) * speed seconds."""
     return (
         f'<video src="{html.escape(source)}" muted playsinline preload="auto" '

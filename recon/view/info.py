@@ -75,10 +75,10 @@ def info(
     found = producer_of(file)
     verbs = () if found is None else (f"recon {verb}" for verb in found.verbs)
     told = {} if found is None else {"producer": found.name, "taken_by": ", ".join(verbs)}
-    return {**_description(file, {"unit": unit, "up": up, "hand": hand}), **told}
+    return {**_describe_by_kind(file, {"unit": unit, "up": up, "hand": hand}), **told}
 
 
-def _description(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
+def _describe_by_kind(file: Path, axes: Mapping[str, Any]) -> dict[str, Any]:
     if (project := project_at(file)) is not None:
         return _describe_project(project)
     if holds_points_3d(file):

@@ -40,7 +40,7 @@ def write_sheet(path: str | Path, show: Show) -> None:
     """
     frames, rows = evenly_spread(show.frames, MOMENTS), list[Picture]()
     for view in show.cameras:
-        row = list(_pictures(show, view, frames, clip_region(show, view), SHEET_SIDE))
+        row = list(_film_pictures(show, view, frames, clip_region(show, view), SHEET_SIDE))
         rows += [join(row[k : k + COLUMNS], axis=1) for k in range(0, len(row), COLUMNS)]
     save_picture(Path(path), with_legend(join(rows, axis=0), _legend(show), TEXT_PX))
 
@@ -58,7 +58,8 @@ def write_overlay(path: str | Path, show: Show) -> None:
     side = ONE_FILM_SIDE if len(show.cameras) == 1 else FILM_SIDE
     columns = int(np.ceil(np.sqrt(len(show.cameras))))
     every = [
-        _pictures(show, view, range(show.frames), whole_image(view), side) for view in show.cameras
+        _film_pictures(show, view, range(show.frames), whole_image(view), side)
+        for view in show.cameras
     ]
 
     def composed(tiles: Sequence[Picture]) -> Picture:
@@ -68,7 +69,7 @@ def write_overlay(path: str | Path, show: Show) -> None:
     write_film(Path(path), map(composed, zip(*every, strict=True)), show.fps)
 
 
-def _pictures(
+def _film_pictures(
     show: Show, view: View, frames: Sequence[int], part: ImageRegion, side: int
 ) -> Iterator[Picture]:
     """A region of a camera's film with the body, its name and the time, in rising frames."""

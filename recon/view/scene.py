@@ -306,7 +306,7 @@ class Show:
             counts["cloud"] = len(self.cloud)
         counts |= {view.name: view.frames for view in self.cameras if view.frames is not None}
         if len(set(counts.values())) != 1:
-            raise ValueError(f"a show needs the same frames everywhere, got {counts}")
+            raise ValueError(f"all parts of a show need the same number of frames, got {counts}")
 
     @property
     def frames(self) -> int:

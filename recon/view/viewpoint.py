@@ -110,7 +110,7 @@ def following_viewpoints(
     R_camera_world = _three_quarter(figures[0], ELEVATION)
     needed = _distance_needed((surface - target[:, None]) @ R_camera_world.T, size)
     back = float(np.quantile(needed.max(1), 0.98)) * R_camera_world[2]
-    lens = _focal(size), size, (size[0] / 2, size[1] / 2)
+    lens = _focal_length(size), size, (size[0] / 2, size[1] / 2)
     return tuple(Viewpoint(R_camera_world, place - back, place, *lens) for place in target)
 
 
@@ -134,11 +134,11 @@ def fixed_viewpoint(
     needed = _distance_needed((points - target) @ R_camera_world.T, size)
     place = target - float(needed.max()) * R_camera_world[2]
     middle = (size[0] / 2, size[1] / 2)
-    view = Viewpoint(R_camera_world, place, target, _focal(size), size, middle)
+    view = Viewpoint(R_camera_world, place, target, _focal_length(size), size, middle)
     return (view,) * figures[0].motion.frames
 
 
-def _focal(size: tuple[int, int]) -> float:
+def _focal_length(size: tuple[int, int]) -> float:
     """Focal length, pixels, for the constant field of view and a picture of this size."""
     return min(size) / 2 / math.tan(FIELD_OF_VIEW / 2)
 
@@ -150,7 +150,7 @@ def _distance_needed(
 
     The points are given from the target along the camera's axes.
     """
-    reach = np.array(size) / 2 * MARGIN / _focal(size)
+    reach = np.array(size) / 2 * MARGIN / _focal_length(size)
     return (np.abs(local[..., :2]) / reach).max(-1) - local[..., 2]
 
 

@@ -6,7 +6,6 @@ from argparse import Namespace
 from pathlib import Path
 
 from benchmarks.protocol import (
-    ROOT,
     Table,
     command_line,
     commit,
@@ -18,12 +17,10 @@ from benchmarks.protocol import (
 def test_commands_name_their_data_and_not_the_paths_of_a_machine(tmp_path: Path) -> None:
     """Result files said no arguments at all."""
     sources = {"CORPUS": (tmp_path / "corpus", [])}
-    weights = str(ROOT / "weights-nc" / "humor.safetensors")
-    argv = ["x.py", str(tmp_path / "corpus"), "--only", "24", "--nc", weights]
+    argv = ["x.py", str(tmp_path / "corpus"), "--only", "24"]
     argv += ["--out", str(tmp_path / "tables")]
     assert command_line(argv, "benchmarks.humor", sources) == (
-        "python -m benchmarks.humor CORPUS --only 24 --nc weights-nc/humor.safetensors "
-        "--out tables"
+        "python -m benchmarks.humor CORPUS --only 24 --out tables"
     )
     assert (
         command_line(["x", "--cases", "one camera"], "m", {}) == "python -m m --cases 'one camera'"

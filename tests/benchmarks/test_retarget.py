@@ -79,14 +79,14 @@ def test_jobs_are_on_the_ground_at_20_hz_for_their_body(tmp_path: Path) -> None:
         f'test = [["07_01", 1, 39, "b"], ["07_01", 0, 30, {[0.5] * 16}]]\n'
         f"[people]\nb = {[1.0] * 16}\n"
     )
-    jobs = load_jobs(tmp_path, splits, "test", "open", BODY, table)
+    jobs = load_jobs(tmp_path, splits, "test", BODY, table)
     assert [(job.motion.frames, job.motion.fps) for job in jobs] == [(39, 20.0), (30, 20.0)]
     torch.testing.assert_close(jobs[0].target, torch.ones(16))
     assert lowest(jobs[0].motion, BODY).quantile(0.25).abs() < 1e-5
     assert not jobs[0].flies
     table.write_text('test = [["16_15", 0, 39, "b"]]\n')
     with pytest.raises(FileNotFoundError, match="16_15"):
-        load_jobs(tmp_path, splits, "test", "open", BODY, table)
+        load_jobs(tmp_path, splits, "test", BODY, table)
 
 
 def test_a_copy_keeps_the_pelvis_and_the_scaled_motion_is_grounded() -> None:

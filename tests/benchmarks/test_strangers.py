@@ -85,7 +85,6 @@ def test_nothing_of_a_training_is_chosen_on_the_held_out_people(tmp_path: Path) 
     settings = humor_settings(tmp_path, tmp_path, Schedule(steps=700))
     assert settings.validate_every == settings.steps == 700  # one row, so the last is the best
     assert settings.start is None
-    assert settings.data == "open"
     assert settings.variation == VARIED
 
 

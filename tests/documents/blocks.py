@@ -11,7 +11,6 @@ PAGES = (
     ROOT / "CONTRIBUTING.md",
     *sorted(ROOT.glob("docs/**/*.md")),
     *sorted(ROOT.glob("priors/weights/*.md")),
-    *sorted(ROOT.glob("weights-nc/*.md")),
 )
 _BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.S | re.M)
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.mocap.c3d import _floats as vax_floats  # pyright: ignore[reportPrivateUsage]
+from recon.mocap.c3d import _doubles as vax_floats  # pyright: ignore[reportPrivateUsage]
 from recon.mocap.marker_tables import write_trc
 from recon.mocap.reader import read_recording
 from recon.mocap.recording import MarkerRecording

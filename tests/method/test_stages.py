@@ -145,7 +145,7 @@ def test_stages_refuse_what_does_not_exist(toy_body):
     wrong = Stage("x", FreeMotion(), data, frozenset({"latents"}))
     with pytest.raises(ValueError, match=r"latents.*translation"):
         run_stages((wrong,), toy_body, motion, Scene.create(2, like=motion.translation))
-    with pytest.raises(ValueError, match="names of their own"):
+    with pytest.raises(ValueError, match="terms of different names"):
         Stage("x", FreeMotion(), (*data, *data), frozenset({"root"}))
     with pytest.raises(ValueError, match="nothing to fit"):
         solve([], Free(1), toy_body)

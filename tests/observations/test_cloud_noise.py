@@ -60,7 +60,7 @@ def test_noise_goes_with_its_moments(toy_body):
     assert torch.allclose(
         held(laws.estimate_of(toy_body, motion)), cloud(laws.estimate_of(toy_body, motion))
     )
-    with pytest.raises(ObservationError, match="std of"):
+    with pytest.raises(ObservationError, match="expected one std"):
         cloud.replace(std=std[:, 1:])
 
 

@@ -129,7 +129,7 @@ def test_a_cloud_with_labels_begins_with_them():
     thin = cloud.thinned(50)
     assert thin.labels is not None
     assert thin.labels.places.shape == thin.points.shape
-    with pytest.raises(ObservationError, match="labels of"):
+    with pytest.raises(ObservationError, match="expected labels for all points"):
         cloud.replace(labels=labels)
 
 

@@ -112,7 +112,7 @@ def test_predictions_start_where_the_motion_ends(body: BodyModel) -> None:
     assert torch.equal(found.translation, again.translation)
     mean = predict(prior, motion, 5, 2, None).motion
     assert torch.equal(mean.translation[:2], mean.translation[2:])
-    with pytest.raises(ValueError, match="last frame"):
+    with pytest.raises(ValueError, match="missing frames at their ends"):
         predict(prior, padded_batch([swinging(6, 20), swinging(9, 21)]), 5, 1, None)
 
 

@@ -19,7 +19,6 @@ from tests.walking import a_walk
 from training.humos.corpus import BodyCorpus, BodyVariation
 from training.humos.losses import physics_losses, reconstruction
 from training.humos.train import HumosRun, HumosTraining, export_weights, train
-from training.settings import Licence
 
 BODY = BodyModel.load()
 AS_RECORDED = BodyVariation(mirror=0.0, shape=0.0, unseen=0.0)
@@ -44,8 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def corpus_of(folder: Path, licence: Licence = "open", part: Part = "train", **more) -> BodyCorpus:
-    return BodyCorpus.load(settings_of(folder, folder / "run", data=licence), part, BODY, **more)
+def corpus_of(folder: Path, part: Part = "train", **more) -> BodyCorpus:
+    return BodyCorpus.load(settings_of(folder, folder / "run"), part, BODY, **more)
 
 
 def settings_of(folder: Path, out: Path, **more) -> HumosTraining:
@@ -60,7 +59,6 @@ def settings_of(folder: Path, out: Path, **more) -> HumosTraining:
 
 def test_clips_of_the_part_and_licence_that_stand_on_the_ground(folder):
     assert set(corpus_of(folder).names) == {"08_01", "08_02", "09_01"}
-    assert set(corpus_of(folder, "nc").names) == {"08_01", "08_02", "09_01", "dataset-1_walk"}
     assert len(corpus_of(folder, speeds=(0.9, 1.1)).names) == 6
     with pytest.raises(ValueError, match="no test clip"):
         corpus_of(folder, part="test")

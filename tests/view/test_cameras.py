@@ -210,7 +210,7 @@ def test_bad_views_are_refused(body: BodyModel) -> None:
     figures = filmed(body, 3).figures
     with pytest.raises(ValueError, match="different names"):
         Show("a", figures, cameras=(View("a", seen), View("a", seen)))
-    with pytest.raises(ValueError, match="same frames everywhere"):
+    with pytest.raises(ValueError, match="same number of frames"):
         Show("a", figures, cameras=(View("a", seen, torch.zeros(4, 2, 2)),))
 
 

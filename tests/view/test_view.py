@@ -279,7 +279,7 @@ def test_bad_input_is_refused_and_leaves_files_alone(body: BodyModel, tmp_path: 
     assert [file.name for file in tmp_path.iterdir()] == ["kept.png"]
     with pytest.raises(ValueError, match="at least one figure"):
         Show("empty", ())
-    with pytest.raises(ValueError, match="same frames everywhere"):
+    with pytest.raises(ValueError, match="same number of frames"):
         Show("uneven", show.figures, Points(torch.zeros(3, 1, 3), torch.ones(3, 1).bool()))
     with pytest.raises(ValueError, match="different names"):
         Show("twins", (Figure(body, motion), Figure(body, motion)))

@@ -97,8 +97,8 @@ class CycleCorpus(TensorStruct):
                 cycles.append(cycle)
                 clips.append(name)
         if len(rows) == 0:
-            raise ValueError(f"{settings.corpus}: no {part} cycle of gait there ({settings.data})")
-        LOG.info("%d %s cycles (%s)", len(rows), part, settings.data)
+            raise ValueError(f"{settings.corpus}: holds no {part} cycle of gait")
+        LOG.info("%d %s cycles", len(rows), part)
         columns, translation, shape = (torch.stack(x) for x in zip(*rows, strict=True))
         return cls(
             columns=columns,
@@ -116,7 +116,7 @@ class CycleCorpus(TensorStruct):
     def every(self) -> CycleBatch:
         """All cycles as recorded."""
         rows = torch.arange(len(self.duration))
-        return self._cut(rows, torch.zeros_like(rows), self.shape)
+        return self._cut_cycles(rows, torch.zeros_like(rows), self.shape)
 
     def draw(self, count: int, variation: CycleVariation, random: torch.Generator) -> CycleBatch:
         """Random cycles."""
@@ -129,15 +129,15 @@ class CycleCorpus(TensorStruct):
         shift = ((uniform() * (reach.sum(-1) + 1)).long() - reach[:, 0]).clamp(max=reach[:, 1])
         normal = torch.randn(count, self.shape.shape[1], generator=random)
         shape = self.shape[row] + variation.shape * normal
-        batch = self._cut(row, shift, shape)
+        batch = self._cut_cycles(row, shift, shape)
         mirror = uniform() < variation.mirror
         batch = concatenate([batch, _mirrored(batch)])[torch.arange(count) + count * mirror]
         left = self.left[row] ^ mirror
-        anchors = self._blended(batch.anchors, left, variation, random)
+        anchors = self._mixed_cycles(batch.anchors, left, variation, random)
         faster = ((2 * uniform() - 1) * variation.speed).exp()
         return batch.replace(anchors=anchors.replace(times=anchors.times * faster[:, None]))
 
-    def _cut(self, row: Tensor, shift: Tensor, shape: Tensor) -> CycleBatch:
+    def _cut_cycles(self, row: Tensor, shift: Tensor, shape: Tensor) -> CycleBatch:
         frames = MARGIN + shift[:, None] + torch.arange(ANCHORS)
         step = self.duration[row] / (ANCHORS - 1)
         anchors = Anchors(
@@ -149,7 +149,7 @@ class CycleCorpus(TensorStruct):
         anchors = anchors.replace(translation=with_shape(own, self.body, shape).translation)
         return CycleBatch(anchors.aligned(rest_pelvis(self.body, shape))[0], shape)
 
-    def _blended(
+    def _mixed_cycles(
         self,
         anchors: Anchors,
         left: Bool[Tensor, " cycles"],

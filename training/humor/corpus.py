@@ -135,9 +135,7 @@ class Corpus(TensorStruct):
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
-            raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches {lesson} ({settings.data})"
-            )
+            raise ValueError(f"{settings.corpus}: holds no {part} clip that may teach {lesson}")
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)
         count = torch.tensor([c.motion.frames for c in clips])
@@ -145,7 +143,7 @@ class Corpus(TensorStruct):
         return cls(
             translation=torch.cat([c.motion.translation for c in clips]),
             rotations=torch.cat([c.motion.rotations for c in clips]),
-            contacts=torch.cat([_contacts(c) for c in clips]),
+            contacts=torch.cat([_contact_labels(c) for c in clips]),
             start=count.cumsum(0) - count,
             count=count,
             shape=torch.stack([c.motion.shape for c in clips]),
@@ -174,7 +172,7 @@ class Corpus(TensorStruct):
             self.count > self._frames_needed(frames, 1 + variation.speed)
         )
         for group, share in ((self.kind, variation.kinds), (self.person, variation.people)):
-            chance = _balanced(chance, group, share)
+            chance = _balanced_chances(chance, group, share)
 
         def drawn_places(speed: Tensor) -> tuple[Tensor, Tensor]:
             clip = torch.multinomial(chance.cpu(), len(speed), replacement=True, generator=random)
@@ -204,7 +202,7 @@ class Corpus(TensorStruct):
                 made, accepted = with_upper_body_of(moments[rows], trunks)
                 moments = with_edited(moments, rows, made, accepted & (other != clip[rows]))
         moments = with_random_edits(moments, variation, random)
-        return _states(moments, self.trusted[clip])
+        return _states_at_frames(moments, self.trusted[clip])
 
     def every(self, frames: int) -> StateWindows:
         """All windows one after the other, as recorded."""
@@ -226,7 +224,7 @@ class Corpus(TensorStruct):
         moments = self._moments_of_windows(
             rows, places, one, frames, never, never, self.shape[rows]
         )
-        return _states(moments, self.trusted[rows])
+        return _states_at_frames(moments, self.trusted[rows])
 
     @staticmethod
     def _frames_needed(frames: int, speed: Tensor | float) -> Tensor | float:
@@ -253,7 +251,7 @@ class Corpus(TensorStruct):
         translation = self.translation[before].lerp(self.translation[before + 1], part)
         rotations = self.rotations.flatten(1)
         rotations = rotations[before].lerp(rotations[before + 1], part).unflatten(-1, (22, 3, 3))
-        rotations = _orthonormal(rotations)
+        rotations = _orthonormalised(rotations)
         contacts = self.contacts[place.round().long()]
 
         flip = translation.new_tensor([-1.0, 1.0, 1.0])
@@ -266,14 +264,16 @@ class Corpus(TensorStruct):
         seconds = steps[:, None] / REFERENCE_FPS + beside / (RATE * speed[:, None, None])
         # flatten the three moments of each frame into one time axis
         return Moments(
-            translation=self._rescaled(translation, self.shape[clip], shape).flatten(1, 2),
+            translation=self._translations_for_body(translation, self.shape[clip], shape).flatten(
+                1, 2
+            ),
             rotations=rotations.flatten(1, 2),
             contacts=contacts,
             seconds=seconds.flatten(1, 2),
             rest=self.body.rest_joints(shape),
         )
 
-    def _rescaled(
+    def _translations_for_body(
         self,
         translation: Float[Tensor, "windows frames moments 3"],
         old: Float[Tensor, "windows shape"],
@@ -302,7 +302,7 @@ class Corpus(TensorStruct):
         return (rest[:, 0] - sole)[:, None] * up, (toes - sole)[:, None] * up
 
 
-def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows:
+def _states_at_frames(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows:
     """States at the frames of windows; velocities are differences of neighbouring moments."""
     count = moments.contacts.shape[1]
     joints = moments.posed()[1].unflatten(1, (count, PER_FRAME))
@@ -323,7 +323,7 @@ def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows
     return StateWindows(states, moments.contacts.to(joints), trusted, moments.rest)
 
 
-def _balanced(
+def _balanced_chances(
     chance: Float[Tensor, " clips"], group: Int[Tensor, " clips"], share: float
 ) -> Float[Tensor, " clips"]:
     """Probabilities of clips, divided by a power (0 to 1) of the group's total."""
@@ -354,7 +354,7 @@ def _label_indices(labels: Sequence[str]) -> Int[Tensor, " clips"]:
     return torch.tensor([places[label] for label in labels])
 
 
-def _contacts(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
+def _contact_labels(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
     if clip.contacts is None:
         return torch.zeros(clip.motion.frames, len(CONTACT_JOINTS), dtype=torch.bool)
     return clip.contacts[:, list(CONTACT_JOINTS)] > 0.5
@@ -374,7 +374,7 @@ def _at_rate(clip: MotionFile) -> MotionFile:
     made = torch.from_numpy(CubicSpline(known, entries)(wanted))
     rotations = made[:, 3:].unflatten(-1, (22, 3, 3))
     for _ in range(4):
-        rotations = _orthonormal(rotations)
+        rotations = _orthonormalised(rotations)
     nearest = torch.from_numpy((wanted * motion.fps).round()).long().clamp(max=motion.frames - 1)
     return MotionFile(
         motion=motion.replace(
@@ -387,7 +387,7 @@ def _at_rate(clip: MotionFile) -> MotionFile:
     )
 
 
-def _orthonormal(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
+def _orthonormalised(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
     """A nearly orthonormal matrix made much more so: one Newton-Schulz step R (3 - RᵀR) / 2."""
     a = matrix.reshape(-1, 3, 3)
     return torch.baddbmm(a, a, a.mT @ a, beta=1.5, alpha=-0.5).view(matrix.shape)

@@ -71,7 +71,7 @@ def with_edited(
 
 
 def at_frames(values: Float[Tensor, "windows times *rest"]) -> Tensor:
-    """Values at the frames themselves."""
+    """The values at the middle moment of every frame, without its two neighbours."""
     return values[:, 1::PER_FRAME]
 
 
@@ -158,13 +158,13 @@ def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
 
 def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
     """Whether every joint is above z = 0 by the flesh around it, or as high as recorded."""
-    before, after = (_joints(m)[..., 2] for m in (old, new))
+    before, after = (_joints_at_frames(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]
     allowed = torch.minimum(after.new_tensor(least), before.amin(1) - 1e-3)
     return (after > allowed[:, None]).flatten(1).all(1)
 
 
-def _joints(moments: Moments) -> Float[Tensor, "windows frames 22 3"]:
+def _joints_at_frames(moments: Moments) -> Float[Tensor, "windows frames 22 3"]:
     placed = forward_kinematics(at_frames(moments.rotations), moments.rest)[1]
     return placed + at_frames(moments.translation)[:, :, None]
 

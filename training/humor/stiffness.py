@@ -91,7 +91,7 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
                 (moved - at) / _STEP
                 for moved, at in zip(_residuals_of_middle_step(prior, v), here, strict=True)
             )
-            for v in _perturbed(prior, base)
+            for v in _perturbed_variables(prior, base)
         ]
     error, latents = (torch.stack(part, 1) for part in zip(*columns, strict=True))
     turn = so3.heading(motion.rotations[:, 1, 0])
@@ -107,7 +107,7 @@ def half_precision_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     return (vectors * values.clamp(min=0).sqrt()).half()
 
 
-def _perturbed(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
+def _perturbed_variables(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
     """Variables after a step of every frame's numbers, then of the shape's."""
     found: list[PoseVariables] = []
     for k in range(SPAN * FRAME):

@@ -105,9 +105,7 @@ class BodyCorpus(TensorStruct):
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
-            raise ValueError(
-                f"{settings.corpus}: no {part} clip there teaches steps ({settings.data})"
-            )
+            raise ValueError(f"{settings.corpus}: holds no {part} clip that may teach steps")
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
         LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / FPS / 60)
@@ -139,7 +137,7 @@ class BodyCorpus(TensorStruct):
         shape = self.shape[clip] + variation.shape * normal()
         seen = shape[torch.randperm(windows, generator=random)]
         other = torch.where((uniform() < variation.unseen)[:, None], normal(), seen)
-        batch = self._cut(clip, first, frames)
+        batch = self._cut_windows(clip, first, frames)
         mirror = uniform() < variation.mirror
         both = concatenate([batch.frames, mirrored(batch.frames)])
         row = torch.arange(windows) + windows * mirror
@@ -154,10 +152,10 @@ class BodyCorpus(TensorStruct):
         ]
         picked = torch.linspace(0, len(rows) - 1, min(most, len(rows))).round().long().tolist()
         clip, first = torch.tensor([rows[k] for k in picked]).unbind(-1)
-        batch = self._cut(clip, first, frames)
+        batch = self._cut_windows(clip, first, frames)
         return batch.replace(other=torch.randn(batch.shape.shape, generator=random))
 
-    def _cut(
+    def _cut_windows(
         self, clip: Int[Tensor, " windows"], first: Int[Tensor, " windows"], frames: int
     ) -> BodyBatch:
         steps = first[:, None] + torch.arange(frames)

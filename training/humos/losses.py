@@ -27,7 +27,7 @@ _FLYING = 0.03
 
 @dataclass(frozen=True)
 class Codes:
-    """q(z | motion, body), and one draw."""
+    """The encoder's distribution q(z | motion, body) of latent codes, and one draw from it."""
 
     mean: Float[Tensor, "clips memory latent"]
     log_variance: Float[Tensor, "clips memory latent"]
@@ -61,9 +61,9 @@ def reconstruction(
     step = away.diff(dim=1).square().sum(-1)
     both = valid[:, 1:] & valid[:, :-1]
     return 0.5 * (
-        _mean(numbers, valid) / _NUMBER**2
-        + _mean(away.square().sum(-1), valid) / _JOINT**2
-        + _mean(step, both) / _STEP**2
+        _mean_over_valid(numbers, valid) / _NUMBER**2
+        + _mean_over_valid(away.square().sum(-1), valid) / _JOINT**2
+        + _mean_over_valid(step, both) / _STEP**2
     )
 
 
@@ -71,13 +71,17 @@ def numbers_error(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch
 ) -> Float[Tensor, ""]:
     """½ mean |error|² / σ² of features alone, for transfers to another body and back."""
-    return 0.5 * _mean((rows - batch.frames.pack()).square(), batch.valid[..., None]) / _NUMBER**2
+    return (
+        0.5
+        * _mean_over_valid((rows - batch.frames.pack()).square(), batch.valid[..., None])
+        / _NUMBER**2
+    )
 
 
 def divergence(codes: Codes, exists: Bool[Tensor, "clips windows"]) -> Float[Tensor, ""]:
     """Mean KL(q || N(0, 1)) per number of a code that exists, nats."""
     kl = divergence_from_normal(codes.mean, codes.log_variance)
-    return _mean(kl, exists[..., None])
+    return _mean_over_valid(kl, exists[..., None])
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def physics_losses(
         slide=physics.slide(estimate).sum() / frames,
         balance=physics.dynamic_stability(estimate).sum() / frames,
         bounce=0.5
-        * _mean(
+        * _mean_over_valid(
             _pelvis_acceleration_error(motion, batch, body)[..., None], batch.valid[:, 2:, None]
         ),
     )
@@ -135,7 +139,7 @@ def motion_of_other_body(
     return BodyFrames.unpack(rows).motion(batch.other, body, FPS, base).replace(valid=batch.valid)
 
 
-def _mean(values: Tensor, valid: Bool[Tensor, "*batch 1"]) -> Float[Tensor, ""]:
+def _mean_over_valid(values: Tensor, valid: Bool[Tensor, "*batch 1"]) -> Float[Tensor, ""]:
     return values.where(valid, 0.0).sum() / (valid.sum() * values.shape[-1]).clamp(min=1)
 
 

@@ -206,7 +206,9 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
     networks = networks_of(settings, LappedBasis(**found["basis"]), learned)
     networks.load_state_dict(found["averaged"])
     networks.eval().requires_grad_(False)
-    weights = HumosWeights(networks, _density(settings, networks, learned), settings.frames)
+    weights = HumosWeights(
+        networks, _density_of_codes(settings, networks, learned), settings.frames
+    )
     about = settings_to_store(settings) | {"shape": weights.shape, "step": found["step"]}
     save_humos(path, weights, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
@@ -223,7 +225,7 @@ def networks_of(
     )  # fmt: skip
 
 
-def _density(
+def _density_of_codes(
     settings: HumosTraining, networks: WindowNetworks, learned: BodyCorpus
 ) -> CodeDensity:
     """The distribution of the training clips' codes, and of each given the one before."""

@@ -105,11 +105,11 @@ class Postures:
         limbs that are drawn at random; half of all are disturbed a little.
         """
         kind = random.random()
-        window = self._recorded(moments, random)
+        window = self._recorded_window(moments, random)
         if kind >= 0.5:
             for limb in _LIMBS:
                 if random.random() < 0.7:
-                    window[:, limb] = self._recorded(moments, random)[:, limb]
+                    window[:, limb] = self._recorded_window(moments, random)[:, limb]
         if kind >= 0.8:
             window[:, 1:] = random_motion(moments, random)[:, 1:]
         if random.random() < 0.5:
@@ -118,7 +118,7 @@ class Postures:
             window = window @ _rotation_matrices(bend)
         return window
 
-    def _recorded(self, moments: int, random: np.random.Generator) -> np.ndarray:
+    def _recorded_window(self, moments: int, random: np.random.Generator) -> np.ndarray:
         """Moments `SPACING` apart of one clip, played a little faster or slower, or backwards."""
         clip = self.clips[int(random.choice(len(self.clips), p=self.chances))]
         pace = random.uniform(0.7, 1.3) * random.choice([-1, 1]) * SPACING * self.fps
@@ -204,7 +204,7 @@ class Source:
         """
         body, clips = BodyModel.load(), settings.load_clips(part)
         if len(clips) == 0:
-            raise ValueError(f"{settings.corpus}: no {part} clip there ({settings.data})")
+            raise ValueError(f"{settings.corpus}: holds no {part} clip")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
         return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
 
@@ -235,7 +235,7 @@ def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
 
 
 def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> LabelledClouds:
-    """Windows of drawn people in drawn rooms."""
+    """Draw windows of clouds of random people in random rooms, with their labels."""
     shape = (windows, WINDOW, POINTS)
     points, places = (np.zeros((*shape, 3), np.float16) for _ in range(2))
     regions, present = np.full(shape, -1, np.int8), np.zeros(shape, bool)

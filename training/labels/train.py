@@ -88,7 +88,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         return Muon(matrices, others, self.settings.rate, self.settings.decay)
 
     def losses(self) -> dict[str, Tensor]:
-        """Losses of drawn windows."""
+        """Losses of a random batch of training windows."""
         settings = self.settings
         clouds = self.learned.draw(settings.windows, settings.variation, self.random)
         seen = network_input(clouds)

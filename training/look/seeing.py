@@ -61,7 +61,7 @@ class Seeing:
             body: whose skin the points lie on.
             random: on the device of the joints.
         """
-        draw = _Draws(joints, random)
+        draw = _RandomNumbers(joints, random)
         count, time = joints.shape[:2]
         rows = torch.arange(count, device=joints.device)
         vertex = draw.integers(len(body.template), count, SLOTS)
@@ -95,7 +95,7 @@ class Seeing:
         return SeenPoints(places, seen & exists[..., None], bone, offset, std, exists)
 
     def _visible_points(
-        self, draw: "_Draws", true: Tensor, bone: Tensor
+        self, draw: "_RandomNumbers", true: Tensor, bone: Tensor
     ) -> Bool[Tensor, "windows time points"]:
         """Mask of the points that nothing hides."""
         count, time = true.shape[:2]
@@ -122,7 +122,7 @@ class Seeing:
         return ~hidden
 
     def _points_of_random_limbs(
-        self, draw: "_Draws", bone: Tensor, whole: float
+        self, draw: "_RandomNumbers", bone: Tensor, whole: float
     ) -> Bool[Tensor, "windows points"]:
         """Mask of the points of random limbs, or with probability `whole` of all points."""
         count = len(bone)
@@ -143,7 +143,7 @@ CLEAR = Seeing(
 
 
 @dataclass(frozen=True)
-class _Draws:
+class _RandomNumbers:
     """Random numbers of the kind and on the device of a tensor."""
 
     like: Tensor

@@ -113,7 +113,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
         return found.to(settings.device)
 
     def losses(self) -> dict[str, Tensor]:
-        """Losses of drawn windows."""
+        """Losses of a random batch of training windows."""
         settings, body = self.settings, self.learned.body
         pool, place = divmod(self.step, 4 * _DRAWN_AT_ONCE)
         # random numbers are seeded by the step, so that a resumed run continues exactly
@@ -136,7 +136,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 def seen_of(
     windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
-    """Simulated sensor points of windows."""
+    """Simulate the sensor points that are seen of windows of motion."""
     orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
     return seeing.points_of(windows.states.joints, orientations, body, random)
 
