@@ -3,14 +3,15 @@
     python -m benchmarks.films real OBSERVATIONS --out FOLDER
     python -m benchmarks.films real OBSERVATIONS --cases nothing --detections FOLDER
     python -m benchmarks.films rendered CORPUS --films FOLDER --out FOLDER
+    python -m benchmarks.films crossing CORPUS --films FOLDER --out FOLDER
 
-`real` is `benchmarks.films.real`: real films beside the fit of others' detections. `rendered` is
-`benchmarks.films.rendered`: rendered people, whose motion is known.
+`real` is `benchmarks.films.real`: real films beside the fit of others' detections. `rendered` and
+`crossing` are `benchmarks.films.rendered` and `.crossing`: rendered people, whose motion is known.
 """
 
 import argparse
 
-from benchmarks.films import real, rendered
+from benchmarks.films import crossing, real, rendered
 from benchmarks.protocol import parser
 
 
@@ -20,7 +21,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parts = arguments.add_subparsers(required=True)
-    for part, data in ((real, "observations"), (rendered, "corpus")):
+    for part, data in ((real, "observations"), (rendered, "corpus"), (crossing, "corpus")):
         name = part.__name__.rpartition(".")[2]
         each = parts.add_parser(name, parents=[parser(None, data)], add_help=False)
         part.add_arguments(each)

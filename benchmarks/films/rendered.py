@@ -58,6 +58,9 @@ class Shot:
     camera: Camera
     """A pose for every frame."""
     scene: Set
+    others: tuple[tuple[Actor, Motion], ...] = ()
+    """Further people in the film."""
+    size: tuple[int, int] = SIZE
 
     def film(self, folder: Path, seed: int = SEED) -> Path:
         """The film, rendered where it is not in the folder yet."""
@@ -65,14 +68,16 @@ class Shot:
         if path.is_file():
             return path
         folder.mkdir(parents=True, exist_ok=True)
-        skin = self.actor.body.pose(self.truth).vertices.numpy()
+        people = ((self.actor, self.truth), *self.others)
+        skins = [one.body.pose(motion).vertices.numpy() for one, motion in people]
         rng, part = np.random.default_rng([seed, 3]), path.with_suffix(".part.mp4")
         with av.open(str(part), "w") as box:
             stream = box.add_stream("libx264", rate=int(FPS), options={"crf": "18"})
-            stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
-            for frame, vertices in enumerate(skin):
+            stream.width, stream.height, stream.pix_fmt = *self.size, "yuv420p"
+            for frame in range(self.truth.frames):
                 view = self.camera.replace(T_camera_world=self.camera.T_camera_world[frame])
-                image = render(self.scene, view, [(self.actor, vertices)], rng)
+                seen = [(own, skin[frame]) for (own, _), skin in zip(people, skins, strict=True)]
+                image = render(self.scene, view, seen, rng)
                 box.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
             box.mux(stream.encode())
         part.rename(path)
@@ -170,11 +175,7 @@ def shots(windows: TrueWindows, kind: str, people: int, body: BodyModel) -> Iter
     order = np.random.default_rng(SEED).permutation(len(windows.names))
     for number in range(people):
         row = int(order[number % len(order)])
-        rng = np.random.default_rng([SEED, number])
-        sex, tall = ("man", "woman")[number % 2], rng.uniform(1.52, 1.80) + 0.12 * (number % 2 < 1)
-        weight = rng.uniform(19.5, 29.0) * tall**2
-        shape = identity(f"{sex},height={tall:.3f},weight={weight:.1f}", body)
-        motion = with_shape(windows.truth[row], body, shape)
+        motion = drawn_person(windows.truth[row], number, body)
         path = body.pose(motion).joints[:, 0]
         middle = (path.amin(0) + path.amax(0)) / 2 * torch.tensor([1.0, 1.0, 0.0])
         motion = motion.replace(translation=motion.translation - middle)
@@ -186,6 +187,15 @@ def shots(windows: TrueWindows, kind: str, people: int, body: BodyModel) -> Iter
             f"{kind}-{number:02}", windows.subjects[row], actor, motion, camera,
             Set.drawn(number, reach),
         )  # fmt: skip
+
+
+def drawn_person(motion: Motion, number: int, body: BodyModel) -> Motion:
+    """A motion of a person of drawn height and weight."""
+    rng = np.random.default_rng([SEED, number])
+    sex, tall = ("man", "woman")[number % 2], rng.uniform(1.52, 1.80) + 0.12 * (number % 2 < 1)
+    weight = rng.uniform(19.5, 29.0) * tall**2
+    shape = identity(f"{sex},height={tall:.3f},weight={weight:.1f}", body)
+    return with_shape(motion, body, shape)
 
 
 def carried(kind: str, actor: Actor, motion: Motion, rng: np.random.Generator) -> Camera:

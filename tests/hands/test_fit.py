@@ -103,6 +103,13 @@ def test_fingertips_of_views(count, within):
     away = (hand_points(found, somebody.body) - somebody.points).norm(dim=-1)
     assert float(away[:, TIPS].mean()) < within
     assert [("one view" in one.message) for one in said.diagnosis] == [True] * 2 * (count == 1)
+    made, fitted = (
+        one.unflatten(1, (2, 21)) for one in (somebody.points, hand_points(found, somebody.body))
+    )
+    off = (fitted - fitted[:, :, :1] - made + made[:, :, :1])[:, :, 4::4].norm(dim=-1).mean((0, 2))
+    for one, error in zip(said.diagnosis, off.tolist(), strict=False):
+        assert one.value is not None
+        assert 0.4 * one.value < error < 1.3 * one.value
 
 
 def test_session_with_hands(tmp_path):
