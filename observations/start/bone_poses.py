@@ -148,7 +148,7 @@ class PoseSolver(TensorStruct):
         sigmas: tuple[float, ...],
         ties: "Springs | None",
     ) -> BonePoses:
-        """The poses after damped Gauss-Newton steps, one for each falling scale of the kernel.
+        """The poses after one damped Gauss-Newton step per scale of the kernel, largest first.
 
         The energy of a frame is ½ Σ w ρ(|predicted - seen|²) + ½ |z|², with Geman and McClure's
         kernel ρ, whose scale shrinks from step to step: what is far away counts at first and not

@@ -83,7 +83,7 @@ class Anchors(TensorStruct):
     def carried(
         self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
     ) -> "Anchors":
-        """Cycles after a rigid transform, given the pelvis of the unposed body."""
+        """Gait cycles moved by a rigid transform; the root turns about the unposed `pelvis`."""
         root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
         return self.replace(
             rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),

@@ -37,7 +37,7 @@ _ROOT = 3.7
 def preview(
     clip: CheckedClip, start: Motion | None, checks: Sequence[Check] | None
 ) -> ExaminedClip:
-    """The likeliest motion that a network proposes for one clip, as an examined clip.
+    """The likeliest motion that a network proposes for one clip, with the findings of checks.
 
     Args:
         clip: whose options name the network as their method.

@@ -94,7 +94,7 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
         name = str(name)
     files = files if isinstance(files, list) else [files]
     if not isinstance(name, str) or not all(isinstance(file, str) for file in files):
-        raise ValueError(f"{where}: expected texts, as in {_EXPECTED}, got {line[:80]!r}")
+        raise ValueError(f"{where}: expected strings, as in {_EXPECTED}, got {line[:80]!r}")
     if name != Path(name).name or name in ("", ".", "..") or "\0" in name:
         raise ValueError(f"{where}: expected an id that can be a file name, got {name[:80]!r}")
     if foreign := [field.name for field in fields(FitSettings) if field.name in row]:

@@ -95,7 +95,7 @@ class Film:
         return pixels * self.shrunk + (self.shrunk - 1) / 2
 
     def in_image(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
-        """The inverse of `in_film`."""
+        """Pixels of an image, which may have been shrunk, for those of the film."""
         return (pixels - (self.shrunk - 1) / 2) / self.shrunk
 
     def __iter__(self) -> Iterator[FilmFrame]:

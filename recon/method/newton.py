@@ -121,7 +121,7 @@ def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
         turn = scene.ground.T_world_recording[clip, :3, :3]
         curvature = turn @ curvature @ turn.mT
     if carried.own_joints is not None and found.isotropic and on_frames:
-        # add to the joints' Hessian, whose Jacobian is computed once for all terms
+        # sum up by joint positions: their Jacobian is then needed once for all terms
         isotropic = curvature[..., 0, 0]
         joints = cached_constant(carried.own_joints, places.device)
         every = isotropic.new_zeros(motion.frames, *isotropic.shape[1:])
@@ -212,7 +212,7 @@ class StageProblem(Problem[Unknowns[Any]]):
     def about(
         cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]
     ) -> tuple["StageProblem", Unknowns[Any]]:
-        """The problem about given unknowns, and these unknowns as steps of zero.
+        """The problem in steps from the given unknowns, and the unknowns where these begin.
 
         Raises:
             NoHessian: when the prior's variables are no steps of frames, or not all are moved.

@@ -152,9 +152,9 @@ def fit_files(
     people, notes = people_in(paths_given(observations), FitSettings.of(reading), model)
     if isinstance(noise, Mapping):
         noise = noise.get("pixels")
-    # the reader has already moved the data to a given plane
-    told = "auto" if plane is not None else ground
-    return fit_people(people, body=model, notes=notes, noise=noise, ground=told, **how)
+    # data that were read with a given ground plane have it at z = 0: it must not be applied again
+    ground_of_fit = "auto" if plane is not None else ground
+    return fit_people(people, body=model, notes=notes, noise=noise, ground=ground_of_fit, **how)
 
 
 def _on_one_floor(result: Result) -> Result:

@@ -192,8 +192,8 @@ def test_manifests_are_checked_line_by_line(tmp_path):
         ('{"id": ' + "7" * 10_000 + ', "observations": []}', "line 2: expected"),
         ("7", "line 2"),
         ({"id": "b"}, "line 2"),
-        ({"id": None, "observations": []}, "line 2: expected texts"),
-        ({"id": "b", "observations": [7]}, "line 2: expected texts"),
+        ({"id": None, "observations": []}, "line 2: expected strings"),
+        ({"id": "b", "observations": [7]}, "line 2: expected strings"),
         ({"id": "../b", "observations": []}, "can be a file name"),
         ({"id": "b", "observations": [], "camera": "c.toml"}, "camera cannot differ"),
     ):
