@@ -161,7 +161,13 @@ FOCAL_LENGTH = Limit(
     "focal length", 4.0, 1e6, "pixels",
     "a lens of 1,200 mm before an 8K sensor has 260,000; check that it is in pixels, not in mm",
 )  # fmt: skip
-FILM_FOCAL_LENGTH = Limit("focal length for 35 mm film", 8.0, 400.0, "mm", "no other films people")
+FILM_FOCAL_LENGTH = Limit(
+    "focal length for 35 mm film",
+    8.0,
+    400.0,
+    "mm",
+    "no lens of a phone or camera that films people is outside",
+)
 FIELD = Limit(
     "focal length over the image's longer side", 0.1, 200.0, "",
     "0.1 sees 157 degrees, which no lens without fisheye does; the longest telephoto lenses have "

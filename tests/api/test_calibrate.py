@@ -50,7 +50,7 @@ def filmed() -> list[FilmedPerson]:
     """What three phones see whose focal length, 900 pixels, is guessed as 800."""
     rows = [images(one, seed) for seed, one in enumerate(TRUE)]
     return [
-        FilmedPerson(f"view {k}", one[..., :2], one[..., 2], 800.0, False, np.array([640.0, 360]))
+        FilmedPerson(f"view {k}", one[..., :2], one[..., 2], 800.0, 0.3, np.array([640.0, 360]))
         for k, one in enumerate(rows)
     ]
 

@@ -176,7 +176,7 @@ def test_a_beginning_that_all_labels_share_is_ignored():
         ('LASI = "left_assis"', "no landmark 'left_assis'"),
         ("LASI = -1", "vertex number, got -1"),
         ("LASI = true", "got True"),
-        ('L.ASIS = "left_asis"', "labels with dots need quotes"),
+        ('L.ASIS = "left_asis"', "put labels with dots in quotes"),
         ("LASI left_asis", "not TOML"),
     ],
 )

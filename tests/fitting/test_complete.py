@@ -189,7 +189,7 @@ def test_too_little_is_refused_and_little_is_said(settings, scans, tmp_path):
 
     with pytest.raises(ValueError, match="at most one frame has data"):
         fit_files([only(last)], out, settings)
-    with pytest.raises(ValueError, match=r"lasts 0\.3 to 3 s"):
+    with pytest.raises(ValueError, match=r"one gait cycle, 0\.3 to 3 s"):
         fit_files([only(0, 1, 2)], out, settings)
     assert not out.exists()
     report = fit_files([only(0, last)], out, settings)

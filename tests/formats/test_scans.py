@@ -79,7 +79,7 @@ def test_times_leave_dropped_frames_empty(tmp_path):
         ("0\n1\n2\n", "expected 4 times"),
         ("0\n1\n1\n2\n", "rising"),
         ("0\n1\n2.5\n400\n", "evenly spaced"),
-        ("0\n0.4\n0.401\n0.7\n", "leave one of them out"),
+        ("0\n0.4\n0.401\n0.7\n", "leave one of the two out"),
         ("0.ply,0\n", "no time for 1.ply"),
     ):
         (tmp_path / "times.csv").write_text(text)

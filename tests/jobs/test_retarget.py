@@ -150,7 +150,7 @@ def test_implausible_bodies_and_rates_are_warned_about(tmp_path: Path, capsys) -
         ("good", ("--shape", "nobody.npz"), "nobody.npz"),
         ("good", ("--shape", "0", "--fps", 0), "fps: expected"),
         ("good", ("--shape", "0", "--ground", "nan"), "ground: expected"),
-        ("short", ("--shape", "0"), "lasts 0.93 s"),
+        ("short", ("--shape", "0"), "got 0.93 s"),
         ("one", ("--shape", "0"), "two frames or more"),
         ("tilted", ("--shape", "0"), "not level"),
         ("other", ("--shape", "0"), "--body"),
