@@ -6,16 +6,15 @@ square about this circle, turned so that the trunk is upright, is cut out for a 
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from recon.core.errors import ReconError
 
@@ -30,7 +29,7 @@ _ANCHORS = {28: 2, 14: 2, 7: 6}
 """Cells of a side of each of the detector's grids, and boxes per cell."""
 _LEAST_SCORE = 0.5
 _OVERLAP = 0.3
-"""Intersection over union from which on two boxes show one person."""
+"""Intersection over union from which on two boxes show the same."""
 _GROWTH = 1.25
 """Side of the region per diameter of the circle around the body."""
 _REACH = 3
@@ -109,12 +108,7 @@ class BlazePose:
         folder = bundled_folder()
         self._detector = Network(folder / "pose_detection.tflite", (2254, 12))
         self._landmarks = Network(landmarks or folder / "pose_landmark_full.tflite", (195,))
-
-    @cached_property
-    def _anchors(self) -> Float[np.ndarray, "2254 2"]:
-        """Centres of the detector's boxes, as fractions of its image."""
-        grids = [np.repeat(centres_of_cells(side), n, axis=0) for side, n in _ANCHORS.items()]
-        return np.concatenate(grids)
+        self._anchors = anchors_of_grids(_ANCHORS)
 
     def find(self, image: Image, square: Region | None = None) -> list[tuple[Region, float]]:
         """People in an image, or in a square of it, with their scores; the surest first."""
@@ -122,18 +116,12 @@ class BlazePose:
         if square is None:
             square = Region(np.array([width - 1, height - 1]) / 2, float(max(width, height)), 0.0)
         cut = square.cut(image, _DETECTOR_SIDE)
-        boxes, logits = self._detector(cut / np.float32(127.5) - np.float32(1.0), (2254, 1))
-        scores = sigmoid(logits[:, 0])
-        kept = scores > _LEAST_SCORE
-        scores, points = scores[kept], boxes[kept].reshape(-1, 6, 2).astype(float)
-        points /= _DETECTOR_SIDE
-        points[:, [0, 2, 3, 4, 5]] += self._anchors[kept][:, None]
         to_image = square.to_image(_DETECTOR_SIDE)
         found: list[tuple[Region, float]] = []
-        for members in overlapping_boxes(points[:, 0], points[:, 1], scores):
-            mean = np.average(points[members, 2:4], axis=0, weights=scores[members])
-            hips, rim = mapped(mean * _DETECTOR_SIDE - 0.5, to_image)
-            found.append((Region.of_points(hips, rim), float(scores[members[0]])))
+        image_of_network = cut / np.float32(127.5) - np.float32(1.0)
+        for points, score in detected_boxes(self._detector, image_of_network, self._anchors):
+            hips, rim = mapped(points[2:4] * _DETECTOR_SIDE - 0.5, to_image)
+            found.append((Region.of_points(hips, rim), score))
         return found
 
     def poses(self, image: Image, region: Region) -> tuple[Pose, Pose]:
@@ -148,7 +136,7 @@ class BlazePose:
         raw, score, heat = self._landmarks(cut / np.float32(255.0), (1,), (_HEAT, _HEAT, _POINTS))
         rows = raw.reshape(_POINTS, 5).astype(float)
         places = _refined(rows[:, :2], heat)
-        sure = sigmoid(rows[:, 3:])
+        sure = _sigmoid(rows[:, 3:])
         if mirror:
             places = places * (-1, 1) + (_SIDE, 0)
             places[:LANDMARKS], sure = places[MIRRORED], sure[MIRRORED]
@@ -227,7 +215,7 @@ def _without_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
-def sigmoid(logits: np.ndarray) -> np.ndarray:
+def _sigmoid(logits: np.ndarray) -> np.ndarray:
     """Probabilities of a network's scores."""
     return 1 / (1 + np.exp(-np.clip(logits.astype(float), -80, 80)))
 
@@ -237,13 +225,40 @@ def mapped(points: Float[np.ndarray, "n 2"], way: Float[np.ndarray, "2 3"]) -> n
     return points @ way[:, :2].T + way[:, 2]
 
 
-def centres_of_cells(side: int) -> Float[np.ndarray, "cells 2"]:
-    """Centres of the cells of a square grid over the unit square, row by row."""
-    y, x = (np.mgrid[:side, :side] + 0.5) / side
-    return np.stack((x, y), -1).reshape(-1, 2)
+def anchors_of_grids(boxes: Mapping[int, int]) -> Float[np.ndarray, "anchors 2"]:
+    """Centres that a detector's boxes are relative to, as fractions of its image.
+
+    Args:
+        boxes: number of boxes in each cell, by the cells of a side of a grid over the image.
+    """
+    grids = [
+        np.repeat(np.mgrid[:side, :side].reshape(2, -1)[::-1].T + 0.5, count, axis=0) / side
+        for side, count in boxes.items()
+    ]
+    return np.concatenate(grids)
 
 
-def overlapping_boxes(
+def detected_boxes(
+    detector: Callable[..., list[np.ndarray]],
+    image: Float32[np.ndarray, "side side 3"],
+    anchors: Float[np.ndarray, "anchors 2"],
+) -> Iterator[tuple[Float[np.ndarray, "points 2"], float]]:
+    """Centre, size and keypoints of everything that a detector finds, surest first; and scores.
+
+    Places and sizes are fractions of the image; boxes that overlap are averaged by their scores.
+    """
+    boxes, logits = detector(image, (len(anchors), 1))
+    scores = _sigmoid(logits[:, 0])
+    kept = scores > _LEAST_SCORE
+    scores, points = scores[kept], boxes[kept].astype(float) / len(image)
+    points = points.reshape(len(scores), boxes.shape[1] // 2, 2)
+    points[:, [0, *range(2, points.shape[1])]] += anchors[kept][:, None]
+    for members in _overlapping_boxes(points[:, 0], points[:, 1], scores):
+        mean = np.average(points[members], axis=0, weights=scores[members])
+        yield mean, float(scores[members[0]])
+
+
+def _overlapping_boxes(
     middles: Float[np.ndarray, "n 2"], sizes: Float[np.ndarray, "n 2"], scores: np.ndarray
 ) -> list[np.ndarray]:
     """Groups of boxes that overlap the most confident box not yet in a group.
@@ -280,7 +295,7 @@ def _refined(
         np.clip(columns, 0, _HEAT - 1)[:, None],
         np.arange(_POINTS)[:, None, None],
     ]
-    warmth = np.where(there, sigmoid(patch), 0.0)
+    warmth = np.where(there, _sigmoid(patch), 0.0)
     total = warmth.sum((1, 2))
     x = (warmth * columns[:, None]).sum((1, 2)) / np.maximum(total, 1e-9)
     y = (warmth * rows[:, :, None]).sum((1, 2)) / np.maximum(total, 1e-9)

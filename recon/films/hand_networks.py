@@ -15,11 +15,10 @@ from recon.films.blazepose import (
     Image,
     Network,
     Region,
+    anchors_of_grids,
     bundled_folder,
-    centres_of_cells,
+    detected_boxes,
     mapped,
-    overlapping_boxes,
-    sigmoid,
 )
 
 POINTS = 21
@@ -28,7 +27,6 @@ _DETECTOR_SIDE, _SIDE = 192, 224
 """Pixels of the networks' inputs."""
 _ANCHORS = {24: 2, 12: 6}
 """Cells of a side of each of the detector's grids, and boxes per cell."""
-_LEAST_SCORE = 0.5
 _WRIST, _MIDDLE = 0, 2
 """Keypoints of a palm that tell where its fingers are."""
 _PALM_GROWTH, _PALM_SHIFT = 2.6, 0.5
@@ -92,32 +90,23 @@ class HandNetworks:
             )
         self._detector = Network(folder / "palm_detection_full.tflite", (2016, 18))
         self._landmarks = Network(folder / "hand_landmark_full.tflite", (63,))
-        grids = [np.repeat(centres_of_cells(side), n, axis=0) for side, n in _ANCHORS.items()]
-        self._anchors = np.concatenate(grids)
+        self._anchors = anchors_of_grids(_ANCHORS)
 
     def palms(self, image: Image, square: Region) -> list[Palm]:
         """Palms in a square of an image, the surest first."""
-        cut = square.cut(image, _DETECTOR_SIDE)
-        boxes, logits = self._detector(cut / np.float32(255.0), (2016, 1))
-        scores = sigmoid(logits[:, 0])
-        kept = scores > _LEAST_SCORE
-        scores, points = scores[kept], boxes[kept].reshape(-1, 9, 2).astype(float)
-        points /= _DETECTOR_SIDE
-        points[:, [0, *range(2, 9)]] += self._anchors[kept][:, None]
+        cut = square.cut(image, _DETECTOR_SIDE) / np.float32(255.0)
         to_image, found = square.to_image(_DETECTOR_SIDE), list[Palm]()
-        for members in overlapping_boxes(points[:, 0], points[:, 1], scores):
-            mean = np.average(points[members], axis=0, weights=scores[members])
-            keypoints = mapped(mean[2:] * _DETECTOR_SIDE - 0.5, to_image)
-            centre = mapped(mean[:1] * _DETECTOR_SIDE - 0.5, to_image)[0]
+        for points, score in detected_boxes(self._detector, cut, self._anchors):
+            centre, _, *keypoints = mapped(points * _DETECTOR_SIDE - 0.5, to_image)
             ahead = keypoints[_MIDDLE] - keypoints[_WRIST]
-            side = float(mean[1].max()) * square.side
+            side = float(points[1].max()) * square.side
             length = max(float(np.linalg.norm(ahead)), 1e-9)
             region = Region(
                 centre + _PALM_SHIFT * side * ahead / length,
                 _PALM_GROWTH * side,
                 float(np.arctan2(ahead[0], -ahead[1])),
             )
-            found.append(Palm(region, keypoints[_WRIST], float(scores[members[0]])))
+            found.append(Palm(region, keypoints[_WRIST], score))
         return found
 
     def hand(self, image: Image, region: Region) -> Hand:
