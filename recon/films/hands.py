@@ -23,9 +23,9 @@ _SEGMENTS = {
     ("shoulder", "elbow"): 0.186, ("elbow", "wrist"): 0.146, ("shoulder", "hip"): 0.288,
     ("hip", "knee"): 0.245, ("knee", "ankle"): 0.246,
 }  # fmt: skip
-"""Lengths of segments as shares of the body's height (Winter, 2009), ..."""
+"""Lengths of segments as shares of the body's height (Winter, 2009)."""
 _HAND = 0.108
-"""... and that of a hand, from the wrist to the tip of the middle finger."""
+"""The same of a hand, from the wrist to the tip of the middle finger."""
 _LEAST_PIXELS = 20.0
 """Length of a hand below which fingers cannot be told apart."""
 _SEEN = 0.1
@@ -39,8 +39,8 @@ _FAR = 0.6
 """Distance of a hand from the body's wrist from which on it is another's, lengths of a hand."""
 _SMALLEST, _LARGEST = 0.25, 1.6
 """Distance of its farthest point from its wrist, lengths of a hand."""
-_LEAST_SCORE = 0.5
-_LEAST_CONFIDENCE = 0.05
+_LEAST_SCORE, _LEAST_CONFIDENCE = 0.5, 0.05
+"""Score of a region below which it holds no hand, and least confidence of points of a hand."""
 _SAME_HAND = 0.3
 """Mean distance of the points of two hands, lengths of a hand, below which they are one."""
 
@@ -50,18 +50,18 @@ class _Wrist:
     """A wrist of a body in one frame, at which a hand is looked for."""
 
     row: int
-    """Number of the detection."""
+    """Row of the detections that the body is."""
     side: int
-    """Of `_SIDES`."""
+    """Index in `_SIDES`."""
     place: Float[np.ndarray, "2"]
     """Pixels of the image."""
     length: float
-    """Of the hand as the size of the body tells it, pixels."""
+    """Length of the hand that the size of the body lets expect, pixels."""
     ahead: Float[np.ndarray, "2"]
     """Unit vector from the elbow to the wrist; zero where the forearm points at the camera."""
 
     def away(self, place: Float[np.ndarray, "2"]) -> float:
-        """The distance of a place, lengths of the hand."""
+        """The distance of a place from the wrist, lengths of the hand."""
         return float(np.linalg.norm(place - self.place)) / self.length
 
     def owns(self, hand: Hand) -> bool:
@@ -71,7 +71,7 @@ class _Wrist:
         return hand.score >= _LEAST_SCORE and near and _SMALLEST < reach < _LARGEST
 
     def square(self) -> Region:
-        """Where a palm may be."""
+        """The square in which a palm is looked for."""
         middle = self.place + _AHEAD * self.length * self.ahead
         return Region(middle, _SQUARE * self.length, 0.0)
 
@@ -124,7 +124,7 @@ def with_hands(
 
 
 def _confidence(hand: Hand) -> float:
-    """The usual error of points of a hand divided by the one that its score lets expect.
+    """Confidence of the points of a hand: their usual error over the one expected at its score.
 
     In real films of three calibrated cameras, points of hands with scores from 0.6 to 0.9 were
     about three times as far from where the two other views see them as those of surer hands.

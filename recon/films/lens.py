@@ -79,10 +79,11 @@ def _boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]
 
 def _values(data: bytes, start: int, end: int, *, depth: int) -> Iterator[tuple[int, bytes]]:
     """Types and bytes of the values of the focal length in a part of an index."""
-    inner = {kind: (first, last) for kind, first, last in _boxes(data, start, end)}
-    if {b"keys", b"ilst"} <= inner.keys():
-        yield from _items(data, inner[b"keys"], inner[b"ilst"])
-    for kind, first, last in _boxes(data, start, end):
+    boxes = list(_boxes(data, start, end))
+    spans = {kind: (first, last) for kind, first, last in boxes}
+    if {b"keys", b"ilst"} <= spans.keys():
+        yield from _items(data, spans[b"keys"], spans[b"ilst"])
+    for kind, first, last in boxes:
         if kind in _HOLDERS and depth < len(_HOLDERS):
             # ISO's `meta` begins with a version, QuickTime's does not
             iso = kind == b"meta" and data[first : first + 4] == bytes(4)

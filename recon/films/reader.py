@@ -115,14 +115,14 @@ def read_film(
     found = _people(path, frame_rate, layout, detector, people, watch)
     if found.hands is None:
         film = open_film(path, frame_rate=frame_rate)
-        found = with_hands(film, _told_of(film, watch), found, networks)
+        found = with_hands(film, _with_progress(film, watch), found, networks)
         if both is not None:
             both.save(found, found.decisions)
     return found
 
 
-def _told_of(film: Film, watch: Watch | None) -> Iterator[FilmFrame]:
-    """The frames of a film, of whose progress `watch` is told."""
+def _with_progress(film: Film, watch: Watch | None) -> Iterator[FilmFrame]:
+    """The frames of a film; `watch` is called after each of them."""
     for frame in film:
         yield frame
         if watch is not None:
@@ -188,7 +188,7 @@ class _Watched:
 
     def __iter__(self) -> Iterator[FilmFrame]:
         every = max(1, self.film.frames // _IMAGES_WITH_LINES)
-        for frame in _told_of(self.film, self.watch):
+        for frame in _with_progress(self.film, self.watch):
             if frame.number % every == every // 2:
                 ends = self.film.in_film(straight_segments(frame.image))
                 self.segments[frame.number] = frame.shot, ends

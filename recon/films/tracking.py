@@ -65,11 +65,9 @@ class _Track:
 
     def jump(self, pose: Pose) -> float:
         """Distance of a body from that of the last frame, in sides of the region."""
-        return (
-            0.0
-            if self.body is None
-            else _distance_of_bodies(pose.pixels, self.body) / self.region.side
-        )
+        if self.body is None:
+            return 0.0
+        return _distance_of_bodies(pose.pixels, self.body) / self.region.side
 
     def follow(self, sight: Sight, rate: float) -> None:
         """Move the region after the person by a one-euro filter (Casiez et al. 2012)."""

@@ -260,12 +260,8 @@ class ClipProblem:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
         if moved >= LENS:
-            terms = (
-                *terms,
-                Term(
-                    "lens", lens_changed, (noise / views_of(self.observations)[0].focal_std) ** 2
-                ),
-            )
+            std = views_of(self.observations)[0].focal_std
+            terms = (*terms, Term("lens", lens_changed, (noise / std) ** 2))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
 

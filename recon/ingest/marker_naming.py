@@ -20,8 +20,9 @@ from recon.mocap.recording import MarkerRecording
 
 _RATE, _BEGINNINGS = 10.0, 6
 """Frames a second that the body follows, and frames in which it is looked for."""
-_GOOD = 0.12, 2.4
-"""Rank at which it is found, and how that grows by metre of the markers' spread."""
+_GOOD, _GOOD_PER_METRE, _TOLERABLE = 0.12, 2.4, 1.2
+"""Rank below which a body is found at once, how that grows by metre of the markers' spread, and
+times that below which unusual poses need not be tried."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
 on both sides of the first from which they are found at first."""
@@ -91,10 +92,10 @@ class Naming:
             for part in parts:
                 at = int(part[counts[part].argmax()])
                 found.append((found_body(self._points_and_tracks(at)[0], self.bodies, effort), at))
-                if found[-1][0].rank < _GOOD[0] + _GOOD[1] * found[-1][0].body.usual_spread:
+                if _rank_over_good(found[-1][0]) < 1:
                     return found[-1]
             best = min(found, key=lambda one: one[0].rank)
-            if best[0].rank < 1.2 * (_GOOD[0] + _GOOD[1] * best[0].body.usual_spread):
+            if _rank_over_good(best[0]) < _TOLERABLE:
                 break
         return best
 
@@ -241,6 +242,11 @@ def _fit_pose(
     x[0, marker[held]], seen[0, marker[held]] = points[held], True
     energies = replace(body.energies(x, seen), natural=pose.rotations[:, 1:])
     return minimise_frames(energies, pose, _STEP).state
+
+
+def _rank_over_good(found: FoundBody) -> float:
+    """The rank of a body divided by the one below which it is found at once."""
+    return found.rank / (_GOOD + _GOOD_PER_METRE * found.body.usual_spread)
 
 
 def _log_odds(

@@ -43,7 +43,7 @@ class FoundBody:
 
     @property
     def rank(self) -> float:
-        """What the best of several bodies has least of: legs put on backwards fit as well."""
+        """Cost with a penalty on unusual poses, since legs put on backwards fit as well."""
         return self.cost + _UNUSUAL * self.unusual
 
 
