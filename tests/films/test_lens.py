@@ -16,6 +16,7 @@ from recon.formats.calibration import camera_table
 from recon.formats.cameras import FILM_DIAGONAL, STATED_FOCAL_STD, CameraArrays, guessed_camera
 from recon.formats.replacing import save_arrays
 from recon.reading.views import read_views
+from recon.view.info_cameras import describe_film
 from tests.films.test_decoding import picture, write
 
 KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -69,6 +70,11 @@ def test_track_that_states_its_lens(film, tmp_path, atom):
     assert read.stated_focal == 26.0
     assert "focal length of 26 mm" in read.notes[-1]
     assert len(list(read)) == 4
+    diagonal = np.hypot(*read.image_size)
+    assert describe_film(path)["lens"] == (
+        f"focal length {26 / FILM_DIAGONAL * diagonal:.0f} pixels, as the file states: "
+        "believed within 10%"
+    )
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mov"])
@@ -95,6 +101,9 @@ def test_absurd_lens_is_told_and_not_used(film, tmp_path, atom, said):
     focal, note = stated_focal_length(path)
     assert focal is None
     assert re.search(said, note)
+    told = describe_film(path)
+    assert note in told["decisions"]
+    assert told["lens"].endswith("as the file states none: believed within 30%")
 
 
 def test_damaged_indices_state_nothing(film, tmp_path):
