@@ -256,8 +256,7 @@ def cost_of_exchange(images: Images) -> float:
     """
     after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
     excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
-    versions = [paced(one, QUICK_PACE) for one in excerpts]
-    costs = _costs_of_views(versions, images.body)
+    costs = _costs_of_views([paced(one, QUICK_PACE) for one in excerpts], images.body)
     return float(costs[1] / costs[0])
 
 

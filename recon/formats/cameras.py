@@ -24,6 +24,11 @@ GUESSED_FOCAL_STD, STATED_FOCAL_STD = 0.3, 0.1
 """Standard deviations of a guessed and of a stated focal length, as shares of it: stabilising
 crops a film by 10 to 15 %, and its images have another form than the sensor whose diagonal counts.
 """
+_SAME_FORM = 0.002
+"""Difference of the ratios of widths and heights, as a share, up to which images have one form;
+the rounding of 1920 x 1080 to 426 x 240 makes 0.0016."""
+_BLOCK = 16
+"""Pixels of a block of H.264: films of 1080 rows have 1088 before they are cut."""
 USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
 """Widths and heights of films, pixels."""
 
@@ -182,6 +187,20 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
     check_pose(out, where, "rotation from world to camera")
     out[:, :3, 3] = translation
     return out
+
+
+def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"] | None:
+    """Pixels of images of another size per pixel, along both sides; None if they are others.
+
+    Images of the same form are copies in another resolution. Where sides differ by less than a
+    codec's block, the larger images were filled up to whole blocks at the right and below: no
+    pixel moves, and the scale is 1. Other differences come of stabilising, or of another mode of
+    the camera, which change focal length and principal point.
+    """
+    scale = np.array(other) / size
+    if np.ptp(scale) < _SAME_FORM * scale.max():
+        return scale
+    return np.ones(2) if np.abs(np.subtract(other, size)).max() < _BLOCK else None
 
 
 def straightened(

@@ -12,7 +12,7 @@ from recon.core.errors import ObservationError
 from recon.detections.reader import read_keypoints
 from recon.detections.records import Background, Detections
 from recon.fitting.settings import ReadOptions
-from recon.formats.cameras import CameraArrays, CameraPath, straightened
+from recon.formats.cameras import CameraArrays, CameraPath, scale_of_images, straightened
 from recon.formats.producers import is_film
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
 _DRIFT = 1.0
 """Frames by which views of nearly one frame rate may drift apart."""
-_SAME_FORM, _CUT = 0.002, 0.05
-"""Difference of the ratios of width and height up to which images were scaled, and share of a side
-that may have been cut off."""
 
 
 def read_sized_detections(path: Path, how: ReadOptions) -> Detections | None:
@@ -58,43 +55,27 @@ def stated_rate(paths: Sequence[Path], known: Mapping[Path, Detections]) -> floa
     return float(np.mean(stated))
 
 
-def scaled_to_camera(found: Detections, camera: CameraArrays) -> tuple[Detections, str]:
-    """Detections in the pixels of a calibration, and a note where its images have another size.
-
-    Images of the same form were scaled; others are taken as cut at their right and lower border.
+def camera_of_images(camera: CameraArrays, found: Detections) -> tuple[CameraArrays, str]:
+    """The camera of a calibration in the pixels of the detections, and a note if these differ.
 
     Raises:
-        ValueError: when they are turned, or too different to be of this camera.
+        ValueError: when the images are turned, or of too different a form to be of this camera.
     """
-    size, expected = found.image_size, camera.image_size
-    if size is None or tuple(size) == tuple(expected):
-        return found, ""
-    ratio = np.array(expected) / size
+    size, stated = found.image_size, camera.image_size
+    if size is None or tuple(size) == tuple(stated):
+        return camera, ""
+    scale = scale_of_images(stated, size)
     said = (
         f"{found.name}: images of {size[0]} x {size[1]} pixels, the calibration's have "
-        f"{expected[0]} x {expected[1]}"
+        f"{stated[0]} x {stated[1]}"
     )
-    if np.ptp(ratio) < _SAME_FORM:
-        scaled = (found.pixels + 0.5) * ratio - 0.5
-        pixels = np.where((found.confidence > 0)[..., None], scaled, 0.0)
-        behind, lines, hands = found.background, found.lines, found.hands
-        return replace(
-            found, pixels=pixels, image_size=expected,
-            hands=None if hands is None else _scaled_hands(hands, ratio),
-            lines=None if lines is None else (lines + 0.5) * ratio - 0.5,
-            background=None if behind is None
-            else replace(behind, pixels=(behind.pixels + 0.5) * ratio - 0.5),
-        ), f"{said}: scaled"  # fmt: skip
-    if np.abs(ratio - 1).max() > _CUT:
+    if scale is None:
         raise ObservationError(f"{said}; give the calibration of this film")
-    return found, f"{said}: taken as cut at the right and below"
-
-
-def _scaled_hands(
-    hands: Float[np.ndarray, "rows 42 3"], ratio: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "rows 42 3"]:
-    pixels = np.where(hands[..., 2:] > 0, (hands[..., :2] + 0.5) * ratio - 0.5, 0.0)
-    return np.concatenate((pixels, hands[..., 2:]), -1)
+    matrix = camera.camera_matrix.copy()
+    matrix[:2] *= scale[:, None]
+    matrix[:2, 2] += (scale - 1) / 2  # the first pixel's centre is at 0
+    note = "filled up or cut at the right and below" if (scale == 1).all() else "scaled"
+    return replace(camera, camera_matrix=matrix, image_size=size), f"{said}: {note}"
 
 
 _SHOTS_LISTED = 8

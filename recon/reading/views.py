@@ -25,10 +25,10 @@ from recon.formats.tracks import CameraTrack, read_track
 from recon.reading.places import files_of_views, match_cameras, view_name
 from recon.reading.same_person import across_views
 from recon.reading.stated import (
+    camera_of_images,
     in_one_shot,
     levelled,
     read_sized_detections,
-    scaled_to_camera,
     stated_rate,
 )
 from recon.reading.tracks import Track, TrackedView, chosen_track, tracks_of_people
@@ -105,8 +105,8 @@ def read_views(
         known.get(path) or read_keypoints(path, layout=how.layout, image_size=camera.image_size)
         for path, camera in zip(folders, cameras, strict=True)
     ]
-    sized = [scaled_to_camera(one, camera) for one, camera in zip(found, cameras, strict=True)]
-    found = [one for one, _ in sized]
+    sized = [camera_of_images(*one) for one in zip(cameras, found, strict=True)]
+    cameras = [camera for camera, _ in sized]
     first, frames = _frame_range(found)
     shot = None
     if len(found) == 1:

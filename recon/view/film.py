@@ -10,6 +10,7 @@ from numpy import ndarray
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import FilmingCamera, Motion
 from recon.films.decoding import Film, open_film
+from recon.formats.cameras import scale_of_images
 from recon.reading.places import match_cameras, view_name
 from recon.view.scene import View
 
@@ -96,27 +97,21 @@ def with_films(
         chosen = names
     by_name = dict(zip(chosen, films, strict=True))
     return tuple(
-        replace(
-            view,
-            film=_checked_film(
-                open_film(by_name[view.name], frame_rate=frame_rate), view, motion, name
-            ),
-        )
+        _with_film(view, open_film(by_name[view.name], frame_rate=frame_rate), motion, name)
         for view in views
         if view.name in by_name
     )
 
 
-def _checked_film(film: Film, view: View, motion: Motion, name: str) -> FilmOnClock:
-    """The film of a camera, after a check of its size and time.
+def _with_film(view: View, film: Film, motion: Motion, name: str) -> View:
+    """A camera with its film, after a check of the film's size and time.
 
     Raises:
         ValueError: as `with_films` does.
     """
-    path = film.path
-    size, wanted = film.image_size, view.camera.image_size
-    # copies in another resolution are the same film
-    if abs(size[0] * wanted[1] - size[1] * wanted[0]) > max(*size, *wanted):
+    path, size, wanted = film.path, film.image_size, view.camera.image_size
+    scale = scale_of_images(wanted, size)
+    if scale is None:
         raise ReconError(
             f"{path}: has images of {size[0]} x {size[1]} pixels, but those of camera {view.name} "
             f"of {name} have {wanted[0]} x {wanted[1]}; give the film that the motion was fitted "
@@ -132,4 +127,6 @@ def _checked_film(film: Film, view: View, motion: Motion, name: str) -> FilmOnCl
             f"{name}, which lasts from {motion.start_time:.2f} s to {motion.stop_time:.2f} s; "
             "give the whole film that the motion was fitted to"
         )
-    return found
+    # of images that were filled up, the camera's are taken to be as large as the film's
+    taken = size if (scale == 1).all() else wanted
+    return replace(view, camera=view.camera.replace(image_size=taken), film=found)

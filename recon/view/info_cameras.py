@@ -9,6 +9,7 @@ from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
+from recon.formats.cameras import STATED_FOCAL_STD, guessed_camera
 from recon.formats.depth_images import read_png
 from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
@@ -109,9 +110,20 @@ def describe_film(path: Path) -> dict[str, Any]:
         "seconds": film.frames / film.frame_rate,
         "image_size": f"{width} x {height}",
         "turned_by": film.turned_by,
+        "lens": _describe_lens(guessed_camera(film.image_size, film.stated_focal)),
         "shots_from": shots,
         "decisions": list(film.notes),
     }
+
+
+def _describe_lens(camera: CameraArrays) -> str:
+    """With which focal length the fit of a film without calibration begins, and why."""
+    told = camera.focal_std == STATED_FOCAL_STD
+    return (
+        f"focal length {camera.camera_matrix[0, 0]:.0f} pixels, "
+        f"{'as the file states' if told else 'of a usual phone, as the file states none'}: "
+        f"believed within {camera.focal_std:.0%}"
+    )
 
 
 def describe_calibration(path: Path) -> dict[str, Any]:

@@ -6,14 +6,17 @@ import struct
 import numpy as np
 import pytest
 
+import recon
 from recon.detections.records import detections_of_rows
 from recon.detections.tables import detection_arrays, read_detection_arrays
 from recon.films.decoding import open_film
 from recon.films.lens import stated_focal_length
 from recon.fitting.settings import ReadOptions
-from recon.formats.cameras import FILM_DIAGONAL, STATED_FOCAL_STD, guessed_camera
+from recon.formats.calibration import camera_table
+from recon.formats.cameras import FILM_DIAGONAL, STATED_FOCAL_STD, CameraArrays, guessed_camera
 from recon.formats.replacing import save_arrays
 from recon.reading.views import read_views
+from recon.view.info_cameras import describe_film
 from tests.films.test_decoding import picture, write
 
 KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -67,6 +70,11 @@ def test_track_that_states_its_lens(film, tmp_path, atom):
     assert read.stated_focal == 26.0
     assert "focal length of 26 mm" in read.notes[-1]
     assert len(list(read)) == 4
+    diagonal = np.hypot(*read.image_size)
+    assert describe_film(path)["lens"] == (
+        f"focal length {26 / FILM_DIAGONAL * diagonal:.0f} pixels, as the file states: "
+        "believed within 10%"
+    )
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mov"])
@@ -93,6 +101,9 @@ def test_absurd_lens_is_told_and_not_used(film, tmp_path, atom, said):
     focal, note = stated_focal_length(path)
     assert focal is None
     assert re.search(said, note)
+    told = describe_film(path)
+    assert note in told["decisions"]
+    assert told["lens"].endswith("as the file states none: believed within 30%")
 
 
 def test_damaged_indices_state_nothing(film, tmp_path):
@@ -135,3 +146,29 @@ def test_stated_lens_is_the_camera_of_the_fit(tmp_path):
     assert any("52 mm for 35 mm film which the film states" in one for one in views.decisions)
     save_arrays(tmp_path / "absurd.npz", arrays | {"stated_focal": np.array(0.0)})
     assert read_detection_arrays(tmp_path / "absurd.npz").stated_focal is None
+
+
+@pytest.mark.parametrize(
+    ("size", "scale"), [((1920, 1080), 1.0), ((1912, 1088), 1.0), ((960, 544), 0.5)]
+)
+def test_images_of_another_size_than_the_calibration_s(tmp_path, size, scale):
+    """Codecs fill up 1080 rows to 1088, which moves no pixel; a copy in another size does."""
+    matrix = np.array([[1500.0, 0.0, 950.0], [0.0, 1510.0, 530.0], [0.0, 0.0, 1.0]])
+    calibration = tmp_path / "rig.toml"
+    calibration.write_text(camera_table("seen", CameraArrays(matrix, (1920, 1088))))
+    rows = [(k, np.column_stack((np.arange(17.0) * 20, np.full(17, 90.0), np.ones(17))), 0)
+            for k in range(5)]  # fmt: skip
+    arrays = detection_arrays(detections_of_rows("seen.npz", list(range(5)), rows))
+    more = {"frame_rate": np.array(30.0), "image_size": np.array(size)}
+    save_arrays(tmp_path / "seen.npz", arrays | more)
+    views = read_views([tmp_path / "seen.npz"], ReadOptions(camera=calibration))
+    (camera,) = views.cameras
+    assert camera.image_size == size
+    wanted = [1500 * scale, 950.5 * scale - 0.5, 530.5 * scale - 0.5]
+    assert camera.camera_matrix[[0, 0, 1], [0, 2, 2]] == pytest.approx(wanted)
+    assert views.found[0].pixels[0, 3] == pytest.approx(np.array((60.0, 90.0)))
+    assert any("the calibration's have 1920 x 1088" in one for one in views.decisions)
+    for other in ((1280, 960), (1920, 1200), (1088, 1920)):
+        save_arrays(tmp_path / "seen.npz", arrays | more | {"image_size": np.array(other)})
+        with pytest.raises(recon.ObservationError, match="give the calibration of this film"):
+            read_views([tmp_path / "seen.npz"], ReadOptions(camera=calibration))

@@ -7,9 +7,12 @@ import av
 import cv2
 import numpy as np
 import pytest
+import torch
 
 import recon
+from recon.formats.motions import load_motion
 from recon.view.files import view
+from recon.view.film import views_of_cameras, with_films
 from tests.filmed import walk
 
 GREY = 90
@@ -64,6 +67,20 @@ def test_film_of_another_form_is_refused(fitted: Path, tmp_path: Path):
             film=(film(tmp_path / "square.mp4", 16, (400, 400)),),
             png=tmp_path / "sheet.png",
         )
+
+
+@pytest.mark.parametrize(
+    ("size", "images"),
+    [((1920, 1088), (1920, 1088)), ((1910, 1080), (1910, 1080)), ((960, 540), (1920, 1080))],
+)
+def test_film_that_a_codec_filled_up_is_drawn_where_it_was(fitted, tmp_path, size, images):
+    """A film of 1080 rows was refused beside a camera of 1088: filling up moves no pixel."""
+    grey, file = film(tmp_path / "walk.mp4", 16, size), load_motion(fitted)
+    (own,) = views_of_cameras(file.cameras)
+    (drawn,) = with_films([own], [grey], file.motion, "walk")
+    assert (own.camera.image_size, drawn.camera.image_size) == ((1920, 1080), images)
+    assert torch.equal(drawn.camera.camera_matrix, own.camera.camera_matrix)
+    view(fitted, film=(grey,), png=tmp_path / "sheet.png")
 
 
 def test_film_that_ends_early_is_refused(fitted: Path, tmp_path: Path):
