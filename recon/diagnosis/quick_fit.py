@@ -183,7 +183,5 @@ def middle_seconds(sensor: S) -> S:
     counts = sensor.shown[0].sum(-1).double().cumsum(0)
     middle = int((counts < counts[-1] / 2).sum())
     first = min(max(middle - length // 2, 0), sensor.moments - length)
-    return sensor.derived(
-        **sensor.some_frames(range(first, first + length)),
-        start_time=sensor.start_time + first / sensor.fps,
-    )
+    start = sensor.start_time + first / sensor.fps
+    return sensor.derived(**sensor.some_frames(range(first, first + length)), start_time=start)
