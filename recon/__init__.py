@@ -9,7 +9,7 @@ from warnings import warn
 
 from recon.core.plugins import lazy_names as _lazy
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __distribution__ = "motion-recon"
 
 if TYPE_CHECKING:
