@@ -150,7 +150,7 @@ def convert_all(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert every skeleton recording below a folder to our body, one shape per subject.
+    """Convert every skeleton recording below a folder to our body, one shape per skeleton.
 
     Run it again to continue. Exit code 1 says that something went wrong with some; those that are
     too short or of an unknown skeleton are rejected, which is in the report alone. Unit, axis and
