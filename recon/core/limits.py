@@ -69,6 +69,9 @@ FRAME_RATE = Limit(
     "frame rate", 1e-3, 1e4, "Hz",
     "time lapse takes a picture every few minutes, the fastest motion capture 10,000 a second",
 )  # fmt: skip
+FEW_MOMENTS = 6.0
+"""Moments per second below which motion is guessed rather than followed: a foot that walks swings
+for 0.4 s, and is then seen at most twice while it does."""
 CLOCK_RATE = Limit(
     "rate of the clock that numbers frames", 1e-3, 1e9, "Hz",
     "clocks of cameras count nanoseconds at the finest",

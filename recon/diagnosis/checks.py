@@ -15,6 +15,7 @@ import numpy as np
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
 from recon.body.soles import sole_heights
+from recon.core.limits import FEW_MOMENTS
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.examination import (
     AfterFit,
@@ -100,7 +101,7 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
     view = clip.observations[0].view
     if len(clip.observations) > 1 or view is None or not clip.fit.grounded:
         return clip, NOTHING
-    if view.camera.T_camera_world.shape[-3] > 1:
+    if view.camera.T_camera_world.shape[-3] > 1 or view.fps < FEW_MOMENTS:
         return clip, NOTHING
     from recon.diagnosis.cameras import moving_finding, slowest_foot_speeds
     from recon.diagnosis.carried import carried_finding
@@ -118,8 +119,9 @@ def camera_moves(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 
 
 def _rate_is_untestable(clip: ExaminedClip) -> bool:
-    """Whether other faults make the speed useless for judging the frame rate."""
-    return any(one.code in ("identity change", "frame order") for one in clip.warnings)
+    """Whether other faults, or too few moments, make speeds useless for a judgement."""
+    few = max(one.fps for one in clip.observations) < FEW_MOMENTS
+    return few or any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
 _SUSPECT = 5.0
@@ -311,8 +313,16 @@ def other_motions(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
 
 @after_fit()
 def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
-    """Note joints that were never seen, and frames without any data."""
+    """Note joints that were never seen and frames without any data; warn of too few moments."""
     found: list[Finding] = []
+    rare: tuple[Finding, ...] = ()
+    if (rate := max(one.fps for one in clip.observations)) < FEW_MOMENTS:
+        said = (
+            f"only {rate:.2g} moments a second were seen: steps and turns between them are "
+            "guessed, and speeds and contacts, which no check looked at, are not to be trusted; "
+            f"give the whole recording, with {FEW_MOMENTS:g} moments a second or more"
+        )
+        rare = (Finding("few moments", said, value=rate),)
     if never := chosen(JOINTS, ~np.any(clip.observed, axis=0)):
         said = (
             f"{listed(never)} {'was' if len(never) == 1 else 'were'} never seen; the prior "
@@ -327,7 +337,7 @@ def unseen(clip: ExaminedClip) -> tuple[ExaminedClip, Findings]:
         )
         found.append(Finding("gap", said, (), frames, float(empty.mean())))
     found += [Finding("proposed", said) for one in clip.fit.result.reports for said in one.began]
-    return clip, Findings(diagnosis=found)
+    return clip, Findings(warnings=rare, diagnosis=found)
 
 
 _GUESSED = 0.1

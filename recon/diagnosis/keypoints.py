@@ -14,6 +14,7 @@ from observations.keypoints2d import Keypoints2D
 from observations.keypoints3d import Keypoints3D
 from recon.body.model import BodyModel
 from recon.core.arrays import finite_median
+from recon.core.limits import FEW_MOMENTS
 from recon.diagnosis.exact import unchanged
 from recon.diagnosis.exchanged_pairs import repaired_pairs
 from recon.diagnosis.findings import (
@@ -333,7 +334,8 @@ def screen_views(
 
     First what repeats bit for bit, outliers, mirrored images, and names that change within the
     clip; then, for views of one clock and layout, whether they see the same body at the same
-    time; then jumps of the whole body, the order of the frames, and the size of the body.
+    time; then jumps of the whole body, the order of the frames, and the size of the body. What
+    neighbouring frames tell of outliers, jumps and order is left out below `FEW_MOMENTS`.
 
     Args:
         views: of one clip, with a batch axis of length one.
@@ -355,8 +357,10 @@ def screen_views(
 def screened(images: Images) -> tuple[Images, Findings]:
     """The views (same clock and layout) after all repairs, with the findings."""
     images, found = run_checks(images, (repaired_zeros, repaired_copies, repaired_held))
+    continuous = images.fps >= FEW_MOMENTS
+    disorder = order_findings(images) if continuous else ()
     # frames in a wrong order would look like outliers
-    if not (disorder := order_findings(images)):
+    if continuous and not disorder:
         images, more = repaired_outliers(images)
         found += more
     names = (
@@ -369,7 +373,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     if contradictions.repairs:  # exchanged names are found only with right camera poses
         images, more = repaired_sides(images)
         found += more
-    jumps = () if disorder else identity_findings(images)
+    jumps = identity_findings(images) if continuous and not disorder else ()
     return images, found + Findings(
         warnings=(*jumps, *disorder, *upside_down_findings(images), *scale_findings(images))
     )

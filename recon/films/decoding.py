@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from recon.core.errors import FormatError
-from recon.core.limits import FRAME_RATE, FRAMES, IMAGE_SIZE
+from recon.core.limits import FEW_MOMENTS, FRAME_RATE, FRAMES, IMAGE_SIZE
 from recon.films.clock import FilmClock, clock_of_stamps
 from recon.films.lens import stated_focal_length
 from recon.films.shots import Picture, with_shots
@@ -31,8 +31,6 @@ _MAX_SIDE = 4096
 """Pixels of the longer side of an image; larger films are shrunk."""
 _MAX_PIXELS = 5e7
 """Pixels of a stored picture; 8K has 3.3e7, and a decoder keeps about ten of them."""
-_FEW = 8.0
-"""Frames per second below which motion is guessed rather than followed; a step takes half one."""
 _OTHER_SPEED = 1.5
 """Ratio of the rates of recording and playing from which a film is slow motion or time lapse."""
 _THREADS = 2
@@ -115,19 +113,27 @@ class Film:
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
         """Upright images and times as they are decoded; what was damaged is noted in `losses`."""
         last, repeated = None, 0
-        with _opened(self.path) as container:
-            stream = _video_stream(container, self.path)
-            for frame, stamp in _decoded(container, stream, losses):
-                image = self._image(frame)
-                if last is not None and _same(image, last):
-                    repeated += 1
-                    continue
-                last = image
-                yield image, self.clock.time(stamp)
+        for frame, time in self.decoded(losses):
+            image = self.image_of(frame)
+            if last is not None and _same(image, last):
+                repeated += 1
+                continue
+            last = image
+            yield image, time
         if repeated:
             losses.append(f"{repeated} pictures that repeat the one before were left out")
 
-    def _image(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
+    def decoded(self, losses: list[str]) -> Iterator[tuple["VideoFrame", float]]:
+        """Pictures that are not yet images, repeated ones too, and their times, seconds.
+
+        What was damaged is noted in `losses` at the end.
+        """
+        with _opened(self.path) as container:
+            stream = _video_stream(container, self.path)
+            for frame, stamp in _decoded(container, stream, losses):
+                yield frame, self.clock.time(stamp)
+
+    def image_of(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
         """The upright image of a decoded frame."""
         width, height = (side // self.shrunk for side in self.image_size)
         if self.turned_by % 180 == 90:
@@ -180,7 +186,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
     if recorded is not None:
         told = "given" if frame_rate is not None else f"the camera wrote {_CAPTURE_RATE}"
         notes.append(f"recorded at {recorded:g} Hz ({told}), played at {played.rate:.4g} Hz")
-    if clock.rate < _FEW:
+    if clock.rate < FEW_MOMENTS:
         notes.append(f"{clock.rate:.3g} pictures per second are too few to follow a motion by")
     if promised > len(stamps):
         notes.append(f"the file ends early: {len(stamps)} of {promised} pictures are there")

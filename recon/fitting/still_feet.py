@@ -16,6 +16,7 @@ from torch import Tensor
 
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
+from recon.core.limits import FEW_MOMENTS
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
@@ -97,7 +98,12 @@ class StillFeet(TensorStruct):
 def with_still_feet(
     stages: Sequence[Stage[Any]], view: Keypoints2D, body: BodyModel, pixel_size: float
 ) -> tuple[Stage[Any], ...]:
-    """The stages; feet that are still in the image are held as surely as certain contacts are."""
+    """The stages; feet that are still in the image are held as surely as certain contacts are.
+
+    None are where a foot may leave and come back between two moments.
+    """
+    if view.fps < FEW_MOMENTS:
+        return tuple(stages)
 
     def held(stage: Stage[Any]) -> Stage[Any]:
         contact = next((one for one in stage.terms if one.name == "contact velocity"), None)

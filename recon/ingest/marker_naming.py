@@ -6,15 +6,18 @@ frame says about a track is added up. At last the body is fitted to all named ma
 shape and their offsets, and everything is assigned once more.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from recon.core.struct import concatenate
 from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses
-from recon.ingest.marker_start import FoundBody, found_body
+from recon.ingest.marker_start import FoundBody, found_bodies
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.mocap.recording import MarkerRecording
 
@@ -30,6 +33,8 @@ _NOWHERE = 0.35
 """Cost from which on it is not found."""
 _LEAST, _ODDS = -4.0, 2.0
 """Log odds that a frame takes from a name at most, and without which a track has none."""
+_FEWEST = 4
+"""Markers that place a body in a frame."""
 _WEIGHT = 8.0
 """Frames after which a track is no better for being longer."""
 _STEP = LevenbergMarquardt(max_iterations=8, tolerance=1e-2, damping=1e-3)
@@ -75,11 +80,15 @@ class Naming:
         self._name_tracks()
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
+                former = self.marker.copy()
                 body = self._calibrated(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
                 self._name_tracks()
-            body = self._calibrated(body, every)
+                if (self.marker == former).all():
+                    break
+            else:
+                body = self._calibrated(body, every)
         self._look_again(body, body)
         self._name_tracks()
 
@@ -87,15 +96,20 @@ class Naming:
         """The body in the key frame that it fits best, and the number of this frame."""
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
+        at = [int(part[counts[part].argmax()]) for part in parts]
+        # frames are tried together, as that takes hardly longer: first those in which people stand
+        # as a rule, or from which the body is followed both ways at once
+        usual = [at.pop(0), *at[len(at) // 2 :][:1]]
+        others = [k for k in at if k not in usual]
         found: list[tuple[FoundBody, int]] = []
-        for effort in (1, 3):  # unusual poses need a longer search
-            for part in parts:
-                at = int(part[counts[part].argmax()])
-                found.append((found_body(self._points_and_tracks(at)[0], self.bodies, effort), at))
-                if _rank_over_good(found[-1][0]) < 1:
-                    return found[-1]
+        for some, effort, least in (
+            (usual, 1, 1.0), (others, 1, _TOLERABLE), ([*usual, *others], 3, np.inf)
+        ):  # fmt: skip
+            if some:
+                clouds = [self._points_and_tracks(k)[0] for k in some]
+                found += zip(found_bodies(clouds, self.bodies, effort), some, strict=True)
             best = min(found, key=lambda one: one[0].rank)
-            if _rank_over_good(best[0]) < _TOLERABLE:
+            if _rank_over_good(best[0]) < least:
                 break
         return best
 
@@ -109,25 +123,30 @@ class Naming:
         """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
-        for order in (keys[keys >= at], keys[keys < at][::-1]):
-            pose = found.pose
-            for k in order.tolist():
-                points, tracks = self._points_and_tracks(k)
-                if k != at:  # pose by the tracks named so far, before new ones are named
-                    pose = _fit_pose(
-                        body, pose, points, self._markers_of_points(self._mean_log_odds(tracks))
-                    )
-                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
-                held = self._markers_of_points(self._mean_log_odds(tracks) + said)
-                kept[k] = pose = _fit_pose(body, pose, points, held)
-                said = _log_odds(points[:, None] - body.places(pose)[0], body.spread)
-                self._sum[tracks] += said
-                self._count[tracks] += 1
-        self._store_poses(kept)
+        ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
+        for some in ([at], *([k for k in both if k is not None] for both in ways)):
+            # from the neighbour, both ways at once: a fit of two takes as long as that of one
+            pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
+            points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
+            known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]
+            if some != [at]:  # pose by the tracks named so far, before new ones are named
+                pose = _fit_poses(body, pose, points, known)
+            said = _log_odds_of_points(body, pose, points)
+            held = [
+                self._markers_of_points(self._mean_log_odds(own) + new)
+                for own, new in zip(tracks, said, strict=True)
+            ]
+            if any((one != other).any() for one, other in zip(held, known, strict=True)):
+                pose = _fit_poses(body, pose, points, held)
+                said = _log_odds_of_points(body, pose, points)
+            for row, k in enumerate(some):
+                kept[k] = pose[[row]]
+                self._sum[tracks[row]] += said[row]
+                self._count[tracks[row]] += 1
+        self._store_poses(concatenate(kept))
 
-    def _store_poses(self, poses: list[Poses]) -> None:
-        self._translation = torch.cat([one.translation for one in poses])
-        self._rotations = torch.cat([one.rotations for one in poses])
+    def _store_poses(self, poses: Poses) -> None:
+        self._translation, self._rotations = poses.translation, poses.rotations
 
     def _calibrated(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
         """The body with a shape and offsets that fit the named markers of some key frames."""
@@ -207,7 +226,7 @@ class Naming:
         x, seen = self.named(self.keys)
         poses = body.posed(self._translation, self._rotations)
         poses = minimise_frames(body.energies(x, seen), poses, _STEP).state
-        self._store_poses([poses])
+        self._store_poses(poses)
         places = told.places(poses)
         frames, numbers = self._sampled_tracks()
         path = CubicSpline(self.keys, places) if len(self.keys) > 3 else None
@@ -230,18 +249,30 @@ class Naming:
         return np.concatenate(frames), np.concatenate(numbers)
 
 
-def _fit_pose(
-    body: MarkedBody, pose: Poses, points: np.ndarray, marker: Int[np.ndarray, " points"]
+def _fit_poses(
+    body: MarkedBody,
+    poses: Poses,
+    points: Sequence[np.ndarray],
+    markers: Sequence[Int[np.ndarray, " points"]],
 ) -> Poses:
-    """Fit a pose to the points that are assigned to markers, starting from another pose."""
-    held = np.flatnonzero(marker >= 0)
-    if len(held) < 4:
-        return pose
-    count = len(body.markers.labels)
-    x, seen = np.zeros((1, count, 3)), np.zeros((1, count), bool)
-    x[0, marker[held]], seen[0, marker[held]] = points[held], True
-    energies = replace(body.energies(x, seen), natural=pose.rotations[:, 1:])
-    return minimise_frames(energies, pose, _STEP).state
+    """Fit each pose to the points that are assigned to markers in its frame."""
+    shape = len(points), len(body.markers.labels)
+    x, seen = np.zeros((*shape, 3)), np.zeros(shape, bool)
+    for row, (own, marker) in enumerate(zip(points, markers, strict=True)):
+        held = np.flatnonzero(marker >= 0)
+        if len(held) >= _FEWEST:
+            x[row, marker[held]], seen[row, marker[held]] = own[held], True
+    energies = replace(body.energies(x, seen), natural=poses.rotations[:, 1:])
+    rows = torch.from_numpy(np.flatnonzero(seen.any(1)))
+    return minimise_frames(energies, poses, _STEP, rows).state
+
+
+def _log_odds_of_points(
+    body: MarkedBody, poses: Poses, points: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Log odds of every point of some frames being every marker, by the pose in each."""
+    placed = zip(points, body.places(poses), strict=True)
+    return [_log_odds(own[:, None] - places, body.spread) for own, places in placed]
 
 
 def _rank_over_good(found: FoundBody) -> float:

@@ -5,6 +5,7 @@ the points that lie nearest to their markers, which are then assigned again (ite
 points, with one point for a marker).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,8 @@ _APART = 0.6
 """Metres between points of a body and those of others or of objects."""
 _REACH = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1, 0.1, 0.1)
 """Metres beyond which a point is no marker, by iteration."""
+_DROPS = (1, 2, 3)
+"""Iterations before which the worse half of the poses is given up."""
 _UNUSUAL = 0.01
 """Share of markers that do not fit that weighs as much as a unit of `FoundBody.unusual`."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
@@ -47,21 +50,21 @@ class FoundBody:
         return self.cost + _UNUSUAL * self.unusual
 
 
-def found_body(
-    points: Float[np.ndarray, "points 3"], bodies: list[MarkedBody], effort: int
-) -> FoundBody:
-    """The body of those given that fits some points best.
+def found_bodies(
+    clouds: Sequence[Float[np.ndarray, "points 3"]], bodies: list[MarkedBody], effort: int
+) -> list[FoundBody]:
+    """The body of those given that fits the points of each frame best.
 
     Args:
-        points: of one frame, metres.
+        clouds: the points of each frame, metres.
         bodies: one of them is there.
-        effort: 1 to try the first poses of each, 3 to try all, thrice as many of them closely.
+        effort: 1 to try the first poses of each, 3 to try the others, thrice as many closely.
     """
-    points, among = _one_body(points)
     upright = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
+    tried = slice(_USUAL) if effort == 1 else slice(_USUAL, None)
     placed: list[np.ndarray] = []
     for own in bodies:
-        some = own.poses if effort > 1 else own.poses[:_USUAL]
+        some = own.poses[tried]
         turns = torch.cat((upright.expand(len(some), 1, 3, 3), some), 1)
         poses = own.posed(torch.zeros(len(turns), 3), turns)
         placed.append(own.places(poses))
@@ -70,30 +73,44 @@ def found_body(
     angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
     about = so3.exp(torch.tensor(angles)[:, None] * torch.tensor([0.0, 0.0, 1.0]).double()).numpy()
     turned = np.einsum("tij,bpmj->bptmi", about, every)
-    shape, middle = turned.shape[:3], np.median(points, 0)
     flat = turned.reshape(-1, *turned.shape[3:])
-    flat = flat - np.median(flat, 1, keepdims=True) + middle
-    rough = _chamfer_distances(flat, points)
-    likely = np.argsort(rough)[: _NEAR * effort]
-    costs = np.array([assigned(one, points, _REACH[0])[1] for one in flat[likely]])
-    best: FoundBody | None = None
-    chosen = likely[np.argsort(costs)[: _TRIED * effort]]
-    where = np.stack(np.unravel_index(chosen, shape), 1)
-    for b in np.unique(where[:, 0]).tolist():
-        rows = np.flatnonzero(where[:, 0] == b)
-        body, poses = bodies[b], where[rows, 1]
-        roots = torch.tensor(about[where[rows, 2]]).float() @ upright
-        turns = torch.cat((roots[:, None], body.poses[poses]), 1)
-        start = body.posed(torch.zeros(len(rows), 3), turns)
-        rests = body.places(start)
-        shift = torch.tensor((flat[chosen[rows]] - rests).mean(1)).float()
-        for found in _fits_of_poses(body, body.posed(shift, turns), points):
-            if best is None or found.rank < best.rank:
-                best = found
-    assert best is not None
-    marker = np.full(len(among), -1)
-    marker[among] = best.marker
-    return replace(best, marker=marker)
+    flat = flat - np.median(flat, 1, keepdims=True)
+    parts = [_one_body(points) for points in clouds]
+    chosen = [_likely_places(flat, points, effort) for points, _ in parts]
+    cloud = np.repeat(np.arange(len(parts)), [len(one) for one in chosen])
+    which = np.concatenate(chosen)
+    of_body, of_pose, of_turn = np.unravel_index(which, turned.shape[:3])
+    best: dict[int, FoundBody] = {}
+    for b in np.unique(of_body).tolist():
+        rows = np.flatnonzero(of_body == b)
+        body = bodies[b]
+        roots = torch.tensor(about[of_turn[rows]]).float() @ upright
+        turns = torch.cat((roots[:, None], body.poses[tried][of_pose[rows]]), 1)
+        rests = body.places(body.posed(torch.zeros(len(rows), 3), turns))
+        middle = np.stack([np.median(parts[k][0], 0) for k in cloud[rows].tolist()])
+        shift = torch.tensor((flat[which[rows]] - rests).mean(1) + middle).float()
+        points = [one for one, _ in parts]
+        for k, found in _fits_of_poses(body, body.posed(shift, turns), points, cloud[rows]):
+            if k not in best or found.rank < best[k].rank:
+                best[k] = found
+    out = list[FoundBody]()
+    for k, (_, among) in enumerate(parts):
+        marker = np.full(len(among), -1)
+        marker[among] = best[k].marker
+        out.append(replace(best[k], marker=marker))
+    return out
+
+
+def _likely_places(
+    places: Float[np.ndarray, "poses markers 3"],
+    points: Float[np.ndarray, "points 3"],
+    effort: int,
+) -> Int[np.ndarray, " chosen"]:
+    """Numbers of the poses, centred on their markers, that lie nearest to some points."""
+    placed = places + np.median(points, 0)
+    likely = np.argsort(_chamfer_distances(placed, points))[: _NEAR * effort]
+    costs = np.array([assigned(one, points, _REACH[0])[1] for one in placed[likely]])
+    return likely[np.argsort(costs)[: _TRIED * effort]]
 
 
 def _one_body(
@@ -109,23 +126,54 @@ def _one_body(
 
 
 def _fits_of_poses(
-    body: MarkedBody, state: Poses, points: Float[np.ndarray, "points 3"]
-) -> list[FoundBody]:
-    """Poses of one body fitted to the points, and how well each fits."""
-    count = len(state.translation)
-    found: list[tuple[np.ndarray, float]] = []
-    for reach in _REACH:
-        places = body.places(state)
-        found = [assigned(one, points, reach) for one in places]
-        x, seen = np.zeros_like(places), np.zeros(places.shape[:2], bool)
+    body: MarkedBody,
+    state: Poses,
+    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    cloud: Int[np.ndarray, " poses"],
+) -> list[tuple[int, FoundBody]]:
+    """The best poses of one body, fitted to the points of their clouds, with the clouds' numbers.
+
+    All are fitted at once, which takes hardly longer than a fit of one; worse ones are dropped.
+    """
+    for trial, reach in enumerate(_REACH):
+        found = _assigned_clouds(body.places(state), clouds, cloud, reach)
+        if trial in _DROPS:
+            kept = _better_half(np.array([cost for _, cost in found]), cloud)
+            state, cloud = state[torch.from_numpy(kept)], cloud[kept]
+            found = [found[k] for k in kept.tolist()]
+        shape = len(found), len(body.markers.labels)
+        x, seen = np.zeros((*shape, 3)), np.zeros(shape, bool)
         for k, (marker, _) in enumerate(found):
             held = np.flatnonzero(marker >= 0)
-            x[k, marker[held]], seen[k, marker[held]] = points[held], True
+            x[k, marker[held]], seen[k, marker[held]] = clouds[cloud[k]][held], True
         state = minimise_frames(body.energies(x, seen), state, _FEW).state
-    places = body.places(state)
-    found = [assigned(one, points, _REACH[-1]) for one in places]
+    found = _assigned_clouds(body.places(state), clouds, cloud, _REACH[-1])
     unusual = pose_density().coordinates(state.rotations[:, 1:]).square().mean(-1).tolist()
-    return [FoundBody(body, state[[k]], *found[k], unusual[k]) for k in range(count)]
+    return [
+        (k, FoundBody(body, state[[row]], *found[row], unusual[row]))
+        for row, k in enumerate(cloud.tolist())
+    ]
+
+
+def _assigned_clouds(
+    places: Float[np.ndarray, "poses markers 3"],
+    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    cloud: Int[np.ndarray, " poses"],
+    reach: float,
+) -> list[tuple[Int[np.ndarray, " points"], float]]:
+    """The markers in every pose assigned to the points of its cloud; see `assigned`."""
+    return [assigned(one, clouds[k], reach) for one, k in zip(places, cloud, strict=True)]
+
+
+def _better_half(
+    costs: Float[np.ndarray, " poses"], cloud: Int[np.ndarray, " poses"]
+) -> Int[np.ndarray, " kept"]:
+    """The poses of each cloud with the lower half of costs, ascending."""
+    kept = list[int]()
+    for k in np.unique(cloud):
+        own = np.flatnonzero(cloud == k)
+        kept += own[np.argsort(costs[own])[: -(-len(own) // 2)]].tolist()
+    return np.array(sorted(kept))
 
 
 def assigned(

@@ -9,7 +9,7 @@ import torch
 
 import recon
 from recon.core.camera import full_hd_camera
-from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
+from recon.diagnosis.checks import AFTER, BEFORE, frame_rate, points, unseen
 from recon.diagnosis.examination import ExaminedClip, checked
 from recon.diagnosis.findings import Finding, Findings
 from recon.simulation.images import dome
@@ -49,6 +49,15 @@ def test_a_caller_chooses_checks_and_adds_own():
     result = recon.fit(seen(), "pose", body=bundled(), checks=(points, unseen, mine))
     assert [finding.code for finding in result.diagnosis] == ["unseen"]
     assert [finding.message for finding in result.warnings] == ["joints3d lasts 24 frames"]
+
+
+def test_a_fit_to_few_moments_says_so_and_judges_no_speed():
+    """A film of few pictures a second was fitted without a word, or under a false warning."""
+    for step, fps, said in ((15, 2.0, ["few moments"]), (4, 30.0, ["rate"])):
+        joints = bundled().pose(walk(120)).joints[::step]
+        clip = recon.Joints3D(joints, np.ones(joints.shape[:2], bool), range(22), fps=fps)
+        result = recon.fit(clip, "pose", body=bundled(), checks=(frame_rate, unseen))
+        assert [finding.code for finding in result.warnings] == said
 
 
 def test_a_fit_without_checks_loads_none(tmp_path):

@@ -106,6 +106,17 @@ def test_good_views_are_left_alone(count: int) -> None:
     assert all(a is b for a, b in zip(out, views, strict=True))
 
 
+def test_neighbouring_frames_tell_nothing_where_they_are_seconds_apart() -> None:
+    """A film of one picture a second seemed to be out of order, or to go over to others."""
+    motion, rows = walk(30, 60), [0, 15, 29] * 4
+    one = view(motion, cameras(motion, first=0.7)[0])
+    there_and_back = one.replace(pixels=one.pixels[:, rows], confidence=one.confidence[:, rows])
+    assert [found.code for found in screened((there_and_back,))[2]] == ["frame order"]
+    seldom = there_and_back.replace(fps=1.0)
+    out, repairs, warnings = screened((seldom,))
+    assert (out[0] is seldom, repairs, warnings) == (True, [], [])
+
+
 def test_zeros_with_a_confidence_are_not_seen() -> None:
     """Exact zeros that counted as detections pulled bodies into the corner of the image."""
     hidden = torch.rand(FRAMES, generator=torch.Generator().manual_seed(0)) < 0.3

@@ -1,13 +1,17 @@
 """Feet that stay where they are in one view: which are held, and by how much."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from priors.pose.prior import PosePrior
 from recon.core.skeleton import FEET
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
-from recon.fitting.still_feet import StillFeet
+from recon.fitting.still_feet import StillFeet, with_still_feet
+from recon.method.terms import Term
 from tests import laws
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
@@ -77,6 +81,15 @@ def test_one_view_holds_them_and_several_do_not():
     assert "still feet" in terms[0]
     assert "still feet" not in terms[1]
     assert all("contact velocity" in names for names in terms)
+
+
+def test_none_are_held_where_a_foot_may_leave_and_come_back_between_two_moments():
+    seen = view(walk(16), cameras(walk(16))[0])
+    stage = PosePrior.load().stages((Term("data", seen, 1.0),))[-1]
+    contacts = replace(stage, name="contacts", terms=(Term("contact velocity", seen, 1.0),))
+    for fps, more in ((30.0, 1), (5.0, 0)):
+        (stage,) = with_still_feet([contacts], seen.replace(fps=fps), bundled(), 0.003)
+        assert len(stage.terms) == 1 + more
 
 
 def test_windows_of_a_long_view_that_are_tied_to_others_hold_them_too(monkeypatch):
