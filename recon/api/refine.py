@@ -13,6 +13,7 @@ from recon.api.result import Result
 from recon.core.errors import ReconError
 from recon.core.units import Hand, Unit, Up
 from recon.diagnosis.estimates import as_measurement
+from recon.diagnosis.findings import Findings
 from recon.fitting.settings import ReadOptions
 from recon.method.priors import PriorLike
 from recon.reading.estimate_in_film import people_of_film, view_of_estimate
@@ -86,9 +87,10 @@ def refine(
             return fit([motion], prior, body=body, shape=shape, ground=ground, **reading, **how)  # pyright: ignore[reportArgumentType]
         clip = observations_to_fit([motion], model, ReadOptions.of(reading)).clip
         points: Any = clip.observations[0]
-        view, said = view_of_estimate(people, points, model)
+        view, said, doubts = view_of_estimate(people, points, model)
         result = fit([points, view], prior, body=model, shape=shape, ground=ground, **how)
-        return replace(result, notes=(*clip.notes, *said, *result.notes))
+        notes, warnings = (*clip.notes, *said, *result.notes), (*doubts, *result.warnings)
+        return replace(result, notes=notes, warnings=warnings)
     own = body is not None
     given, known, notes = estimate_given(
         motion, model, own, shape, frame_rate, unit, up, hand, person
@@ -97,11 +99,12 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    views = []
+    views, doubts = [], ()
     if people:
-        view, said = view_of_estimate(people, given, model)
+        view, said, doubts = view_of_estimate(people, given, model)
         views, notes = [view], (*notes, *said)
     seen, start, found = as_measurement(given, known, model)
+    found += Findings(warnings=doubts)
     seen = seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit([seen, *views], prior, **how)

@@ -15,8 +15,9 @@ from observations.start.images import bone_scale
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.diagnosis.findings import stretches
-from recon.diagnosis.quick_fit import quick_stages
+from recon.diagnosis.quick_fit import QUICK_PACE, middle_seconds, quick_stages
 from recon.fitting.stages import keeping_distance
+from recon.method.pace import paced
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -204,11 +205,6 @@ _AROUND_CHANGE_S = 0.5
 _FALL = 0.8
 """Share of its objective to which a fit must fall without a change of names. On training people
 true changes fall to 0.7 at most, right names that are exchanged rise to 1.4 at least."""
-_EXCERPT_S = 6.0
-"""Seconds that tell whether all sides are exchanged."""
-_CLEARLY = 0.95
-"""Share of its objective to which a fit must fall with all sides exchanged. In rendered films of
-validation people, right names that are exchanged rise to between 1.01 and 1.6."""
 _KEEPS_FACING = 0.95
 """Share of the frames in which somebody who never turns faces the same side of the image."""
 
@@ -253,22 +249,15 @@ def better_changes(
     return new < _FALL * given
 
 
-def better_exchanged(images: Images) -> bool:
-    """Whether a body fits clearly better to one view with all its left and right exchanged.
+def cost_of_exchange(images: Images) -> float:
+    """Objective of a body fitted to one view with all left and right exchanged, over that without.
 
     Knees, feet and the face tell the front from the back, and with it the sides.
     """
-    half = round(_EXCERPT_S * images.fps / 2)
-    count = np.cumsum(images.seen[0].sum(1))
-    middle = int(np.searchsorted(count, count[-1] / 2))
-    excerpt = range(max(middle - half, 0), min(middle + half, len(count)))
-    after = images.exchanged(np.ones((1, len(count)), dtype=bool))
-    (given,), (other,) = (
-        [view.derived(**view.some_frames(excerpt)) for view in one.sensors]
-        for one in (images, after)
-    )
-    costs = _costs_of_views([given, other], images.body)
-    return bool(costs[1] < _CLEARLY * costs[0])
+    after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
+    excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
+    costs = _costs_of_views([paced(one, QUICK_PACE) for one in excerpts], images.body)
+    return float(costs[1] / costs[0])
 
 
 def keeps_facing(images: Images) -> bool:

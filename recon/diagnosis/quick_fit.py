@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,9 +20,12 @@ from recon.diagnosis.named_points import NamedPoints
 from recon.method.pace import paced
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.reconstruction import solve
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage, Stages
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
+
+S = TypeVar("S", bound=Sensor)
 
 _BODY_RADIUS_M = 1.4
 """Metres from the middle of a body within which all of its points lie, arms stretched."""
@@ -75,7 +78,7 @@ _EXCERPT = 6.0
 _AT_NOISE = 0.95
 """Share of ½ · 3 · noise², the cost of noise alone, up to which a version is taken to be right.
 Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation people)."""
-_PACE = 15.0
+QUICK_PACE = 15.0
 """Frames per second of quick fits: half as many as a fit works on find the same start."""
 _SHAPE = 1e-4
 """Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
@@ -102,7 +105,7 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
-    given, versions = versions, [paced(one, _PACE) for one in versions]
+    given, versions = versions, [paced(one, QUICK_PACE) for one in versions]
     first = versions[0]
     noise = estimate_noise(first.positions, first.visible)
     method, excerpts = partial(quick_stages, noise), [middle_seconds(one) for one in versions]
@@ -155,7 +158,7 @@ def with_second_start(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if middle_seconds(fit.points) is not fit.points:
         return fit
-    points = paced(fit.points, _PACE)
+    points = paced(fit.points, QUICK_PACE)
     noise = estimate_noise(points.positions, points.visible)
     method, start = partial(quick_stages, noise), fit.estimate.motion
     reached = solve([points.replace(kernel=squared)], method, body, start=start).motion
@@ -172,16 +175,13 @@ def quick_stages(
     return (replace(prior.stages(data)[-1], minimiser=minimiser),)
 
 
-def middle_seconds(points: TrackedPoints) -> TrackedPoints:
-    """The points in a few seconds around the median time of the data."""
-    length = round(_EXCERPT * points.fps) + 1
-    moments = points.positions.shape[-3]
-    if moments <= length:
-        return points
-    counts = points.visible[0].sum(-1).double().cumsum(0)
+def middle_seconds(sensor: S) -> S:
+    """The sensor in a few seconds around the median time of its data."""
+    length = round(_EXCERPT * sensor.fps) + 1
+    if sensor.moments <= length:
+        return sensor
+    counts = sensor.shown[0].sum(-1).double().cumsum(0)
     middle = int((counts < counts[-1] / 2).sum())
-    first = min(max(middle - length // 2, 0), moments - length)
-    cut = slice(first, first + length)
-    return points.map(lambda tensor: tensor[:, cut]).derived(
-        start_time=points.start_time + first / points.fps
-    )
+    first = min(max(middle - length // 2, 0), sensor.moments - length)
+    start = sensor.start_time + first / sensor.fps
+    return sensor.derived(**sensor.some_frames(range(first, first + length)), start_time=start)

@@ -113,19 +113,27 @@ class Film:
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
         """Upright images and times as they are decoded; what was damaged is noted in `losses`."""
         last, repeated = None, 0
-        with _opened(self.path) as container:
-            stream = _video_stream(container, self.path)
-            for frame, stamp in _decoded(container, stream, losses):
-                image = self._image(frame)
-                if last is not None and _same(image, last):
-                    repeated += 1
-                    continue
-                last = image
-                yield image, self.clock.time(stamp)
+        for frame, time in self.decoded(losses):
+            image = self.image_of(frame)
+            if last is not None and _same(image, last):
+                repeated += 1
+                continue
+            last = image
+            yield image, time
         if repeated:
             losses.append(f"{repeated} pictures that repeat the one before were left out")
 
-    def _image(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
+    def decoded(self, losses: list[str]) -> Iterator[tuple["VideoFrame", float]]:
+        """Pictures that are not yet images, repeated ones too, and their times, seconds.
+
+        What was damaged is noted in `losses` at the end.
+        """
+        with _opened(self.path) as container:
+            stream = _video_stream(container, self.path)
+            for frame, stamp in _decoded(container, stream, losses):
+                yield frame, self.clock.time(stamp)
+
+    def image_of(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
         """The upright image of a decoded frame."""
         width, height = (side // self.shrunk for side in self.image_size)
         if self.turned_by % 180 == 90:

@@ -193,8 +193,8 @@ def _explained(
     ahead = np.cross(ups, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     aside = np.cross(ups, ahead)
-    shown = np.cross(normals, ups[:, None])
-    x, y = (np.einsum("usi,ui->us", shown, axis) for axis in (ahead, aside))
+    # (n x up) . ahead = n . aside, and (n x up) . aside = -n . ahead
+    x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
     # a plane that is nearly level shows no heading

@@ -36,16 +36,16 @@ class FilmOnClock:
     ) -> Iterator[UInt8[ndarray, "height width 3"] | None]:
         """The picture nearest to each of some rising times; None before and after the film."""
         slack = 1 / self.film.frame_rate
-        frames = iter(self.film)
+        frames = self.film.decoded([])
         before, after = None, next(frames, None)
         for time in times:
             place = time - self.start_time
-            while after is not None and after.time <= place:
+            while after is not None and after[1] <= place:
                 before, after = after, next(frames, None)
             near = [one for one in (before, after) if one is not None]
-            near.sort(key=lambda one: abs(one.time - place))
+            near.sort(key=lambda one: abs(one[1] - place))
             inside = self.start_time - slack <= time <= self.stop_time + slack
-            yield near[0].image if near and inside else None
+            yield self.film.image_of(near[0][0]) if near and inside else None
 
 
 def views_of_cameras(cameras: Sequence[FilmingCamera]) -> tuple[View, ...]:

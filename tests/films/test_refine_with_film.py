@@ -14,9 +14,16 @@ from recon import cli
 from recon.core import rotations as so3
 from recon.core.camera import Camera, pose_looking_at
 from recon.core.skeleton import FEET
+from recon.detections.records import detections_of_rows
+from recon.detections.tables import detection_arrays
+from recon.fitting.settings import ReadOptions
 from recon.formats.cameras import guessed_camera
+from recon.formats.replacing import save_arrays
 from recon.keypoints3d.layouts import MHR70
 from recon.metrics.errors import point_errors, similarity_aligned
+from recon.reading.estimate_in_film import people_of_film, view_of_estimate
+from recon.simulation.images import keypoints2d
+from recon.simulation.points import Corruption
 from tests.filmed import bundled, walk
 from tests.films.painted import write
 
@@ -120,6 +127,38 @@ def test_keypoints_of_sam_3d_body_are_refined_with_their_film(film, tmp_path):
     alone = errors(recon.refine(tmp_path / "sam.npz", "pose", frame_rate=30.0).motion)
     found = errors(recon.refine(tmp_path / "sam.npz", "pose", film=film).motion)
     assert found["joints"] < alone["joints"]
+
+
+def film_of(run: slice, path: Path) -> Path:
+    """Detections in a film of a walk, of which these frames are kept."""
+    motion = walk(60)
+    file = keypoints2d(motion, bundled(), camera(), Corruption(noise=3.0), 0, "coco17")
+    kept = np.concatenate((file.pixels, file.confidence[..., None]), -1)[run]
+    found = detections_of_rows("film", list(range(len(kept))), list(zip(
+        range(len(kept)), kept, [0] * len(kept), strict=True)))  # fmt: skip
+    more = {"frame_rate": np.array(30.0), "image_size": np.array(SIZE)}
+    save_arrays(path, detection_arrays(found) | more)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        (slice(None), ""), (slice(None, None, -1), "if the film runs backwards"),
+        (slice(15, None), "if the film begins 0.5 s later"),
+    ],
+)  # fmt: skip
+def test_a_film_that_runs_otherwise_than_the_estimate_is_told(tmp_path, run, said):
+    """A film run backwards, or cut otherwise, pulled the body away from the estimate unsaid."""
+    seen = people_of_film(film_of(run, tmp_path / "film.npz"), ReadOptions())
+    motion = walk(60)
+    estimate = motion.carried(camera().T_camera_world, bundled().rest_joints(motion.shape)[0])
+    try:
+        found = [one.message for one in view_of_estimate(seen, estimate, bundled())[2]]
+    except recon.ObservationError as error:
+        found = [str(error)]
+    assert len(found) == bool(said)
+    assert all(said in one for one in found)
 
 
 @pytest.mark.slow

@@ -10,9 +10,11 @@ import pytest
 import torch
 
 import recon
+from recon.films.decoding import Film
 from recon.formats.motions import load_motion
 from recon.view.files import view
 from recon.view.film import views_of_cameras, with_films
+from recon.view.overlay import MOMENTS
 from tests.filmed import walk
 
 GREY = 90
@@ -67,6 +69,15 @@ def test_film_of_another_form_is_refused(fitted: Path, tmp_path: Path):
             film=(film(tmp_path / "square.mp4", 16, (400, 400)),),
             png=tmp_path / "sheet.png",
         )
+
+
+def test_a_sheet_makes_images_of_its_moments_alone(fitted, tmp_path, monkeypatch):
+    """Every picture of the film became an image, and was looked at for cuts, a second time."""
+    made, usual = [], Film.image_of
+    monkeypatch.setattr(Film, "image_of", lambda *own: made.append(1) or usual(*own))
+    grey = film(tmp_path / "walk.mp4", 16, (960, 540))
+    view(fitted, film=(grey,), png=tmp_path / "sheet.png")
+    assert len(made) == MOMENTS
 
 
 @pytest.mark.parametrize(
