@@ -108,10 +108,23 @@ class Naming:
             if some:
                 clouds = [self._points_and_tracks(k)[0] for k in some]
                 found += zip(found_bodies(clouds, self.bodies, effort), some, strict=True)
-            best = min(found, key=lambda one: one[0].rank)
-            if _rank_over_good(best[0]) < least:
+            best = min(found, key=lambda one: self._misfit(*one))
+            if self._misfit(*best) < least:
                 break
         return best
+
+    def _misfit(self, found: FoundBody, at: int) -> float:
+        """Rank of a body in a key frame over the one below which it is found at once.
+
+        Where points have names of the set, as in a trial that is named like itself, the share of
+        those that disagree is added: most are right, while a limb put on wrongly has a good rank.
+        """
+        numbers = {name: k for k, name in enumerate(self.bodies[0].markers.labels)}
+        given = np.array([numbers.get(name, -1) for name in self.seen.marker_names])
+        said = given[self.track[self.keys[at]] >= 0]
+        held = (said >= 0) & (found.marker >= 0)
+        against = float((said != found.marker)[held].mean()) if held.any() else 0.0
+        return (found.rank + against) / (_GOOD + _GOOD_PER_METRE * found.body.usual_spread)
 
     def _points_and_tracks(self, at: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions of the points of a key frame, and their tracks."""
@@ -263,21 +276,19 @@ def _fit_poses(
         if len(held) >= _FEWEST:
             x[row, marker[held]], seen[row, marker[held]] = own[held], True
     energies = replace(body.energies(x, seen), natural=poses.rotations[:, 1:])
-    rows = torch.from_numpy(np.flatnonzero(seen.any(1)))
-    return minimise_frames(energies, poses, _STEP, rows).state
+    return minimise_frames(
+        energies, poses, _STEP, torch.from_numpy(np.flatnonzero(seen.any(1)))
+    ).state
 
 
 def _log_odds_of_points(
     body: MarkedBody, poses: Poses, points: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """Log odds of every point of some frames being every marker, by the pose in each."""
-    placed = zip(points, body.places(poses), strict=True)
-    return [_log_odds(own[:, None] - places, body.spread) for own, places in placed]
-
-
-def _rank_over_good(found: FoundBody) -> float:
-    """The rank of a body divided by the one below which it is found at once."""
-    return found.rank / (_GOOD + _GOOD_PER_METRE * found.body.usual_spread)
+    return [
+        _log_odds(own[:, None] - places, body.spread)
+        for own, places in zip(points, body.places(poses), strict=True)
+    ]
 
 
 def _log_odds(

@@ -75,30 +75,27 @@ def found_bodies(
     turned = np.einsum("tij,bpmj->bptmi", about, every)
     flat = turned.reshape(-1, *turned.shape[3:])
     flat = flat - np.median(flat, 1, keepdims=True)
-    parts = [_one_body(points) for points in clouds]
-    chosen = [_likely_places(flat, points, effort) for points, _ in parts]
-    cloud = np.repeat(np.arange(len(parts)), [len(one) for one in chosen])
+    points, among = zip(*map(_one_body, clouds), strict=True)
+    chosen = [_likely_places(flat, own, effort) for own in points]
+    cloud = np.repeat(np.arange(len(points)), [len(one) for one in chosen])
     which = np.concatenate(chosen)
     of_body, of_pose, of_turn = np.unravel_index(which, turned.shape[:3])
     best: dict[int, FoundBody] = {}
     for b in np.unique(of_body).tolist():
-        rows = np.flatnonzero(of_body == b)
-        body = bodies[b]
+        body, rows = bodies[b], np.flatnonzero(of_body == b)
         roots = torch.tensor(about[of_turn[rows]]).float() @ upright
         turns = torch.cat((roots[:, None], body.poses[tried][of_pose[rows]]), 1)
         rests = body.places(body.posed(torch.zeros(len(rows), 3), turns))
-        middle = np.stack([np.median(parts[k][0], 0) for k in cloud[rows].tolist()])
+        middle = np.stack([np.median(points[k], 0) for k in cloud[rows].tolist()])
         shift = torch.tensor((flat[which[rows]] - rests).mean(1) + middle).float()
-        points = [one for one, _ in parts]
         for k, found in _fits_of_poses(body, body.posed(shift, turns), points, cloud[rows]):
             if k not in best or found.rank < best[k].rank:
                 best[k] = found
-    out = list[FoundBody]()
-    for k, (_, among) in enumerate(parts):
-        marker = np.full(len(among), -1)
-        marker[among] = best[k].marker
-        out.append(replace(best[k], marker=marker))
-    return out
+    for k, one in enumerate(among):
+        marker = np.full(len(one), -1)
+        marker[one] = best[k].marker
+        best[k] = replace(best[k], marker=marker)
+    return [best[k] for k in range(len(among))]
 
 
 def _likely_places(

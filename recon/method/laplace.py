@@ -149,11 +149,13 @@ def _deviations_of_window(
         frame = _nearest_frames(one, motion)
         jacobian, weight = _jacobian_and_precision(one, noise, near, frame)
         h.add_frames(frame, jacobian.mT @ (jacobian * weight[..., None]))
-    poses = density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
+    share = density.share(motion)[0, :, None]
+    poses = density.by_rotations(motion)[0]
+    poses = poses * (share[..., None] * REFERENCE_FPS / motion.fps).sqrt()
     h.inner[:, 0, -poses.shape[-1] :, -poses.shape[-1] :] += poses.mT @ poses
     bends = moved.new_zeros(motion.frames, 3, moved.shape[1])
-    weight = density.acceleration * (motion.fps / REFERENCE_FPS) ** 3
-    add_differences(bends, (1.0, -2.0, 1.0), bends.new_tensor([[weight]]))
+    weight = share[1:-1] * density.acceleration * (motion.fps / REFERENCE_FPS) ** 3
+    add_differences(bends, (1.0, -2.0, 1.0), weight)
     h.add_products(bends, moved, shaped)
     shapes = motion.shape.shape[-1]
     shape = h.corner.diagonal()[:shapes]

@@ -48,6 +48,10 @@ class Density:
     """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
     shape: float
     """Inverse variance of a shape coefficient, for every frame."""
+    share: Callable[[Motion], Float[Tensor, "*batch time"]] = lambda motion: torch.ones_like(
+        motion.translation[..., 0]
+    )
+    """How much of a frame's -log p of pose and acceleration is believed: a factor of both."""
 
 
 class Prior(ABC, Generic[S]):

@@ -138,6 +138,19 @@ def test_a_planted_motion_is_recovered_and_noise_goes(prior: PosePrior, body: Bo
         assert error.max() < limit  # metres
 
 
+def test_rare_poses_are_believed_less_for_about_a_second(prior: PosePrior) -> None:
+    coordinates = torch.zeros(1, 90, 63, dtype=torch.float64)
+    coordinates[:, 55:66] = 2.0  # standard deviations
+    turns = prior.density.rotations(coordinates)
+    swings = swinging(90, 0)
+    turned = torch.cat((swings.rotations[None, :, :1], turns), 2)
+    motion = padded_batch([swings]).replace(rotations=turned)
+    share = prior.belief(0.02).share(motion)[0]
+    assert torch.allclose(share[:40], torch.ones(40).double())  # the mean pose is wholly believed
+    assert (share[55:66] < 0.1).all()
+    assert torch.allclose(share[81:], torch.ones(9).double())
+
+
 def test_negative_weights_are_refused() -> None:
     with pytest.raises(ValueError, match="acceleration"):
         PoseWeights(pose=1.0, shape=1.0, acceleration=-1.0)
