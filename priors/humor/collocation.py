@@ -12,6 +12,7 @@ only, so a network sees all steps of all clips as one batch.
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -50,8 +51,9 @@ validation windows of depth, where a quarter was as good on average."""
 _COMPARED = 3
 """Iterations after which motions of unseen limbs are compared. Chosen on 24 validation windows:
 until convergence takes a tenth longer and leaves errors 2 % larger."""
-_COMMON = 0.15
-"""As `_COMMON` of the pose prior and chosen likewise: steps tell what poses alone do not."""
+_TRUST = 0.4
+"""Share of the weights of poses that is a density. One that follows how rare poses are, as the
+pose prior's, makes people whom no training has seen no likelier."""
 _MIN_SEEN_SHARE = 0.9
 """Share of the moments in which a joint must be seen for its clip to be seen whole."""
 
@@ -105,7 +107,8 @@ class Collocation(Prior[PoseVariables]):
 
     def belief(self, noise: float) -> Density:
         """The density of the pose prior, whose smoothness approximates HuMoR's steps."""
-        return PosePrior(self.poses.density, PoseWeights.for_noise(noise)).belief(noise, _COMMON)
+        density = PosePrior(self.poses.density, PoseWeights.for_noise(noise)).belief(noise)
+        return replace(density, share=lambda m: torch.full_like(m.translation[..., 0], _TRUST))
 
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "clips time 69"]

@@ -211,12 +211,12 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         """The weights given to the constructor, or else those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
-    def belief(self, noise: float, common: float = _COMMON) -> Density:
+    def belief(self, noise: float) -> Density:
         """A Gaussian density in place of this prior, beside data with this noise in metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share of it is believed, 1 / (1 + rarity /
-        `common`): the less, the rarer poses are.
+        `_COMMON`): the less, the rarer poses are.
         """
         w, precision = self.weighed, noise**-2
         scale = (2 * w.pose * precision) ** 0.5
@@ -232,7 +232,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
             rarity = density.coordinates(motion.rotations[..., 1:, :, :]).square().mean(-1)
             reach = round(0.5 * _AROUND_S * motion.fps)
             around = avg_pool1d(rarity, 2 * reach + 1, 1, reach, count_include_pad=False)
-            return 1 / (1 + around / common)
+            return 1 / (1 + around / _COMMON)
 
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision, share)
 
