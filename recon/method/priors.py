@@ -37,7 +37,7 @@ SMOOTHNESS = 9400.0
 class Density:
     """A prior's density of a motion as residuals of unit variance.
 
-    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
+    -log p = ½ Σ share (|z|² + acceleration |second difference of a joint|²) + ½ shape |betas|²,
     sums over frames at 30 Hz.
     """
 
@@ -51,7 +51,7 @@ class Density:
     share: Callable[[Motion], Float[Tensor, "*batch time"]] = lambda motion: torch.ones_like(
         motion.translation[..., 0]
     )
-    """How much of a frame's -log p of pose and acceleration is believed: a factor of both."""
+    """Factor between 0 and 1 of a frame's terms: how much of them is believed."""
 
 
 class Prior(ABC, Generic[S]):
