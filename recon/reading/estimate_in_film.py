@@ -61,11 +61,16 @@ def view_of_estimate(
     Raises:
         ObservationError: when nobody moves like the estimate.
     """
-    found = [_fitted_camera(one.files[0], estimate, body) for one in people]
+    points = (
+        _keypoints_of_motion(estimate, people[0].files[0].layout, body)
+        if isinstance(estimate, Motion)
+        else estimate
+    )
+    found = [_fitted_camera(one.files[0], points) for one in people]
     best = int(np.argmin([error for error, _ in found]))
     (error, T), views = found[best], people[best]
     (file,) = views.files
-    doubts = _doubts(file, estimate, body)
+    doubts = _doubts(file, points)
     if error > _FAR:
         raise ObservationError(
             f"{views.names[0]}: nobody in the film moves like the estimate; give the film that it "
@@ -80,13 +85,19 @@ def view_of_estimate(
     return view, (*views.decisions, said), tuple(one.of(views.names[0]) for one in doubts)
 
 
-def _doubts(
-    file: KeypointsFile, estimate: Motion | Keypoints3D, body: BodyModel
-) -> tuple[Finding, ...]:
+def _keypoints_of_motion(motion: Motion, layout: str, body: BodyModel) -> Keypoints3D:
+    """The keypoints of a layout on a moving body."""
+    points = BodyPoints.of_layout(layout, body)
+    places = points.of(body.pose(motion)).detach()[None]
+    seen = torch.ones(places.shape[:-1], dtype=torch.bool)
+    return Keypoints3D(places, seen, points, motion.fps, motion.start_time)
+
+
+def _doubts(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
     """A warning if keypoints are clearly nearer when the film runs otherwise."""
     best, said = _CLEARLY, ""
     for how, both in _run_otherwise(file):
-        given, other = (_fitted_camera(one, estimate, body)[0] for one in both)
+        given, other = (_fitted_camera(one, estimate)[0] for one in both)
         if other < best * given < np.inf:
             best = other / given
             said = (
@@ -103,9 +114,10 @@ def _run_otherwise(
     reverse = replace(file, pixels=file.pixels[::-1], confidence=file.confidence[::-1])
     yield "runs backwards", (file, reverse)
     cut, count = round(_CUT_S * file.fps), len(file.pixels)
-    for how, part in (("later", slice(0, count - cut)), ("earlier", slice(cut, count))):
+    for how, part, shift in (
+        ("later", slice(0, count - cut), _CUT_S), ("earlier", slice(cut, count), -_CUT_S)
+    ):  # fmt: skip
         start = file.start_time + part.start / file.fps
-        shift = _CUT_S if how == "later" else -_CUT_S
         kept = replace(
             file, pixels=file.pixels[part], confidence=file.confidence[part], start_time=start
         )
@@ -113,15 +125,11 @@ def _run_otherwise(
 
 
 def _fitted_camera(
-    file: KeypointsFile, estimate: Motion | Keypoints3D, body: BodyModel
+    file: KeypointsFile, estimate: Keypoints3D
 ) -> tuple[float, Float[np.ndarray, "4 4"]]:
     """T_camera_estimate by which the estimate's keypoints fit best, and their error."""
     names = keypoint_names(file.layout)
-    if isinstance(estimate, Motion):
-        own, places = names, BodyPoints.of_layout(file.layout, body).of(body.pose(estimate))
-        there = torch.ones(places.shape[:-1], dtype=torch.bool)
-    else:
-        own, places, there = estimate.points.names, estimate.positions[0], estimate.visible[0]
+    own, places, there = estimate.points.names, estimate.positions[0], estimate.visible[0]
     named = [name for name in names if name in own and name.endswith(_TRUNK)]
     columns, others = [own.index(one) for one in named], [names.index(one) for one in named]
     times = np.arange(len(file.pixels)) / file.fps + file.start_time - estimate.start_time

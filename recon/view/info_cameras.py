@@ -9,7 +9,7 @@ from recon.core.clouds import unit_of_clouds, up_of_clouds
 from recon.core.units import METRES
 from recon.detections.reader import read_keypoints
 from recon.formats.calibration import load_cameras
-from recon.formats.cameras import STATED_FOCAL_STD, guessed_camera
+from recon.formats.cameras import guessed_camera
 from recon.formats.depth_images import read_png
 from recon.formats.observations import CameraArrays
 from recon.formats.opening import files_of
@@ -110,18 +110,18 @@ def describe_film(path: Path) -> dict[str, Any]:
         "seconds": film.frames / film.frame_rate,
         "image_size": f"{width} x {height}",
         "turned_by": film.turned_by,
-        "lens": _describe_lens(guessed_camera(film.image_size, film.stated_focal)),
+        "lens": _describe_lens(film.image_size, film.stated_focal),
         "shots_from": shots,
         "decisions": list(film.notes),
     }
 
 
-def _describe_lens(camera: CameraArrays) -> str:
+def _describe_lens(image_size: tuple[int, int], stated: float | None) -> str:
     """With which focal length the fit of a film without calibration begins, and why."""
-    told = camera.focal_std == STATED_FOCAL_STD
+    camera = guessed_camera(image_size, stated)
+    why = "of a usual phone, as the file states none" if stated is None else "as the file states"
     return (
-        f"focal length {camera.camera_matrix[0, 0]:.0f} pixels, "
-        f"{'as the file states' if told else 'of a usual phone, as the file states none'}: "
+        f"focal length {camera.camera_matrix[0, 0]:.0f} pixels, {why}: "
         f"believed within {camera.focal_std:.0%}"
     )
 
