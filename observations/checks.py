@@ -93,7 +93,7 @@ def checked_std(
         return None, None
     POINT_DEVIATION.check(values.detach().cpu(), kind, "std", seen=visible.cpu())
     present = values[visible].detach().double()
-    # divided by the largest, so that the root mean square of equal numbers is exactly that number
+    # dividing by the largest first makes the root mean square of equal numbers exact
     mean = present.max() * (present / present.max()).square().mean().sqrt()
     return values.where(visible, 0.0), float(mean)
 

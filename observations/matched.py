@@ -300,7 +300,7 @@ class MatchedCloud(TensorStruct):
         turned = _jacobian_by_rotations(foot, along, discs.weights, orientations, joints)
         rows = torch.cat((along, turned, shaped), -2)
         full = (rows * (2 * weight * slope)[:, None]) @ rows.mT
-        # from rotations of joints to the variables of the prior
+        # turn the Hessian from rotations of joints to the variables of the prior
         turn, bent = model.turn[frame], slice(6, FRAME)
         full[:, bent] = turn.mT @ full[:, bent]
         full[:, :, bent] = full[:, :, bent] @ turn

@@ -225,7 +225,7 @@ class TrackedPoints(PointsOfBody):
         """
         if self.std is None or self.rms_std is None:
             return self.visible
-        # dividing a number by a tensor rounds differently: torch multiplies by the reciprocal
+        # a tensor: torch divides plain numbers by reciprocals, which rounds otherwise
         rms = self.std.new_tensor(self.rms_std)
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 

@@ -98,7 +98,7 @@ class Surfels:
         index = torch.from_numpy(self.vertices).to(body.joints.device)
         weights = body.model.weights[index]
         rest = torch.from_numpy(self.normals).to(body.joints)
-        # one product for all frames, as in `PosedBody.points`
+        # one matrix product for all frames, as in `PosedBody.points`
         left = (weights[:, :, None] * rest[:, None]).flatten(-2)
         right = body.orientations.mT.movedim(-4, -2).flatten(-4, -3).flatten(-2)
         frames = body.joints.shape[-3]

@@ -60,7 +60,7 @@ def hessian_by_turns(
     first, mass = below @ first, mass @ below.mT
     joints = bones[..., 3]
     lever = first - mass[..., None] * joints
-    # moments about the second joint, Σ w x (x - p_b)ᵀ; then about both, Σ w (x - p_a) (x - p_b)ᵀ
+    # second moments about joint b, Σ w x (x - p_b)ᵀ, then about a and b, Σ w (x - p_a) (x - p_b)ᵀ
     own = second - first[..., None] * joints[..., None, :]
     upper, lower = _HANGING
     moments = own[:, lower] - joints[:, upper, :, None] * lever[:, lower, None, :]
@@ -332,7 +332,7 @@ def _by_coordinates(
     mass, across, between = hessian_by_turns(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ right_jacobian(steps)
-    # rotations of all joints by steps of the root and of z; other joints turn by v = B z
+    # Jacobian of all rotations by steps of the root and of z; other joints turn by v = B z
     whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
     whole[:, :3, :3] = torch.eye(3)
     whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)

@@ -61,7 +61,7 @@ def image_start(
     (Viterbi's algorithm). The distance is that of `bone_distance`. Frames that show too little
     take the place of the nearest one that does not.
     """
-    # the rest pose predicts the torso's place well, the legs less, the arms not at all
+    # the rest pose predicts the place of the torso well, of the legs less, of the arms not at all
     trust = [1.0 if b in TORSO else _LEG_WEIGHT if b in _LEGS else 0.0 for b in points.bones]
     weight = confidence.square() * (torch.tensor(trust) * points.known).to(confidence)
     placed = (weight > 0).sum(-1) >= _LEAST_POINTS

@@ -261,7 +261,7 @@ def _frames_to_pose(
         if k - kept[-1] >= stride or k == int(number[-1]):
             kept.append(k)
     number = torch.tensor(kept)
-    # shuffled, present points first, so that the first points are spread over all scan lines
+    # random order, present points first, so that the points that are kept cover all scan lines
     order = (
         present[number].float()
         + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2

@@ -63,7 +63,7 @@ class Mixture(TensorStruct):
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
-        from recon.formats.opening import load_arrays  # only the authors' files need it
+        from recon.formats.opening import load_arrays  # for the authors' files only
 
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")

@@ -159,7 +159,7 @@ class Humor(Prior[HumorVariables]):
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
-        from priors.humor.unrolled import decoded_motion  # for roll-outs only
+        from priors.humor.unrolled import decoded_motion  # imported here: for roll-outs only
 
         return decoded_motion(self.like(variables.translation), variables)
 
@@ -185,7 +185,7 @@ def _converted_prior(humor: Humor, device: torch.device, dtype: torch.dtype) -> 
 @lru_cache(maxsize=1)
 def _bundled_prior() -> Humor:
     """The prior with the weights in the package and the bundled body, read once."""
-    with torch.inference_mode(False):  # tensors of that mode could not be used outside of it
+    with torch.inference_mode(False):  # inference tensors would be unusable in later fits
         weights = read_weights("open")
         initial, whitening = mixture_from(weights), whitening_from(weights)
         assert initial is not None

@@ -81,7 +81,7 @@ class Steps(TensorStruct):
             ),
             -2,
         )
-        # translation and joints are positions; joints are rotated about the pelvis
+        # the translation is taken relative to the heading's origin; joints turn about the pelvis
         about, back = _offset_matrices(vectors.dtype, vectors.device)
         ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
         turned = ends @ frame.turn.mT + back * pelvis[:, None, None]

@@ -359,7 +359,7 @@ def _surface_features(
     rows += [angles.sin(), angles.cos()]
     for patch in (near, wide):
         facing = (patch.normal * view).sum(-1, keepdim=True)
-        # the sign of a normal is undefined without a sensor, and uncertain at grazing views
+        # the sign of a normal is unknown without a sensor, and uncertain where views graze it
         normal = patch.normal * (_SIGN * facing).tanh()
         normals.append(normal)
         rows += [normal, facing.abs(), _SIZE * patch.covariance, 10 * patch.flatness[..., None]]

@@ -164,14 +164,14 @@ class _ConvolutionAndAttention(nn.Module):
         first, second, third = self.norms
         shown = exists[..., None]
         around = functional.pad(first(x) * shown, (0, 0, _NEAR // 2, _NEAR // 2))
-        # a sum of shifted products: faster than a grouped convolution, most of all its derivative
+        # a sum of shifted products, with its derivative, is faster than a grouped convolution
         parts = (w * around[:, k : k + x.shape[1]] for k, w in enumerate(self.near))
         x = x + sum(parts, self.bias)
         asked = self.ask(second(x)).unflatten(-1, (3, _HEADS, -1)).movedim(-3, 0)
         query, key, value = asked.transpose(-3, -2)
         place = torch.arange(x.shape[-2], device=x.device)
         apart = (place[:, None] - place).abs().to(x)
-        # attention falls with the distance in time, at a rate that each head learns
+        # attention falls with the distance in time of two frames, at a rate that each head learns
         bias = -self.far.exp()[:, None, None] * apart
         bias = bias.to(query.dtype).masked_fill(~exists[:, None, None], -torch.inf)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=bias)

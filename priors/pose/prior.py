@@ -281,7 +281,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         """Variables after steps of frames: translation, root R Exp(w), and z of the pose."""
         x, scales = variables, self._scales.to(dtype=steps.dtype, device=steps.device)
         place, turn, pose = steps.split((3, 3, COORDINATES), -1)
-        # columns of the synthesis are orthogonal
+        # columns of the synthesis are orthogonal, so its inverse is the scaled transpose
         inverse = (x.synthesis / x.synthesis.square().sum(-2, keepdim=True)).mT
         return x.derived(
             translation=x.translation + inverse @ place / scales.translation,

@@ -185,7 +185,7 @@ def _labelled(
     kept = np.flatnonzero(outputs)
     columns = np.concatenate((columns, np.where(seen.visible[:, kept], kept, -1)), 1)
     labels += [seen.marker_names[k] for k in kept.tolist()]
-    # columns are ordered as their points are in the file
+    # order columns by the places of their points in the file
     seldom = np.where(columns >= 0, columns, np.nan)
     shown = (columns >= 0).any(0)
     order = [*np.argsort(np.nanmedian(seldom[:, shown], 0), kind="stable")]

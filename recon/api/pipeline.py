@@ -123,7 +123,7 @@ def fit_and_check(
         found = clip.start if start is None else None
         start = _start_at_data_rate(fewer, start, found)
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.movement import motion_in_room  # imported here: it is rare
+            from recon.diagnosis.movement import motion_in_room  # for treadmills only
 
             start = motion_in_room(start, -clip.belt)
         # first guess: a motion made from the data without a prior, or the one that the caller gave

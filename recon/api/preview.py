@@ -64,7 +64,7 @@ def preview(
     if found.joint_std is not None:
         std = found.joint_std[found.likeliest].double()
         spread = torch.ones_like(fit.result.motion.shape[0])
-        known = 0.0 if options.shape is not None else 1.0  # coefficients of people have unit std
+        known = 0.0 if options.shape is not None else 1.0  # std of shape coefficients in people
         own = Deviations(std, _ROOT * std.mean(-1), known * spread)
         examined = replace(examined, deviations=own)
     said = (

@@ -318,7 +318,7 @@ def result_of(
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = None
     if completes and not found.stretches:
-        # other motions have no numbers of a gait cycle
+        # imported here: only motions that were completed as one gait cycle have these numbers
         from recon.api.cycle import cycle_report
 
         cycle = cycle_report(found, [one.median for one in examined.residuals])

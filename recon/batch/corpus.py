@@ -145,7 +145,7 @@ class _Corpus:
         waiting = [
             job for group in groups.values() for job in self._group_if_waiting(group, checksums)
         ]
-        # in small groups, so that a killed run loses only the calibrations of one group
+        # calibrated in small groups, so that a killed run loses only the calibrations of one group
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
             self._calibrate_and_convert(
                 waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums
@@ -199,7 +199,7 @@ class _Corpus:
                     suspected.append(half)
                 else:
                     result = found
-        # the given order is kept, since a calibration depends on it
+        # clips keep their given order, since a calibration depends on it
         kept = [clip for clip in some if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):

@@ -121,7 +121,7 @@ def opensim_coordinates(
             found |= _joint_coordinates(joint, axes, end)
             knee = f"knee_angle_{end}"
             if model == "rajagopal2016" and knee in found:
-                # the patella follows the knee by a constraint
+                # OpenSim moves the patella by the knee's angle, through a constraint
                 found[f"{knee}_beta"] = found[knee]
     found |= _joint_coordinates(_BACK, axes, "")
     for end in ("r", "l"):

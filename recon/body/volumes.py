@@ -69,7 +69,7 @@ def _group_means(
 
 
 def _corners_of_faces(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> Tensor:
-    # its backward pass is cheaper than that of indexing vertices[..., faces, :]
+    # the backward pass of index_select takes less time than that of vertices[..., faces, :]
     return vertices.index_select(-2, faces.flatten()).unflatten(-2, tuple(faces.shape))
 
 

@@ -73,5 +73,5 @@ def draw_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None
                 motion, film=tuple(films), png=out.with_name(f"{name}.sheet.png"),
                 frame_rate=settings.frame_rate, body=settings.body,
             )  # fmt: skip
-        except Exception as error:  # a picture is no reason to lose a fit
+        except Exception as error:  # a missing picture must not lose the fit
             console.print_warning(f"no sheet of moments was drawn: {error}")

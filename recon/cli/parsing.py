@@ -77,7 +77,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
             f"`recon {name}` has no option {word}{_did_you_mean(word, options)}; "
             f"`recon {name} --help` lists its options"
         )
-    # tyro reports all other errors
+    # let tyro report all other errors
     return ask()
 
 

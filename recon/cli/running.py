@@ -44,7 +44,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     if settings is not None:
         options |= vars(settings)
         more = settings.arguments()
-    # before reading, so that files that change during the run are noticed
+    # checksums are taken before reading, so that changes of files during the run are noticed
     inputs = input_checksums(how | options)
     with console.stage_progress_bars({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))

@@ -376,7 +376,7 @@ def canonical_rotation(
     up = ground.normal
     side, front = -root[..., :, 0], root[..., :, 2]
     along = side - (side * up).sum(-1, keepdim=True) * up
-    # where `side` is vertical (a body lying on its side), `front` is horizontal
+    # if a body lies on its side, `side` is vertical, and a horizontal `front` is used instead
     spare = torch.linalg.cross(front, up, dim=-1)
     defined = along.square().sum(-1, keepdim=True) > _UPRIGHT
     right = torch.nn.functional.normalize(torch.where(defined, along, spare), dim=-1)

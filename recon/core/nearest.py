@@ -93,7 +93,7 @@ def nearest_alike(
     for some in moments.split(_AT_ONCE):
         open_ = allowed[some]
         most = int(open_.sum(-1).max())
-        # indices of the allowed points before those of all others, each group in its order
+        # indices of the allowed points, then those of all others, both in ascending order
         pick = torch.argsort(~open_, dim=-1, stable=True)[:, :most]
         there = surface[some].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
         middle = there.mean(1, keepdim=True)  # centred, to keep rounding errors small

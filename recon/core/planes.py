@@ -327,7 +327,7 @@ def _plane_deviations(from_sensor: Float[np.ndarray, "points 3"]) -> Float[np.nd
     far = np.linalg.norm(from_sensor, axis=1)
     rays = from_sensor / np.maximum(far, 1e-9)[:, None]
     near = np.asarray(KDTree(rays).query(rays, k=_NEIGHBOURS + 1)[1])[:, 1:]
-    # project neighbours onto the plane perpendicular to the mean ray
+    # project the neighbouring rays onto the plane perpendicular to their mean
     _, _, axes = np.linalg.svd(rays.mean(0)[None])
     image = rays @ axes[1:].T
     beside = image[near] - image[:, None]
@@ -336,6 +336,6 @@ def _plane_deviations(from_sensor: Float[np.ndarray, "points 3"]) -> Float[np.nd
     normal = design.transpose(0, 2, 1) @ design + 1e-6 * np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = inverse @ (design.transpose(0, 2, 1) @ far[near][..., None])
-    # the fitted plane is uncertain too, because its points are noisy
+    # the fitted plane is uncertain too, because the points that it was fitted to are noisy
     spread = np.sqrt(1 + inverse[:, 0, 0])
     return np.abs(far - plane[:, 0, 0]) / spread

@@ -88,7 +88,7 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = cloud.labelled()  # computes labels that the first guess has not computed
+    cloud = cloud.labelled()  # labels the points unless the first guess did
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = 1.0

@@ -117,7 +117,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     shape = (along / along.norm()).to(deviations.shape)
     return replace(
         deviations,
-        # the error is along the ray: each axis gets a third of its variance
+        # the error is along the camera's ray: each axis gets a third of its variance
         joints=(deviations.joints.square() + (factor * distance).square() / 3).sqrt(),
         shape=(deviations.shape.square() + shape.square()).sqrt(),
         ground=ground,
@@ -230,7 +230,7 @@ def _speed_of_resting_foot(
     known = np.isfinite(slowest)
     if known.sum() < _MIN_SEEN_S * images.fps:
         return None
-    # mean size of the second difference of both coordinates
+    # mean size of the second difference in time of both image coordinates
     jitter = np.abs(np.diff(place, 2, axis=1)).mean(-1)[:, half - 1 : place.shape[1] - half - 1]
     spread = np.nanmedian(jitter[which, np.arange(len(which))][known]) / NORMAL_MAD / np.sqrt(6)
     noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))

@@ -174,7 +174,7 @@ class AlternativeMotion:
     @property
     def excess(self) -> float:
         """By how much this motion's energy is larger, as a share of the chosen motion's."""
-        if self.chosen_energy <= 0:  # as with data without noise
+        if self.chosen_energy <= 0:  # as happens with data without noise
             return math.inf
         return self.energy / self.chosen_energy - 1
 

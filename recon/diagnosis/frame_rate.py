@@ -152,7 +152,7 @@ def _imbalance(movement: Movement, rate_factor: float) -> float:
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
-    # a raised foot gets the corners of the standing one, which leaves the hull unchanged
+    # a raised sole gets the corners of the standing one, which leaves the convex hull unchanged
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
     return float(distance_outside_hull(point, soles.reshape(len(soles), 4, 2)).mean())
 

@@ -286,7 +286,7 @@ def upside_down_findings(images: Images) -> tuple[Finding, ...]:
     if not {*named[0], *named[1]} <= {*images.points}:
         return ()
     shoulders, hips = (images.shown[:, :, [*map(images.points.index, some)]] for some in named)
-    # the offset from hips to shoulders along the image of the world's z axis
+    # the offset from hips to shoulders, along the direction of the world's z axis in the image
     upwards = ((shoulders.sum(2) - hips.sum(2)) * images.pose[..., :2, 2]).sum(-1)
     said = (
         "the person is upside down nearly throughout: if y of the keypoints counts upwards, write "

@@ -312,7 +312,7 @@ def without_outliers(
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
-    # outliers jump away and back, whereas a fast limb leaves the lagging quick fit smoothly
+    # an outlier jumps away and back; a fast limb moves smoothly, even if the quick fit lags behind
     bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
     if len(x) > 2:
         bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
@@ -323,7 +323,7 @@ def without_outliers(
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
-            # a first or last frame has no bend of its own, and took that of its neighbour
+            # not the clip's first or last frame, whose bend was copied from the neighbouring frame
             ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))

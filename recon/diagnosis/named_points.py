@@ -202,7 +202,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             spread = float(np.median(np.abs(seen - middle)))
             for one in (a, b):
                 wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
-    # a bone with a plausible length shows that both of its joints are right
+    # a joint is wrong if all of its bones are: one bone of plausible length shows it to be right
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
 
 

@@ -127,7 +127,7 @@ def exchanged_names(points: NamedPoints, body: BodyModel) -> tuple[tuple[int, in
     if not groups:
         return ()
     versions = [points, *(exchanged_back(points, group, always)[0] for group in groups)]
-    # each version alone: fits of all together end early where the given names are nearly as good
+    # fit each version alone: a batch would end early where the given names are nearly as good
     excerpts = [middle_seconds(without_implausible(one).observation) for one in versions]
     costs = [quick_fits([one], body)[0].cost for one in excerpts]
     best = int(np.argmin(costs))
@@ -182,7 +182,7 @@ def _pairs_repaired(
     predicted = PredictedPoints.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     if pairs or misplaced_points(predicted, noise)[1] or without_outliers(predicted, noise)[1]:
-        # a better quick fit may reach the suspicious points, which are right then
+        # points that a better quick fit reaches are right, even if they looked wrong before
         fitted = with_second_start(fitted, body)
         pairs = exchanged_moments(PredictedPoints.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
@@ -222,10 +222,10 @@ def _compared_with_body(
     bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
     limb = any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
     if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
-        # a bad quick fit must not judge points: it rejected an acrobat's planted hand
+        # judge no points by a bad quick fit, which would reject an acrobat's hand on the ground
         return named.observation, NOTHING, None, None
     kept, wild = without_outliers(replace(predicted, points=kept), noise)
-    # a point left out in all frames is a repair and a warning, since the fit must infer it
+    # a point left out in all frames is also a warning, since the fit must infer its place
     repairs, warnings = tuple(misplaced), tuple(misplaced)
     given = kept.given
     if wild is not None:

@@ -227,7 +227,7 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
             rows = [(k, one.get("node")) for k, one in told.items() if isinstance(one, dict)]
         elif old and isinstance(told, list):
             rows = [(one.get("bone"), one.get("node")) for one in told if isinstance(one, dict)]
-            # VRM 0.x names the joints of the thumb as those of the other fingers
+            # VRM 0.x names joints of the thumb like those of the other fingers
             for side in SIDES:
                 ours[f"{side}ThumbProximal"] = f"{side}_thumb1"
                 ours[f"{side}ThumbIntermediate"] = f"{side}_thumb2"
@@ -278,7 +278,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
     if "head" not in candidates and len(numbered) > 3:
         # Rigify counts neck and head as parts of the spine
         found["head"] = max(numbered, key=lambda k: len(tree.path(k)))
-    # a bone called foot is the ankle where no other bone is, and then it is not the toes
+    # ankles choose first: a bone called foot is the ankle if no other bone is, else maybe the toes
     for joint, rows in sorted(candidates.items(), key=lambda one: one[0].endswith("_foot")):
         free = [row for row in rows if row[2] not in found.values()]
         if not free:

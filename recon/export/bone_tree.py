@@ -73,7 +73,7 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
     head = tree.between(chest, top)
     if not head:
         return {}
-    # a leaf above the head's joint is its tip
+    # the last bone of a longer chain is the tip of the head, not its joint
     found["head"] = head[-2] if len(head) > 2 else head[-1]
     chains = [_leg(legs[0], places), _leg(legs[1], places)]
     ahead = sum((places[one[3]] - places[one[2]] for one in chains if len(one) > 3), np.zeros(3))
@@ -122,7 +122,7 @@ def _arm(
         elbow = min(range(first + 1, end), key=lambda k: abs(along[k] - half))
         return abs(float(along[elbow] - half) / (along[end] - along[first])), elbow
 
-    # upper arm and forearm are about as long as each other
+    # the chain begins with a collar bone if upper arm and forearm are then more equal in length
     first = int(end > 2 and unevenness_and_elbow(1)[0] < unevenness_and_elbow(0)[0])
     elbow = unevenness_and_elbow(first)[1]
     return [chain[0] if first else -1, chain[first], chain[elbow], chain[end]]

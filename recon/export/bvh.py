@@ -103,7 +103,7 @@ def write_bvh(
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
-    # so many decimals that positions are exact to 0.01 micrometres
+    # enough decimals for positions exact to 0.01 micrometres
     decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)

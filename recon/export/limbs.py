@@ -101,7 +101,7 @@ class Limb:
         """The limb of a side, and the contacts that it has to keep."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
-        # an arm that stands on a hand may have its thickest part above the wrist
+        # with a hand on the ground, the forearm may be lower than the wrist: it belongs to the tip
         end = chain[1 if names == ARM else 2]
         tip = tuple(k for k in rig.rest if end in tree.path(k))
         return cls(rig, chain, tip, person.contacts[f"{side}_{names[2]}"], names == ARM)
@@ -237,7 +237,7 @@ def _shifts_while_standing(
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one its own shift is kept
+            # before the first stand and after the last one, the shift of that stand is kept
             rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise

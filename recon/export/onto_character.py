@@ -115,8 +115,7 @@ def carry(
     raised = ratio * envelope((-soles).clamp(min=0.0), motion.fps)
     free = replace(free, hips=way - hips + raised[:, None] * _UP)
     carried, feet, hands = free, *({k for one in two for k in one.tip} for two in (legs, arms))
-    # first raise the body for feet and hands that limbs cannot bring above the ground, then refine
-    # for feet alone
+    # raise the body where feet and hands are below the ground: first for both, then for feet alone
     for lifted in (feet | hands, feet, feet):
         skin = rig.points(rig.posed(carried), [k for k in character.driven if k not in lifted])
         if skin.shape[1]:

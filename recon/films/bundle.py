@@ -87,7 +87,7 @@ class SeenBackground:
         np.add.at(square, self.point[rows], A.swapaxes(1, 2) @ A)
         chosen = np.bincount(self.point[rows], minlength=len(self.X)) >= 2
         self.X[chosen] = np.linalg.eigh(square[chosen])[1][:, :, 0]
-        # a homogeneous point has two signs: one lies in front of the first camera that sees it
+        # choose the sign of a homogeneous point: in front of the first camera that sees it
         first = rows[np.unique(self.point[rows], return_index=True)[1]]
         first = first[chosen[self.point[first]]]
         self.X[self.point[first]] *= np.sign(self.in_cameras(first)[:, 2:])
@@ -182,7 +182,7 @@ class _Adjustment:
         z = np.where(front, there[:, 2], 1.0)[:, None]
         seen = there[:, :2] / z
         off = it.focal * seen - it.places[rows]
-        # square root of the weight (1 + r²)⁻² of iteratively reweighted least squares
+        # square root of the weight (1 + r²)⁻² in iteratively reweighted least squares
         root = np.where(front, 1 / (1 + (off**2).sum(1) / self.scale**2), 0.0) / self.scale
         off, root = off * root[:, None], root[:, None, None]
         D = np.concatenate((np.tile(np.eye(2), (len(rows), 1, 1)), -seen[:, :, None]), 2)

@@ -61,7 +61,7 @@ def _indices(file: BinaryIO) -> Iterator[bytes]:
             yield file.read(size - 8)
         elif size >= 8:
             file.seek(size - 8, 1)
-        else:  # to the end of the file, or no box
+        else:  # a box without an end, or no box
             return
 
 

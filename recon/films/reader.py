@@ -237,7 +237,7 @@ def _sights(
         done = True
     finally:
         if unfinished is not None and state is not None and not done:
-            # an interruption between two statements may have left sights of a further frame
+            # after an interruption, detections of the frame after the saved state are left out
             unfinished.add([one for one in sights[kept:] if one.frame <= state.frame], kept, state)
     return sights
 

@@ -84,7 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """The hypothesis of every frame with which the landmarks move least."""
-    # cost of exchanged sides: two if image and mirror image agree on the sides, else one each
+    # exchanged sides cost 2 if image and mirror image agree on the sides; else each side costs 1
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
@@ -95,7 +95,7 @@ def _likeliest_hypotheses(
     usual = np.median(moved.mean(-1).min((1, 2))) if len(moved) else _SPREADS[0]
     spread = np.clip(usual, *_SPREADS) * np.diff(frames)
     far = np.minimum(moved / spread[:, None, None, None], _FARTHEST)
-    # cost of the movement from a hypothesis to one of the next frame
+    # cost of the movement from a hypothesis in one frame to a hypothesis in the next
     change = (_INDEPENDENT * np.square(far).sum(-1) / 2).swapaxes(-1, -2)
     path = cheapest_path(torch.from_numpy(votes)[None], torch.from_numpy(change)[None])
     return path[0].numpy()

@@ -280,7 +280,7 @@ class ClipProblem:
                 from recon.fitting.still_feet import with_still_feet  # used only for one view
 
                 (one,) = self.noises
-                # terms of data after the first only tie windows to each other
+                # data terms after the first only tie windows to each other
                 (view,) = views_of([cast(Any, data[0].energy)])
                 stages = with_still_feet(stages, view, body, one.metres / one.own)
             if self.guess.posed:

@@ -83,7 +83,7 @@ class CycleData:
         shown = [k for k, part in enumerate(parts) if bool(part.shown.any())]
         if not shown:
             return None
-        # on a clock that starts at the beginning of the cycle
+        # times count from the beginning of the cycle
         seen = [
             parts[k].derived(start_time=round(parts[k].start_time - cycle.start, 6)) for k in shown
         ]

@@ -161,7 +161,7 @@ def _network_proposal(
         shift = found.shift * found.shift.new_tensor([1.0, 1.0, 0.0])
         other = found.replace(shape=shape[None], base=base, shift=shift)
         made = prior.decode(other).motion[0]
-    # corrected at 20 Hz, since separate corrections of all frames would cause jitter
+    # translations are corrected at 20 Hz: separate corrections of all frames would cause jitter
     scaled = with_shape(window, prior.body, shape)
     away = at_rate(made).translation - at_rate(scaled).translation
     height = scaled.translation + _spline_matrix(made) @ away

@@ -88,7 +88,7 @@ class StillFeet(TensorStruct):
     def _weights(self, motion: Motion) -> Float[Tensor, "*batch steps 4"]:
         """Weights h of the steps of a motion of any rate, times its rate over 30 Hz."""
         time = motion.start_time + torch.arange(motion.frames - 1) / motion.fps
-        # rounding may put a frame a little before its moment
+        # 1e-3 frames are added, since rounding may put a time just before its frame
         row = ((time - self.start_time) * self.fps + 1e-3).floor().long()
         held = self.held[..., row.clamp(0, self.held.shape[-2] - 1).to(self.held.device), :]
         exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None]

@@ -70,7 +70,7 @@ def _parsed(path: Path, data: bytes) -> Any:
     except ValueError as error:
         if str(path) in str(error):
             raise
-        # raised by an integer with too many digits for Python
+        # the error is also raised by an integer with too many digits for Python
         raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     finally:
         if collects:

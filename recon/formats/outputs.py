@@ -134,7 +134,7 @@ def refuse_place(output: Output) -> None:
     """
     real = output.real
     for place in output.places:
-        if place.is_symlink():  # only a circular link is left by realpath
+        if place.is_symlink():  # realpath resolves all others but circular links
             raise OSError(f"{output.path}: its links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:

@@ -161,7 +161,7 @@ def unsupported_steps(
     """
     of = torch.tensor(bones)
     parents = torch.tensor(PARENTS)
-    # markers on the joint's bone, on its parent's and on those of its children
+    # whether a marker is on the joint's bone, on its parent's or on one of its children's
     near = torch.stack(
         [(of == j) | (of == PARENTS[j]) | (parents[of] == j) for j in range(len(JOINTS))]
     )
@@ -235,7 +235,7 @@ def with_jumps_spread(
             break
         turning = torch.ones(len(JOINTS))
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
-            # a joint jumps because its parent or grandparent turns, so these are made stiffer
+            # a joint jumps because its parent or grandparent turns: make both of these stiffer
             parent = max(PARENTS[joint], 0)
             turning[[parent, max(PARENTS[parent], 0)]] = solved_with_stiffer_joints
         tried = solve(*_interpolated_over(motion, around), turning)

@@ -97,8 +97,8 @@ class Naming:
         counts = (self.track[self.keys] >= 0).sum(1)
         parts = np.array_split(np.arange(len(self.keys)), min(_BEGINNINGS, len(self.keys)))
         at = [int(part[counts[part].argmax()]) for part in parts]
-        # frames are tried together, as that takes hardly longer: first those in which people stand
-        # as a rule, or from which the body is followed both ways at once
+        # search two frames together, which takes hardly longer than one: the first, since people
+        # mostly stand at the beginning, and a middle one, from which both directions are followed
         usual = [at.pop(0), *at[len(at) // 2 :][:1]]
         others = [k for k in at if k not in usual]
         found: list[tuple[FoundBody, int]] = []
@@ -138,7 +138,7 @@ class Naming:
         kept = [found.pose] * len(self.keys)
         ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
         for some in ([at], *([k for k in both if k is not None] for both in ways)):
-            # from the neighbour, both ways at once: a fit of two takes as long as that of one
+            # start from the next frame's pose in both directions: two fits take as long as one
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
             known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]

@@ -105,7 +105,7 @@ class Link(AbstractContextManager[Any]):
             try:
                 self._socket.send(packet)
             except ConnectionRefusedError as error:
-                # the error is about the previous packet; the present one was not sent yet
+                # the error is about the previous packet; this one was not sent
                 self._complain_once(
                     error, "nobody listens there yet; packets are sent all the same"
                 )

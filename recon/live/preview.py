@@ -102,7 +102,7 @@ class PreviewTracking(TrackedPerson):
         )
         self._add_findings(found.doubt, findings)
         motion = with_shape(motion, self._mean_shape(motion.shape[0]), self.body)[0]
-        # one more frame on either side, to compute speeds
+        # include one more frame on either side, to compute speeds
         first, last = max(rows[0] - 1, 0), min(stop, len(self.times) - 1)
         times = torch.arange(first, last + 1, dtype=torch.float64) / fps
         motion = motion.at(times.clamp(max=motion.stop_time), fps)

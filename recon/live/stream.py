@@ -167,8 +167,7 @@ class Stream:
             steps = math.floor((moment.time - last) * sensors.fps + 0.5)
         self._other_clock = None
         if steps < 1 and self._follows_one:
-            # either of the two times may be wrong; if the first one is, all later moments would
-            # count as late: so begin again with the second
+            # if the first time is wrong, all later moments would seem late: begin with the second
             self._end_tracking()
             self._add_finding(
                 "frame order",

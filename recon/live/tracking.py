@@ -132,7 +132,7 @@ class Tracking(TrackedPerson):
             self._add_moment(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.sensors.fps, 2):
             return self._restart_at_rejected(findings)
-        # the pose prior's energy is cheap to check, and its unchecked steps may be too long
+        # under the pose prior alone steps are checked: that is cheap, and they may be too long
         self.smoothed = (
             self._current_window.refined(1)
             if self.prior is None
@@ -268,7 +268,7 @@ class Tracking(TrackedPerson):
         rows = range(self.final, stop)
         if len(rows) == 0:
             return []
-        # one more frame on either side, to compute speeds
+        # include one more frame on either side, to compute speeds
         first = max(self.final - 1, 0)
         objective, own = now.objective, slice(self.final - first, stop - first)
         rotations, _, places = objective.posed(now.window[first : stop + 1])

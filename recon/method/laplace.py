@@ -139,7 +139,7 @@ def _deviations_of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    # leave out data outside the window
+    # keep the data inside the window
     sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
     moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
@@ -186,7 +186,7 @@ def _jacobian_and_precision(
     """Jacobian of a sensor's residuals, and the inverse variance of each."""
     found, slopes = neighbourhood.residuals(sensor, frame_of_moment)
     distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
-    # the positive part of the curvature of Geman-McClure's kernel
+    # the curvature of Geman-McClure's robust kernel, without its negative part
     belief = (1 + distance.square()).reciprocal().square()
     weight = found.weights.square() * belief / noise.own**2 * (REFERENCE_FPS / sensor.fps)
     dims = found.values.shape[-1]

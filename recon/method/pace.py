@@ -79,7 +79,7 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
     apart = late - _mean(late, weights).unsqueeze(-3)
     risen = values - _mean(values, weights).unsqueeze(-3)
     spread, rise = _mean(apart.square(), weights), _mean(apart * risen, weights)
-    # the times of two adjacent frames have the variance 1/4; one frame alone gives no speed
+    # two adjacent frames have times of variance 1/4; one frame alone (variance 0) gives no speed
     speed = torch.where(spread > 0.1, rise / spread.clamp(min=0.1), 0.0)
     shown = held.sum(-2) > 0
     found = (mean - speed * when).where(shown[..., None], 0.0)

@@ -183,7 +183,7 @@ def _oriented_plate(
     axes = np.stack((x, np.cross(z, x), z), -1)
     axes /= np.linalg.norm(axes, axis=0)
     notes: list[str] = []
-    # loads push up along the axis that the normal is nearest to
+    # forces on the person point up, along the laboratory axis nearest to the plate's normal
     upwards = np.sign(axes[np.abs(z).argmax(), 2])
     if (strong := np.abs(wrench[:, 2]) > LOADED_N).any() and (
         np.sum(wrench[strong, 2]) * upwards < 0

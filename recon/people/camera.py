@@ -151,9 +151,9 @@ def _common_ground(
         normal, above, factors = parts(x)
         out = [x[3:] / _SIZE]
         for spots, up, factor in zip(places, ups, factors, strict=True):
-            # divided by each person's scale factor: otherwise all would shrink towards the ground
+            # heights are divided by the person's scale: else the smallest scales would fit best
             height = (spots @ normal + above / factor) / _ON_GROUND
-            # robust above the ground, since people who run or jump are in the air; not below it
+            # heights above the ground, as of people who jump, count robustly, others in full
             height = np.where(height > 0, _pseudo_huber_residual(height), height)
             out.append(height / np.sqrt(len(spots)))
             lean = (up - normal) / upright

@@ -104,8 +104,8 @@ def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: 
     """Dynamics of a body that is given by the second moments of its mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
     bends, places = second_differences(bones, fps), inner_frames(bones, fps)
-    # moments are Σ m u uᵀ of points u; the fourth entries of a u are skinning weights, which sum
-    # to one, so that the sum of these columns is Σ m u
+    # in the moments Σ m u uᵀ, every fourth entry of u is a skinning weight; these weights have the
+    # sum 1, so the sum of the columns that belong to them is Σ m u
     first = moments.unflatten(-1, (-1, 4))[..., 3].sum(-1)[..., None, :, None]
     centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
     product = places @ moments[..., None, :, :] @ bends.mT

@@ -142,7 +142,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
     trusted = alone[:, None] & contact
     centre = _pressure_centres(centre, points[..., :2], target, trusted, misfit)
     centre = _smoothed_within_stances(centre, contact, motion.fps)
-    # second differences smear a push-off into flight
+    # second differences in time spread the load of a push-off into frames of the flight after it
     explained = maximum_filter1d((carried | (load < FULL_LOAD)).numpy(), 4 * step + 1)
     warnings = _support_warnings(explained, contact)
     if mass is None:

@@ -166,7 +166,7 @@ def _surface_samples(
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
-    # the last frame is compared with itself, which does not count
+    # the last frame, which no frame follows, is compared with itself; `step_exists` leaves it out
     following = torch.arange(own.start + 1, own.stop + 1).clamp(max=len(skin) - 1)
     steps = (skin[following, :, :2] - skin[own, :, :2]).norm(dim=-1)
     sunk = (skin[own, :, 2] <= 0) & (skin[following, :, 2] <= 0)

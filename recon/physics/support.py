@@ -172,7 +172,7 @@ def _energies_of_pairs(
     moving = average_dynamics(estimate.body, estimate.motion.fps)
     line, away = second - first, zmp(moving)[..., None, :] - first
     share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
-    # plus a little, since the square root has no derivative at zero
+    # 1e-8 is added, since the square root has no derivative at zero
     distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()
     beyond = (distance - REACH).clamp(min=0) / BALANCE
     return unrest[..., one].maximum(unrest[..., other]) + 0.5 * beyond.square()

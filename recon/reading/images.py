@@ -87,7 +87,7 @@ def pinhole(
             T_recording_camera = camera_above(LEVEL_CAMERA)
         poses = np.linalg.inv(T_recording_camera)[None]
         if (path := arrays.path) is not None:
-            # a tracked path starts at the given pose; a level path is only moved there
+            # move a tracked path to begin at the given pose; a level path is not rotated
             first = path.T_world_camera[0]
             T = T_recording_camera @ np.linalg.inv(first)
             if path.level:

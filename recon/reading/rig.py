@@ -321,7 +321,7 @@ def _bundle_adjusted(
     cameras = np.concatenate((turns, poses[:, :, 3], np.zeros((len(views), 2))), 1)
     start = np.concatenate((cameras.ravel(), _nearest_points(poses, places, seen).ravel()))
     filled = _jacobian_sparsity(view, point, len(views), len(residuals(start)), len(start))
-    # a robust loss, as detectors err much now and then
+    # a robust loss, since detectors make a few large errors
     found = least_squares(
         residuals, start, jac_sparsity=filled, loss="soft_l1", x_scale="jac", max_nfev=100
     )

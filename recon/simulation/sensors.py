@@ -166,7 +166,7 @@ def _simulated_views(
         )
     files: dict[str, ObservationFile] = {}
     for k, (name, camera) in enumerate(cameras.items()):
-        # so the first 100 views share no seed with those of the next --seed
+        # the first 100 views have other seeds than those of the next --seed
         own = 100 * seed + k
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()

@@ -26,7 +26,7 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_FASTEST = 0.1  # factor by which gains are taken to shrink from step to step at best
+_FASTEST = 0.1  # smallest ratio expected between the gains of successive steps
 _MIN_DAMPING = 1e-6
 """Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 

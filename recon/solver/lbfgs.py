@@ -141,7 +141,7 @@ def _minimise(
         moved = finished & (searches.low[0] > 0)
         ledger.step(active, moved)
         active.count_stalls(moved, settings.tolerance_decrease, settings.scale)
-        # Even the full quasi-Newton step promises a decrease too small to count.
+        # Searches end where even the full quasi-Newton step would decrease the value too little.
         size = np.maximum(np.abs(searches.origin), settings.scale)
         least = max(settings.tolerance_decrease, resolution) * size
         flat = ~active.steepest & ~verdict.unreachable & (-origin_slope <= least)

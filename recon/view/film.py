@@ -127,6 +127,6 @@ def _with_film(view: View, film: Film, motion: Motion, name: str) -> View:
             f"{name}, which lasts from {motion.start_time:.2f} s to {motion.stop_time:.2f} s; "
             "give the whole film that the motion was fitted to"
         )
-    # of images that were filled up, the camera's are taken to be as large as the film's
+    # images padded for a detector: the camera gets the size of the film's images
     taken = size if (scale == 1).all() else wanted
     return replace(view, camera=view.camera.replace(image_size=taken), film=found)

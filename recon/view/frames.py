@@ -115,7 +115,7 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
     ):
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.pix_fmt = "yuv420p"
-        # compared with "medium" at 19: half the time, the same size, 0.5 dB worse
+        # preset "medium" with crf 19 takes twice the time for the same size, and is 0.5 dB better
         stream.options = {"crf": "18", "preset": "veryfast"}
         for picture in pictures:
             # H.264 needs even sides, since it stores colours at half resolution

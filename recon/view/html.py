@@ -194,7 +194,7 @@ def _add_body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
         bone_positions=figure.posed.rest.numpy(),
         skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
         color=_darker_colour(figure.colour),
-        # two skins at the same depth would flicker
+        # a translucent body is a wireframe, as two surfaces at the same depth would flicker
         wireframe=figure.opacity < 1,
         opacity=None if opacity == 1 else opacity,
     )

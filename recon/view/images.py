@@ -159,7 +159,7 @@ def paint_view(
         places.append(view.pixels[frame].detach().cpu().double().numpy())
         if (own := view.reprojected) is not None:
             places.append(own.pixels[frame][own.in_front[frame]].detach().cpu().double().numpy())
-    # the rectangle with the bodies and points alone is supersampled
+    # supersample only the rectangle with bodies and points
     drawn = part.place(np.concatenate(places), across)
     if len(drawn) == 0:
         return picture

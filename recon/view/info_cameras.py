@@ -71,7 +71,7 @@ def describe_detections(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: as `read_keypoints` does.
     """
-    # the image's size does not matter for what is described
+    # any size of images serves, since it does not affect what is described
     found = read_keypoints(path, image_size=(1, 1))
     people = tracks_of_people(found)
     first, last = int(found.frame_numbers[0]), int(found.frame_numbers[-1])

@@ -157,7 +157,7 @@ class ScaledNetworks(nn.Module):
         for network, matrix, mean in moves:
             first = cast(nn.Linear, network.net[0])
             weight, bias = first.weight.double(), first.bias.double()
-            if outwards:  # W (M (x - m)) + b
+            if outwards:  # the network is then W M (x - m) + b
                 weight = weight @ matrix
                 bias = bias - weight @ mean
             else:

@@ -62,7 +62,7 @@ def drawn_room(
     eye = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     eye[2] = max(random.uniform(0.3, 2.3), 0.15)
     target = middle + random.normal(0.0, 0.12, 3)
-    # so that near people fit into the image in about half of the windows
+    # zoom so that near people fit into the image in about half of the windows
     zoom = random.uniform(0.8, 1.15) * min(away / 2.2, 1.6)
     matrix = [[zoom * _FOCAL, 0, SIZE[0] / 2], [0, zoom * _FOCAL, SIZE[1] / 2], [0, 0, 1]]
     camera = Camera.create(
@@ -223,7 +223,7 @@ def _board_or_wall(
         case 2:
             piece = box(random.uniform(0.1, 0.8, 3).tolist())
         case _:
-            # a board or corner of a wall that hides part of the person
+            # a board, or a corner of a wall, hides part of the person
             size = (random.uniform(0.1, 1.0), 0.05, random.uniform(0.3, max(height, 0.5)))
             piece = box(size, random.choice([0.0, random.uniform(0, 1.0)]))
     return piece.placed((*place[:2], 0.0), heading)

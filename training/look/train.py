@@ -262,7 +262,7 @@ def train(settings: LookTraining) -> Path:
     """
     with logged_in_folder(settings):
         body = BodyModel.load()
-        # also clips on the ground and on furniture, whose poses may be learned but not their steps
+        # also clips on the ground and furniture, whose poses may be learned but not steps
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
         return LookRun(settings, learned, held_out).train_to_end()
