@@ -160,8 +160,8 @@ def refuse_other_run(path: Path, own: dict[str, Any], found: dict[str, Any] | No
     if len(names) > 0:
         said = [_difference_in_words(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
-            f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
-            "and files of that run"
+            f"{path}: belongs to a run with other {', '.join(said)}; take another folder, or the "
+            "settings and files of that run"
         )
 
 

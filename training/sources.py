@@ -272,7 +272,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
         table = json.loads(decoded_text(read_bytes(path)))
         frames = np.array(table["Frames"], dtype=float)
         if frames.ndim != 2 or frames.shape[1] != 44 or not np.isfinite(frames).all():
-            raise ValueError(f"its frames have the shape {frames.shape}")
+            raise ValueError(f"got frames {frames.shape}, or NaN or infinity in them")
         turns = _joint_rotations(frames)
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path}: expected frames of 44 numbers (DeepMimic): {error}") from error

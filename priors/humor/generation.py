@@ -242,8 +242,8 @@ def predict(
     """
     if not bool(motion.valid.all()):
         raise ReconError(
-            "expected clips without missing frames at their ends; predict clips of unequal length "
-            "one by one"
+            "expected clips without missing frames at their ends; continue clips of unequal "
+            "length one by one"
         )
     humor = humor.like(motion.translation)
     end = motion.window(max(motion.frames - 2, 0), motion.frames)
@@ -321,8 +321,8 @@ def first_states(
     """
     if not torch.equal(initial.features.cpu(), distinct_features()):
         raise ValueError(
-            "expected a mixture over the independent features of a state, from which first states "
-            "can be drawn; that of the released weights is over all features"
+            "first states can be drawn only from a mixture over the independent features of a "
+            "state; that of HuMoR's released weights is over all features: take the weights open"
         )
     drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)

@@ -55,8 +55,8 @@ def estimate_given(
     if not isinstance(motion, Path | str) or _of_this_body(Path(motion), body):
         if unit or up or hand:
             raise ReconError(
-                "expected no unit, up or hand, which are for estimates of other programs: a "
-                "motion of recon is in metres, with z up and right-handed"
+                "leave out unit, up and hand (of left- or right-handed axes), for estimates "
+                "of other programs: a motion of recon is in metres, right-handed, with z up"
             )
         found = motion_given(motion, body).motion
         if known_shape is not None:

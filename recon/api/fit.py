@@ -165,7 +165,7 @@ def fit(
     )
     odd = [one for one in options.terms if not isinstance(one, Term)]
     if odd := odd + [one for one in checks or () if not callable(one)]:
-        raise ReconError(f"terms, checks: expected Terms and functions, got {odd[0]!r:.60}")
+        raise ReconError(f"terms: expected recon.Term, checks: functions; got {odd[0]!r:.60}")
     stopper = None
     if callback is not None or max_seconds is not None:
         limit = None if max_seconds is None else positive_number(max_seconds, "max_seconds")

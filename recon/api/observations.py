@@ -99,7 +99,7 @@ def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
 
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
-        raise ReconError("ground: the files were read with a ground; give the plane to the reader")
+        raise ReconError("ground: files were read with one; give this plane when they are read")
     if unposed:
         found = _clip_in_world(clip, camera_above(plane), known=False)
     else:

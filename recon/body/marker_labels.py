@@ -161,7 +161,9 @@ def _landmark_of_label() -> Mapping[str, str]:
     def add(label: str, point: str) -> None:
         known = table.setdefault(normalised_label(label), point)
         if known != point or point not in landmarks():
-            raise ReconError(f"markers.toml: label {label!r} -> {point!r}, but also {known!r}")
+            raise ReconError(
+                f"markers.toml: {label!r} is both {point!r} and {known!r}; expected one"
+            )
 
     for section in ("middle", "single"):
         for point, labels in sections[section].items():

@@ -78,7 +78,7 @@ def write_and_tell(
         console.print_json(result)
     if report.get("failed"):
         reasons = "; ".join(stage["termination"] for stage in report.get("stages", ()))
-        raise Failed(f"{out}: {reasons or 'a fit met nan or inf'}")
+        raise Failed(f"{out}: the fit failed: {reasons or 'it met nan or inf'}")
 
 
 def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:

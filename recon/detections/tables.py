@@ -270,9 +270,9 @@ def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Bac
     whole = pixels.dtype.kind == "f" and which.dtype.kind in "iu"
     if not shaped or not whole or (which < 0).any() or (which[:, 1] >= len(which)).any():
         raise FormatError(
-            f"{path}: expected background (N, 2) of decimal numbers and its whole background_of "
-            f"(N, 2), frames and points from 0 to N, got {pixels.dtype} {pixels.shape} and "
-            f"{which.dtype} {which.shape}"
+            f"{path}: expected background (N, 2) of decimal numbers, and background_of (N, 2) of "
+            "whole numbers: the frame of each, and its point, from 0 to N - 1; got "
+            f"{pixels.dtype} {pixels.shape} and {which.dtype} {which.shape}"
         )
     PIXEL.check(pixels, path.name, "background")
     return Background(which[:, 0], which[:, 1], pixels.astype(np.float64))
@@ -292,8 +292,8 @@ def _straight_lines(
     shaped = lines.shape[1:] == (2, 2) and frame.shape == lines.shape[:1]
     if not shaped or lines.dtype.kind != "f" or frame.dtype.kind not in "iu":
         raise FormatError(
-            f"{path}: expected lines (N, 2, 2) of decimal numbers and their whole lines_frame "
-            f"(N), got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
+            f"{path}: expected lines (N, 2, 2) of decimal numbers, and lines_frame (N) of whole "
+            f"numbers, got {lines.dtype} {lines.shape} and {frame.dtype} {frame.shape}"
         )
     PIXEL.check(lines, path.name, "lines")
     return {"lines": lines.astype(np.float64), "lines_frame": frame}
@@ -312,11 +312,11 @@ def _numbers_of_rows(
     whole = numbers.dtype.kind in "iu" and identity.dtype.kind in "iu"
     if not whole or numbers.shape != shape[:1] or identity.shape != shape:
         raise FormatError(
-            f"{path}: expected whole frame_numbers of {shape[:1]} and identity of {shape}, got "
-            f"{numbers.dtype} {numbers.shape} and {identity.dtype} {identity.shape}"
+            f"{path}: expected whole numbers, frame_numbers of shape {shape[:1]} and identity of "
+            f"{shape}, got {numbers.dtype} {numbers.shape} and {identity.dtype} {identity.shape}"
         )
     if (numbers < 0).any() or (np.diff(numbers.astype(np.int64)) <= 0).any():
-        raise FormatError(f"{path}: expected frame_numbers that rise from 0 or more")
+        raise FormatError(f"{path}: expected frame_numbers of 0 or more, each above the last")
     return numbers, identity
 
 

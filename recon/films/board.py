@@ -178,8 +178,9 @@ def _lens(film: Film, board: Board) -> _Lens:
     camera, off, std = _calibrated(film, board, [seen[k] for k in kept])
     if std > _SURE:
         raise ObservationError(
-            f"{film.path}: the focal length is not told better than to {std:.0%}; tilt the board "
-            "by 30 to 45 degrees each way, and bring it near, into every part of the image"
+            f"{film.path}: the focal length is uncertain by {std:.0%}, expected at most "
+            f"{_SURE:.0%}; tilt the board by 30 to 45 degrees each way, and bring it near, into "
+            "every part of the image"
         )
     return _Lens(seen, camera, float(np.sqrt(np.mean(np.square(off)))), std)
 

@@ -74,8 +74,9 @@ class WholeRecording:
         del body
         if weights != "open":
             raise WeightsError(
-                f"weights: two priors complete a recording, expected open for both, got "
-                f"{weights}; give a file with --prior anchor, or a WholeRecording"
+                "weights: a recording is completed by two priors, each with weights of its own, "
+                f"so expected the name open, got {weights}; give a file of weights with --prior "
+                "anchor, or give a WholeRecording"
             )
         return cls(weights=weights, cycle_weights=weights)
 

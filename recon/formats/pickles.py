@@ -117,11 +117,11 @@ class _CompressedRows(_InertObject):
         """The full matrix of compressed rows."""
         MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
         if min(lines, length) < 0:
-            raise FormatError(f"a sparse matrix of shape {lines} x {length}")
+            raise FormatError(f"a sparse matrix has the negative shape {lines} x {length}")
         dense = np.zeros((lines, length))
         starts = np.asarray(self.state["indptr"], np.int64)
         if len(starts) != lines + 1 or starts[-1] != len(self.state["data"]):
-            raise FormatError(f"a sparse matrix of {lines} rows whose row pointers do not fit")
+            raise FormatError(f"the row pointers of a sparse matrix do not fit its {lines} rows")
         line = np.repeat(np.arange(lines), np.diff(starts))
         columns, numbers = np.asarray(self.state["indices"]), np.asarray(self.state["data"])
         np.add.at(dense, (line, columns), numbers)
@@ -143,7 +143,7 @@ def _unwrapped(value: object) -> object:
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
     """Bytes that Python 3 pickled for Python 2 as latin-1 text; other codecs are refused."""
     if encoding not in ("latin1", "latin-1"):
-        raise FormatError(f"unexpected text encoding {encoding!r}")
+        raise FormatError(f"expected text in latin-1, got the encoding {encoding!r}")
     return text.encode("latin-1")
 
 
@@ -153,7 +153,7 @@ def _empty_array(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray
     Only size zero is allowed.
     """
     if kind is not np.ndarray or tuple(shape) != (0,):
-        raise TypeError(f"unexpected array of shape {shape}, {code!r:.20}")
+        raise TypeError(f"expected an array that begins empty, got {shape}, {code!r:.20}")
     return np.ndarray.__new__(np.ndarray, (0,), "b")
 
 
@@ -162,14 +162,14 @@ def _some_bytes(value: object = b"", *encoding: str) -> bytes:
     if isinstance(value, str):
         return _latin_bytes(value, *encoding)
     if not isinstance(value, bytes | bytearray | list | tuple):
-        raise TypeError(f"unexpected bytes of {type(value).__name__}")
+        raise TypeError(f"expected bytes or a list of them, got {type(value).__name__}")
     return bytes(value)
 
 
 def _inert_record(kind: type, base: type, state: object) -> object:
     """Replacement for copyreg._reconstructor that makes only inert records."""
     if not issubclass(kind, _InertObject) or base is not object:
-        raise TypeError(f"unexpected record of type {kind.__name__}")
+        raise TypeError(f"expected a record without code, got one of the type {kind.__name__}")
     del state
     return kind.__new__(kind)
 
@@ -192,7 +192,7 @@ def _array_of_tensor(
     del rest
     numbers = torch.empty(0, dtype=storage.dtype).set_(storage)
     if prod(shape) > len(numbers):
-        raise _ForbiddenNameError(f"a tensor of {shape} with {len(numbers)} numbers")
+        raise _ForbiddenNameError(f"a tensor of shape {shape} with only {len(numbers)} numbers")
     return numbers.as_strided(shape, strides, offset).numpy()
 
 

@@ -57,8 +57,9 @@ class Unknowns(TensorStruct, Generic[S]):
         if ground is not None:
             if not hasattr(variables, "carried"):
                 raise ValueError(
-                    "the prior needs to know the ground: its variables cannot be "
-                    "carried to another world; give the cameras' poses, or take the default method"
+                    "this prior cannot be fitted with an unknown ground: its variables have no "
+                    "method carried(T, body), which turns them into another frame; give the "
+                    "cameras' poses, or take the default method"
                 )
             variables = variables.carried(ground.T_world_recording, body)
         if portion is not None:

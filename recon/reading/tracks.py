@@ -276,7 +276,9 @@ def _rays_of_track(
     size = np.array([body_size(*pair) for pair in zip(pixels, confidence, strict=True)])
     pose = camera.T_camera_world
     if pose is None:
-        raise ObservationError(f"{view.name}: expected a camera with a pose")
+        raise ObservationError(
+            f"{view.name}: expected a camera with its pose; give T_camera_world"
+        )
     rays = pixels[:, columns].astype(np.float64)
     if rays.size > 0:
         flat = rays.reshape(-1, 1, 2)

@@ -289,7 +289,9 @@ class Show:
 
     def __post_init__(self) -> None:
         if len(self.figures) == 0:
-            raise ValueError("a show needs at least one figure")
+            raise ValueError(
+                "nothing to draw: expected at least one figure (a moving body), got none"
+            )
         for what, shown in (("figures", self.figures), ("cameras", self.cameras)):
             names = [one.name for one in shown]
             if len(set(names)) != len(names):

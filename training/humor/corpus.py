@@ -135,7 +135,10 @@ class Corpus(TensorStruct):
             if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
         ]
         if len(found) == 0:
-            raise ValueError(f"{settings.corpus}: holds no {part} clip that may teach {lesson}")
+            raise ValueError(
+                f"{settings.corpus}: holds no {part} clip from which {lesson} may be learned; "
+                "convert more recordings"
+            )
         names, kinds, clips = zip(*found, strict=True)
         splits = Splits.load(settings.splits)
         count = torch.tensor([c.motion.frames for c in clips])

@@ -105,7 +105,10 @@ class BodyCorpus(TensorStruct):
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
-            raise ValueError(f"{settings.corpus}: holds no {part} clip that may teach steps")
+            raise ValueError(
+                f"{settings.corpus}: holds no {part} clip from which steps may be learned; "
+                "convert more recordings"
+            )
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
         LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / FPS / 60)

@@ -204,7 +204,7 @@ class Source:
         """
         body, clips = BodyModel.load(), settings.load_clips(part)
         if len(clips) == 0:
-            raise ValueError(f"{settings.corpus}: holds no {part} clip")
+            raise ValueError(f"{settings.corpus}: holds no {part} clip; convert more recordings")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
         return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
 
