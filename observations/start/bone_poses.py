@@ -60,7 +60,7 @@ def hessian_by_turns(
     first, mass = below @ first, mass @ below.mT
     joints = bones[..., 3]
     lever = first - mass[..., None] * joints
-    # second moments about joint b, Σ w x (x - p_b)ᵀ, then about a and b, Σ w (x - p_a) (x - p_b)ᵀ
+    # second moments of the points below joint b: about b, then about both joints, a and b
     own = second - first[..., None] * joints[..., None, :]
     upper, lower = _HANGING
     moments = own[:, lower] - joints[:, upper, :, None] * lever[:, lower, None, :]

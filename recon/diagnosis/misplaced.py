@@ -323,7 +323,7 @@ def without_outliers(
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
             inner = [t for t in (first, last) if 0 < t < len(far) - 1]
-            # not the clip's first or last frame, whose bend was copied from the neighbouring frame
+            # leave out the clip's first and last frame, whose second differences are not known
             ends = inner or ([first] if first == last else [])
             far[first : last + 1, point] = min(bend[ends, point], default=0.0) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))

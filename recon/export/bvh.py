@@ -48,7 +48,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
     """As `skeleton_of`, with fingers that end in tips; wrists have no tips of their own then."""
-    from recon.body.hands import finger_offsets, pose_fingers  # imported here: few have fingers
+    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)

@@ -84,7 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """The hypothesis of every frame with which the landmarks move least."""
-    # exchanged sides cost 2 if image and mirror image agree on the sides; else each side costs 1
+    # image and mirror image agree on left and right: to exchange them costs 2; else all cost 1
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )

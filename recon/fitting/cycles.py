@@ -277,7 +277,7 @@ class _CycleCompletion:
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
         prior, noise = self.prior, self.noise
-        # use every `step`-th frame while first guesses are compared
+        # compare first guesses by every `step`-th frame only
         step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
             _coarse_observation(o, max(round(o.fps / self.clock.fps * step), 1), body)

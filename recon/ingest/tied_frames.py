@@ -155,7 +155,7 @@ def minimise_frames(
         tried = energies.moved(state, rows, steps)
         values, slopes = energies.energies_and_gradients(tried, rows)
         ends, pulls = energies.tie_energies(tried)
-        # a frame's step is judged without the effect that its neighbours' steps have on ties
+        # a frame's step is judged as if its neighbours, to which it is tied, did not move
         times_vector = pull[rows] + energies.stiffness * steps - 0.5 * ties.times_vector(steps)
         change = values - value[rows] + (times_vector * steps).sum(-1)
         good = change <= rounding * scale  # false where `change` is NaN
@@ -293,7 +293,7 @@ def solve_tied(
     x = _solved_blocks(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
-    # the residual of the solution without ties is the force that ties exert
+    # x solves the system without ties of neighbouring frames: what it leaves is the ties' force
     residual = ties.times_vector(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)
