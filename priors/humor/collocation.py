@@ -223,7 +223,7 @@ class Collocation(Prior[PoseVariables]):
         whole = root, replace(poses, minimiser=rough), replace(feet, minimiser=ended)
         if all_joints_located(data, self.humor.body):
             return whole
-        # imported here: fits in which every joint is located propose no limbs
+        # imported here: fits in which every joint is seen need no network for limbs
         from priors.look.looking import LookedLimbs, UnseenLimbs, load_network
 
         unseen = UnseenLimbs.of(data, self.humor.body)

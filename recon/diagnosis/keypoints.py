@@ -370,7 +370,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = run_checks(images, names)
     images, contradictions = checked_against_each_other(images)
     found += more + contradictions
-    if contradictions.repairs:  # exchanged names are found only with right camera poses
+    if contradictions.repairs:  # only right camera poses show exchanged names
         images, more = repaired_sides(images)
         found += more
     jumps = identity_findings(images) if continuous and not disorder else ()

@@ -296,7 +296,7 @@ def fitted_codes(
             torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
             for p in pairs
         )
-        # regression of whitened neighbouring frames; singular values below one make the process stationary
+        # regression of whitened adjacent frames; singular values below one make it stationary
         left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
         follow = (left * lengths.clamp(max=_MEMORY)) @ right
         rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)
