@@ -187,6 +187,7 @@ def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.nda
     q3 = np.arctan2(-sign * r[:, a, b], r[:, a, a])
     first = np.stack((q1, q2, q3), -1)
     second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
+    # in gimbal lock R = R_a(q1 ± q3) R_b(±90°), so that only q1 ± q3 is known
     turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
     return _without_jumps(first, second, cosine, turned, np.sign(r[:, a, c]))
 

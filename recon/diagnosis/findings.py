@@ -21,6 +21,7 @@ Code = Literal[
     "rate",  # the number of frames per second is wrong by a factor
     "frame order",  # frames are not in the order of time
     "repeated frames",  # frames occur more than once
+    "floor",  # the ground is not at the height that the recording states
     "scale",  # everything is larger or smaller than a person by one factor
     "mirrored",  # the recording is a mirror image
     "outliers",  # many points are far from any body

@@ -47,7 +47,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
         raise ReconError(f"{path}: expected an ending {', '.join(SUFFIXES)}, got {path.suffix!r}")
     optional_module("pxr.UsdSkel", "usd-core", "writing USD", "usd")
     with replacing(path) as beside, TemporaryDirectory() as folder:
-        # written under a plain name, since the library parses arguments in file names
+        # first write a file with a plain name: the library parses arguments in file names
         staged = Path(folder) / f"motion{path.suffix.lower()}"
         _write_stage(staged, motion, body, names)
         shutil.copyfile(staged, beside)

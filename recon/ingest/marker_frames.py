@@ -111,7 +111,7 @@ def repaired_frames(
         return unsupported_steps(joints(motion), positions, visible, bones, limit)
 
     def solved_again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-        # first without a robust kernel, which would ignore the markers of wrongly turned limbs
+        # solve first without a robust kernel, which would ignore markers of wrongly turned limbs
         plain = replace(energies, sigma=None)
         start = _with_frames_solved(plain, frames, start, _solver_settings(energies, _NEAR))
         return _with_frames_solved(energies, frames, start, _solver_settings(energies, _EXACT))

@@ -139,7 +139,6 @@ def _deviations_of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    # keep the data inside the window
     sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
     moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
