@@ -138,7 +138,7 @@ class Naming:
         kept = [found.pose] * len(self.keys)
         ways = zip_longest(keys[keys > at].tolist(), keys[keys < at][::-1].tolist())
         for some in ([at], *([k for k in both if k is not None] for both in ways)):
-            # start from the next frame's pose in both directions: two fits take as long as one
+            # fit two frames at once, which takes as long as one, each from its neighbour's pose
             pose = concatenate([kept[k - int(np.sign(k - at))] for k in some])
             points, tracks = zip(*(self._points_and_tracks(k) for k in some), strict=True)
             known = [self._markers_of_points(self._mean_log_odds(own)) for own in tracks]

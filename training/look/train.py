@@ -262,7 +262,7 @@ def train(settings: LookTraining) -> Path:
     """
     with logged_in_folder(settings):
         body = BodyModel.load()
-        # also clips on the ground and furniture, whose poses may be learned but not steps
+        # with poses on the ground and furniture, too, from which no steps may be learned
         learned = Corpus.load(settings, "train", body, "poses")
         held_out = Corpus.load(settings, "validation", body)
         return LookRun(settings, learned, held_out).train_to_end()
