@@ -238,11 +238,11 @@ def unroll_given(
 class _Unroll(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, start: Tensor, added: Tensor, decoder: FrozenDecoder
+        ctx: Any, start: Tensor, biases: Tensor, decoder: FrozenDecoder
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        made, units = _unrolled(decoder, start, added)
+        made, activations = _unrolled(decoder, start, biases)
         ctx.decoder = decoder
-        ctx.save_for_backward(made.inputs, made.turns, made.rest, *units)
+        ctx.save_for_backward(made.inputs, made.turns, made.rest, *activations)
         return made.inputs, made.vectors, made.turns, made.rest
 
     @staticmethod

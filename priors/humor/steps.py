@@ -152,10 +152,10 @@ _SIZE = SPAN * FRAME + 16
 
 @dataclass(frozen=True)
 class StepCurvature(TensorStruct):
-    """Mean Σ JᵀJ of a step's residuals by the steps of its frames, and by the shape.
+    """Mean JᵀJ of the residuals of a transition between frames, over recorded motions.
 
-    Residuals are those of the energies in nats; translations are in the heading of the frame
-    that the step starts from.
+    J has the derivatives by the variables of its frames and by the shape; energies are in nats,
+    translations in the heading of the frame that the transition starts from.
     """
 
     error: Float[Tensor, "numbers numbers"]

@@ -111,7 +111,7 @@ def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape
 
 
 def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor, "clips time 22"]:
-    """The runs of a mask that last so many frames or longer."""
+    """The runs of a mask that last at least `frames` frames."""
     whole = mask.unfold(1, frames, 1).all(-1)
     around = torch.nn.functional.pad(whole, (0, 0, frames - 1, frames - 1))
     return around.unfold(1, frames, 1).any(-1)

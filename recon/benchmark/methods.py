@@ -104,7 +104,7 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
 
 
 def _fit_under_prior(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
-    """A method that fits under a prior, weighted for the noise that the window states."""
+    """A method that fits under a prior; the noise stated in the window weights its data."""
 
     def run(seen: PositionsFile) -> MotionFile:
         stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)

@@ -164,7 +164,10 @@ def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
 
 
 def exchanged_throughout(images: Images) -> list[ExchangedPair]:
-    """Neighbours along a limb that, exchanged in all frames, make bones plausibly short."""
+    """Keypoints at both ends of a bone that were exchanged with each other in all frames.
+
+    Exchanged back, they make the bones beside them plausibly short.
+    """
     last = images.pixels.shape[1] - 1
     found: list[ExchangedPair] = []
     for v in range(len(images.names)):

@@ -93,7 +93,9 @@ class Character:
             sizes = np.linalg.norm(part, axis=0)
             name, path = self.tree.names[k], self.file.path
             if not np.isfinite(self.world[k]).all() or sizes.min() < 1e-9:
-                raise FormatError(f"{path}: the bone {name!r:.40} has no size")
+                raise FormatError(
+                    f"{path}: the bone {name!r:.40} is scaled to zero or has no finite place"
+                )
             if np.linalg.det(part) < 0:
                 raise ReconError(
                     f"{path}: {name!r:.40} mirrors the character by a negative scale; apply the "

@@ -219,9 +219,10 @@ def _runs_with_slow_frame(
 def _shifts_while_standing(
     steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, fades: bool
 ) -> Float[Tensor, "time 2"]:
-    """Shifts of a foot that change by `steps` while it stands, and smoothly in between.
+    """Horizontal offsets to add to a foot: `steps` from frame to frame while it stands.
 
-    They are zero on the average of every stand. With `fades` they go to zero between.
+    Their mean over every stance is zero. Between stances they pass smoothly from one to the
+    next; with `fades` they go to zero there.
     """
     found, frames = steps.new_zeros(len(stands), 2), len(stands)
     stretches = runs(stands.numpy())

@@ -48,7 +48,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     if (count := len(load_smpl(smplx).parents)) != _SMPLX_JOINTS:
         raise ReconError(
             f"{smplx}: expected a SMPL-X body, which has {_SMPLX_JOINTS} joints, got {count}: the "
-            "loaders of robots pose SMPL-X"
+            "programs of robots load SMPL-X"
         )
     target = BodyModel.load(smplx)
     moved = on_body(motion, body, target)

@@ -244,7 +244,7 @@ class _Fingers(Problem[Tensor]):
         return self._terms(x, self.posed(x))[None]
 
     def tip_std(self, x: Tensor) -> Float[Tensor, "time 5"]:
-        """Standard deviation of tips about the wrist along the most uncertain axis, metres."""
+        """Standard deviation of each tip relative to the wrist along its worst axis, metres."""
         quadratic = self.model(x, torch.zeros(1, dtype=torch.long))
         inverse = Factor(quadratic.hessian[0], 0.0).inverse()
         tips = self.jacobian(x, self.posed(x))[:, 4::4]

@@ -113,7 +113,7 @@ class LongRecording:
             guess = observations[0].start(body) if start is None else start
         if guess.translation.shape[:-2] != (1,):
             raise ValueError(
-                "expected one clip, positions (1, time, points, 3); got a first guess of shape "
+                "expected one clip: a first guess with translations of shape (1, time, 3); got "
                 f"{tuple(guess.translation.shape)}; fit long clips one after the other"
             )
         # at a low frame rate a window of this duration has few frames

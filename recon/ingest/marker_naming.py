@@ -99,11 +99,11 @@ class Naming:
         at = [int(part[counts[part].argmax()]) for part in parts]
         # search two frames together, which takes hardly longer than one: the first, since people
         # mostly stand at the beginning, and a middle one, from which both directions are followed
-        usual = [at.pop(0), *at[len(at) // 2 :][:1]]
-        others = [k for k in at if k not in usual]
+        starts = [at.pop(0), *at[len(at) // 2 :][:1]]
+        others = [k for k in at if k not in starts]
         found: list[tuple[FoundBody, int]] = []
         for some, effort, least in (
-            (usual, 1, 1.0), (others, 1, _TOLERABLE), ([*usual, *others], 3, np.inf)
+            (starts, 1, 1.0), (others, 1, _TOLERABLE), ([*starts, *others], 3, np.inf)
         ):  # fmt: skip
             if some:
                 clouds = [self._points_and_tracks(k)[0] for k in some]

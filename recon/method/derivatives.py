@@ -117,7 +117,7 @@ def add_stance_information(
     return True
 
 
-def ground_deviation(
+def ground_std(
     covariance: Float[Tensor, "m m"], scenes: Scene, belief: GroundBelief, step: float
 ) -> GroundDeviation:
     """Standard deviations of the ground, metres and radians, from its coordinates' covariance."""

@@ -28,7 +28,7 @@ from recon.method.derivatives import (
     GroundDeviation,
     Neighbourhood,
     add_stance_information,
-    ground_deviation,
+    ground_std,
 )
 from recon.method.priors import Density
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -172,7 +172,7 @@ def _deviations_of_window(
         marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
-    lying = ground_deviation(found.border, near.translated.scene, ground, STEP)
+    lying = ground_std(found.border, near.translated.scene, ground, STEP)
     return replace(marginals, ground=lying)
 
 

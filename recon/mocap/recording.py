@@ -351,7 +351,7 @@ def head_to_foot(
         lengths = np.linalg.norm(offsets, axis=-1)
     for joint, (parent, length) in enumerate(zip(parents, lengths, strict=True)):
         depth[joint] = 0.0 if parent < 0 else depth[parent] + length
-    # distance to the farthest head and foot below every joint
+    # root distance of the farthest head (row 0) and foot (row 1) among a joint's descendants
     deepest = np.full((2, len(names)), -math.inf)
     for kind, ends in enumerate((heads or every, feet or every)):
         deepest[kind, list(ends)] = depth[list(ends)]

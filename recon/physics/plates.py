@@ -128,7 +128,7 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
 
 
 def _stands_within(corners: np.ndarray, centre: np.ndarray, contact: np.ndarray) -> bool:
-    """Whether a foot stands within a rectangle for more than a fifth of some frames."""
+    """Whether a foot stands within a rectangle in more than a fifth of the given frames."""
     origin, sides = corners[0, :2], (corners[[1, 3]] - corners[0])[:, :2]
     along = (centre - origin) @ sides.T / (sides**2).sum(-1)
     inside = ((along > 0) & (along < 1)).all(-1) & contact

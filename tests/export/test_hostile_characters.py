@@ -90,7 +90,7 @@ REFUSED = {
     "no skin": (_skinless, "expected a rigged character, but it has no skin"),
     "negative scale": (_mirrored, "mirrors the character by a negative scale"),
     "uneven scale": (_uneven, "is scaled unevenly"),
-    "no size": (_flat, "has no size"),
+    "no size": (_flat, "is scaled to zero"),
     "circle": (_circle, "their own ancestors"),
     "two parents": (_two_parents, "has two parents"),
     "a child that is not there": (_far_child, "expected the number of a node below 24, got 9999"),
