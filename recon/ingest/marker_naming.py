@@ -133,9 +133,7 @@ class Naming:
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
-    def _follow_and_turn(
-        self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]
-    ) -> None:
+    def _follow_and_turn(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
         """Follow the body, again while it fits better with a limb turned about its length."""
         parts = np.array_split(keys, min(_COMPARED, len(keys)))
         some = [int(p[(self.track[self.keys[p]] >= 0).sum(1).argmax()]) for p in parts]

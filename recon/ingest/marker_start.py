@@ -28,7 +28,10 @@ _DROPS = (1, 2, 3)
 """Iterations before which the worse half of the poses is given up."""
 _UNUSUAL = 0.01
 """Share of markers that do not fit that weighs as much as a unit of `FoundBody.unusual`."""
-_LIMBS = ((1, 1), (2, 1), (4, 1), (5, 1), (7, 1), (8, 1), (12, 1), (16, 0), (17, 0), (18, 0), (19, 0))
+_LIMBS = [
+    *((joint, 1) for joint in (1, 2, 4, 5, 7, 8, 12)),
+    *((joint, 0) for joint in range(16, 20)),
+]
 """Joints of limbs and head, and the axis along the limb in the rest pose."""
 _QUARTERS = (0.5 * np.pi, np.pi, 1.5 * np.pi)
 """Turns of a limb about its length that may exchange its markers."""
