@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from recon.core.struct import concatenate
 from recon.ingest.marker_places import MarkedBody
 from recon.ingest.marker_poses import Poses
-from recon.ingest.marker_start import FoundBody, found_bodies
+from recon.ingest.marker_start import FoundBody, found_bodies, turned_limb
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.mocap.recording import MarkerRecording
 
@@ -29,6 +29,8 @@ times that below which unusual poses need not be tried."""
 _SURE, _ROUNDS, _CALIBRATING, _ABOUT = 0.03, 2, 24, 4
 """Metres of spread of markers whose offsets are known; rounds and frames to find them, and frames
 on both sides of the first from which they are found at first."""
+_COMPARED, _TURNED = 4, 3
+"""Frames in which a limb is turned, and times that the body is followed at most."""
 _NOWHERE = 0.35
 """Cost from which on it is not found."""
 _LEAST, _ODDS = -4.0, 2.0
@@ -69,14 +71,13 @@ class Naming:
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
-            self._follow(found, at, near)
+            self._follow_and_turn(found, at, near)
             self._name_tracks()
             body = self._calibrated(found.body, near)
             pose = body.posed(self._translation[[at]], self._rotations[[at]])
             found = replace(found, body=body, pose=pose)
         body = found.body
-        self._sum[:], self._count[:] = 0.0, 0.0
-        self._follow(found, at, every)
+        self._follow_and_turn(found, at, every)
         self._name_tracks()
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
@@ -131,6 +132,19 @@ class Naming:
         frame = self.keys[at]
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
+
+    def _follow_and_turn(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
+        """Follow the body, again while it fits better with a limb turned about its length."""
+        parts = np.array_split(keys, min(_COMPARED, len(keys)))
+        some = [int(p[(self.track[self.keys[p]] >= 0).sum(1).argmax()]) for p in parts]
+        for _ in range(_TURNED):
+            self._sum[:], self._count[:] = 0.0, 0.0
+            self._follow(found, at, keys)
+            poses = found.body.posed(self._translation[some], self._rotations[some])
+            turned = turned_limb(found.body, poses, [self._points_and_tracks(k)[0] for k in some])
+            if turned is None:
+                break
+            found, at = min(zip(turned, some, strict=True), key=lambda one: one[0].rank)
 
     def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
         """Follow the body from a key frame to others, and sum the log odds of tracks' names."""

@@ -28,6 +28,15 @@ _DROPS = (1, 2, 3)
 """Iterations before which the worse half of the poses is given up."""
 _UNUSUAL = 0.01
 """Share of markers that do not fit that weighs as much as a unit of `FoundBody.unusual`."""
+_LIMBS = [
+    *((joint, 1) for joint in (1, 2, 4, 5, 7, 8, 12)),
+    *((joint, 0) for joint in range(16, 20)),
+]
+"""Joints of limbs and head, and the axis along the limb in the rest pose."""
+_QUARTERS = (0.5 * np.pi, np.pi, 1.5 * np.pi)
+"""Turns of a limb about its length that may exchange its markers."""
+_CLOSE, _BETTER = 4, 0.9
+"""First iteration for poses that are nearly right, and share of a rank that is clearly less."""
 _FEW = LevenbergMarquardt(max_iterations=5, tolerance=1e-2, damping=1e-2)
 
 
@@ -98,6 +107,33 @@ def found_bodies(
     return [best[k] for k in range(len(among))]
 
 
+def turned_limb(
+    body: MarkedBody, poses: Poses, clouds: Sequence[Float[np.ndarray, "points 3"]]
+) -> list[FoundBody] | None:
+    """The body with one limb turned about its length, where that fits some frames better.
+
+    Markers of a hand, foot or head that were exchanged fit a single frame nearly as well, but not
+    several together.
+
+    Args:
+        body: with markers.
+        poses: in which it was found, one for each frame.
+        clouds: the points of each frame, metres.
+    """
+    turns = [(0, 1, 0.0), *((j, axis, angle) for j, axis in _LIMBS for angle in _QUARTERS)]
+    rotations = poses.rotations.repeat(len(turns), 1, 1, 1).unflatten(0, (len(turns), -1))
+    for own, (j, axis, angle) in zip(rotations, turns, strict=True):
+        own[:, j] = own[:, j] @ so3.exp(angle * torch.eye(3)[axis])
+    state = body.posed(poses.translation.repeat(len(turns), 1), rotations.flatten(0, 1))
+    cloud = np.tile(np.arange(len(clouds)), len(turns))
+    found = [one for _, one in _fits_of_poses(body, state, clouds, cloud, _CLOSE)]
+    ranks = np.reshape([one.rank for one in found], (len(turns), -1)).mean(1)
+    best = int(ranks.argmin())
+    if ranks[best] > _BETTER * ranks[0]:
+        return None
+    return found[best * len(clouds) : (best + 1) * len(clouds)]
+
+
 def _likely_places(
     places: Float[np.ndarray, "poses markers 3"],
     points: Float[np.ndarray, "points 3"],
@@ -127,12 +163,13 @@ def _fits_of_poses(
     state: Poses,
     clouds: Sequence[Float[np.ndarray, "points 3"]],
     cloud: Int[np.ndarray, " poses"],
+    first: int = 0,
 ) -> list[tuple[int, FoundBody]]:
     """The best poses of one body, fitted to the points of their clouds, with the clouds' numbers.
 
     All are fitted at once, which takes hardly longer than a fit of one; worse ones are dropped.
     """
-    for trial, reach in enumerate(_REACH):
+    for trial, reach in enumerate(_REACH[first:], first):
         found = _assigned_clouds(body.places(state), clouds, cloud, reach)
         if trial in _DROPS:
             kept = _better_half(np.array([cost for _, cost in found]), cloud)
