@@ -69,26 +69,26 @@ class Naming:
         every = np.arange(len(self.keys))
         if unknown > _SURE:  # learn the person's shape and offsets from frames near the first
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
-            self._follow(found, at, near)
+            self._follow_body(found, at, near)
             self._name_tracks()
-            body = self._calibrated(found.body, near)
+            body = self._calibrated_body(found.body, near)
             pose = body.posed(self._translation[[at]], self._rotations[[at]])
             found = replace(found, body=body, pose=pose)
         body = found.body
         self._sum[:], self._count[:] = 0.0, 0.0
-        self._follow(found, at, every)
+        self._follow_body(found, at, every)
         self._name_tracks()
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 former = self.marker.copy()
-                body = self._calibrated(body, every)
+                body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
                 self._name_tracks()
                 if (self.marker == former).all():
                     break
             else:
-                body = self._calibrated(body, every)
+                body = self._calibrated_body(body, every)
         self._look_again(body, body)
         self._name_tracks()
 
@@ -114,7 +114,7 @@ class Naming:
         return best
 
     def _misfit(self, found: FoundBody, at: int) -> float:
-        """Rank of a body in a key frame over the one below which it is found at once.
+        """Rank of a body in a key frame, divided by the rank below which it is accepted at once.
 
         Where points have names of the set, as in a trial that is named like itself, the share of
         those that disagree is added: most are right, while a limb put on wrongly has a good rank.
@@ -132,7 +132,7 @@ class Naming:
         shown = self.track[frame] >= 0
         return self.seen.positions[frame, shown], self.track[frame, shown]
 
-    def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
+    def _follow_body(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
         """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
@@ -161,7 +161,7 @@ class Naming:
     def _store_poses(self, poses: Poses) -> None:
         self._translation, self._rotations = poses.translation, poses.rotations
 
-    def _calibrated(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
+    def _calibrated_body(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
         """The body with a shape and offsets that fit the named markers of some key frames."""
         x, seen = self.named(self.keys)
         parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
@@ -233,7 +233,7 @@ class Naming:
         return x, seen
 
     def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
-        """Pose one body by the named markers, and sum anew the log odds of tracks by another."""
+        """Pose `body` by the named markers; sum log odds of tracks anew by markers of `told`."""
         from scipy.interpolate import CubicSpline
 
         x, seen = self.named(self.keys)
