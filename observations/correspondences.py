@@ -26,7 +26,7 @@ class BodyPlace:
     landmarks: tuple[str, ...] = ()
 
 
-def _sided(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
+def _places_of_both_sides(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
     """The places on the left and the right side; joints and landmarks get the side as prefix."""
     return {
         f"{side}_{name}": BodyPlace(
@@ -39,7 +39,7 @@ def _sided(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
 
 
 PLACES: Mapping[str, BodyPlace] = {
-    **_sided(
+    **_places_of_both_sides(
         {
             "eye": BodyPlace(landmarks=("eye",)),
             "eye_inner": BodyPlace(landmarks=("eye",)),
@@ -71,7 +71,7 @@ PLACES: Mapping[str, BodyPlace] = {
     "thorax": BodyPlace(joints=("left_shoulder", "right_shoulder")),
     "spine_navel": BodyPlace(joints=("spine1",)),
     "spine_chest": BodyPlace(joints=("spine3",)),
-    **_sided(
+    **_places_of_both_sides(
         {
             "clavicle": BodyPlace(joints=("collar",)),
             "hand": BodyPlace(landmarks=("hand", "index_knuckle", "pinky_knuckle")),
@@ -87,7 +87,7 @@ hair begins, the upper neck at its base (triangulated BODY_25B detections of a p
 """
 
 
-_OF_BLAZEPOSE: Mapping[str, BodyPlace] = _sided(
+_OF_BLAZEPOSE: Mapping[str, BodyPlace] = _places_of_both_sides(
     {
         "wrist": BodyPlace(joints=("wrist",) * 5, landmarks=("hand",)),
         "ankle": BodyPlace(joints=(*("ankle",) * 15, "knee")),

@@ -233,7 +233,9 @@ class MatchedCloud(TensorStruct):
         Float[Tensor, "*batch covered 3 points"],
     ]:
         """The cloud at the moments covered, bones there, and the unposed discs that they carry."""
-        bones, covered = self._at_own_times(_bones(estimate).flatten(-3, -2), estimate.motion)
+        bones, covered = self._at_own_times(
+            _maps_of_bones(estimate).flatten(-3, -2), estimate.motion
+        )
         unposed = covered.discs.unposed(estimate.body.shape)
         if estimate.body.model.pose_directions is not None:
             vertices = torch.from_numpy(self.surfels.vertices).to(bones.device)
@@ -340,7 +342,7 @@ def _shifts_by_shape(
     return joints_by_shape(orientations, body, count) - orientations @ directions
 
 
-def _bones(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
+def _maps_of_bones(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
     """The maps of an estimate's bones to the frame of the recording, as `PosedBody.bones`."""
     bones, scene = estimate.body.bones, estimate.scene
     if scene.ground is None:

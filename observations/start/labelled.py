@@ -176,7 +176,7 @@ class _PoseTracker:
         eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
         read = [_labels_of_hypothesis(moments.labels, signs) for signs in _READINGS]
         surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
-        posed = self._posed(targets)
+        posed = self._poses_of_hypotheses(targets)
         posed = surface.refined_to_surface(posed, self.solver, targets, _NEARED, None)
         path = self._cheapest_hypotheses(moments, posed, readings[0])
         rows = path * len(moments.number) + torch.arange(len(path))
@@ -209,7 +209,7 @@ class _PoseTracker:
             place - self.solver.rest[bone],
         )
 
-    def _posed(self, targets: BoneTargets) -> BonePoses:
+    def _poses_of_hypotheses(self, targets: BoneTargets) -> BonePoses:
         """Poses of all frames under all hypotheses, each frame solved independently."""
         region = torch.tensor(REGION_OF_JOINT)[targets.bone]
         trunk = torch.isin(region, torch.tensor(sorted(_TRUNK)))

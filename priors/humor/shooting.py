@@ -173,7 +173,7 @@ class Shooting(Prior[HumorVariables]):
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         w, schedule = self.weights, self.schedule
-        ground = (Term("ground held", _ground_held, w.ground),) if w.ground > 0 else ()
+        ground = (Term("ground held", _ground_energy_per_frame, w.ground),) if w.ground > 0 else ()
         always = (
             *data,
             Term("transition", prior_energy("transition"), w.transition),
@@ -224,7 +224,7 @@ def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
     return term if unit not in weights else replace(term, weight=weights[unit])
 
 
-def _ground_held(estimate: Estimate) -> Float[Tensor, "*batch"]:
+def _ground_energy_per_frame(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """The energy `ground_moved` for every frame; zero where the ground is known."""
     frames = estimate.motion.valid.sum(-1)
     if estimate.scene.ground is None:

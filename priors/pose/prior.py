@@ -249,7 +249,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
             start_translation=motion.translation,
             start_root=motion.rotations[..., 0, :, :],
             start_pose=start.to(zero),
-            synthesis=self._synthesis(motion.valid, motion.fps).to(zero),
+            synthesis=self._cosine_basis(motion.valid, motion.fps).to(zero),
             valid=motion.valid,
             fps=motion.fps,
             start_time=motion.start_time,
@@ -357,7 +357,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
             pose_inverse=torch.linalg.inv(bend),
         )
 
-    def _synthesis(
+    def _cosine_basis(
         self, valid: Bool[Tensor, "*batch time"], fps: float
     ) -> Float[Tensor, "*batch time time"]:
         """Orthonormal cosines (DCT-II) over valid frames, divided by the roots of their stiffness.

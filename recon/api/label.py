@@ -129,7 +129,7 @@ def label(
     outputs = _model_outputs(seen.marker_names, bodies[0].markers.labels)
     naming = named_tracks(seen, seen.visible & ~outputs, bodies, like_what)
     source = Path(recording) if isinstance(recording, str | Path) else None
-    return _labelled(seen, outputs, naming, like_what, source)
+    return _labelled_markers(seen, outputs, naming, like_what, source)
 
 
 def _marked_bodies(
@@ -160,7 +160,7 @@ def _model_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndar
     return ~known & ~np.array([is_nameless(name) for name in names])
 
 
-def _labelled(
+def _labelled_markers(
     seen: MarkerRecording,
     outputs: Bool[np.ndarray, " points"],
     naming: Naming,

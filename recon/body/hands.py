@@ -11,12 +11,12 @@ from importlib import resources
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.fingers import FINGERS, HAND_JOINTS, HAND_PARENTS, ROWS, TIPS, Hands
+from recon.core.fingers import FINGERS, HAND_JOINTS, HAND_PARENTS, ROWS
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
 
@@ -233,18 +233,3 @@ def finger_skin(
         columns = torch.cat((joints.new_tensor([wrist]), len(JOINTS) + joints[side]))
         weights[rows[:, None], columns] = asset["weights"]
     return (weights / weights.sum(-1, keepdim=True)).to(body.weights), binds.float()
-
-
-def hands_of_angles(
-    angles: Float[Tensor, "time 2 22"], model: HandModel, lengths: Tensor | None = None
-) -> Hands:
-    """Finger rotations and bone lengths for joint angles (radians) of left and right hand."""
-    eye = torch.eye(3).to(angles).expand(len(angles), 3, 3)
-    nowhere = angles.new_zeros(len(angles), 3)
-    local = torch.stack([model.posed(angles[:, s], eye, nowhere, s).local for s in (0, 1)], 1)
-    rotations = angles.new_zeros(len(angles), len(HAND_JOINTS), 3, 3)
-    joints: Int[Tensor, "2 15"] = ROWS.unflatten(1, (5, 4))[:, :, :3].flatten(1)
-    rotations[:, joints] = local
-    out = model.lengths.new_zeros(len(HAND_JOINTS) + len(TIPS))
-    out[ROWS] = model.lengths if lengths is None else lengths
-    return Hands(rotations, out)

@@ -1,4 +1,4 @@
-"""Detects fits to clouds in a wrong minimum: by labels, outline and uncovered surface."""
+"""Detects fits to clouds that ended in a wrong local minimum: by labels, outline and surface."""
 
 import math
 

@@ -143,7 +143,7 @@ def carried_finding(
 
 
 def _seen_feet(observed: Bool[np.ndarray, "time 22"], fps: float) -> Bool[np.ndarray, "time 2"]:
-    """Feet seen within a few frames, as detectors lose single points for a frame."""
+    """Whether each foot is seen within a few frames; detectors lose points for single frames."""
     both = np.stack([observed[:, foot].all(-1) for foot in _FEET], -1)
     half = max(1, round(_LAG * fps / 2))
     around = np.pad(both, ((half, half), (0, 0)))

@@ -68,7 +68,7 @@ def _confirmed_pairs(
 ) -> tuple[list[ExchangedPair], list[ExchangedPair]]:
     """The pairs of one view whose changes of names make a fit worse, and the others."""
     sure, doubted = list[ExchangedPair](), list[ExchangedPair]()
-    for (first, last), own in _by_stretch(found).items():
+    for (first, last), own in _pairs_by_stretch(found).items():
         after = exchanged_back(images, own)
         ends = [t for t in (first, last + 1) if 0 < t < images.pixels.shape[1]]
         better = bool(better_changes(images, after, np.array(ends)).all())
@@ -77,7 +77,9 @@ def _confirmed_pairs(
     return sure, doubted
 
 
-def _by_stretch(found: Sequence[ExchangedPair]) -> dict[tuple[int, int], list[ExchangedPair]]:
+def _pairs_by_stretch(
+    found: Sequence[ExchangedPair],
+) -> dict[tuple[int, int], list[ExchangedPair]]:
     """Exchanged pairs of one view by their first and last frame."""
     own: dict[tuple[int, int], list[ExchangedPair]] = {}
     for one in found:
@@ -98,7 +100,7 @@ def _pair_findings(
     return tuple(
         _pair_finding(images, why, view, *stretch, own, sure=sure)
         for view in range(len(images.names))
-        for stretch, own in _by_stretch([one for one in found if one.view == view]).items()
+        for stretch, own in _pairs_by_stretch([one for one in found if one.view == view]).items()
     )
 
 

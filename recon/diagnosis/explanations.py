@@ -203,7 +203,7 @@ def robust_turns(
 def moving_average(
     values: Float[np.ndarray, "moments dims"], half_width: int
 ) -> Float[np.ndarray, "moments dims"]:
-    """Moving average over as many moments to either side, fewer at the ends: lines stay lines."""
+    """Mean of equally many moments before and after, fewer at the ends; keeps straight lines."""
     last = len(values) - 1
     reaches = [min(half_width, t, last - t) for t in range(len(values))]
     return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])

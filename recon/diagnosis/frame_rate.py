@@ -243,7 +243,7 @@ class RateRange:
 
     @property
     def likeliest(self) -> float:
-        """The factor in the range that is usual in practice and nearest to one, or its middle."""
+        """1 if in the range; else the usual factor there that is nearest to 1, or its near end."""
         near = 1.0 if self.holds else self.high if self.high < 1 else self.low
         inside = [f for f in _USUAL if self.low <= f <= self.high and not self.holds]
         return min(inside, key=lambda factor: abs(math.log(factor)), default=near)

@@ -265,7 +265,7 @@ def misplaced_points(
     constant = np.linalg.norm(offset, axis=-1)
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
     if not points.are_joints:
-        displaced |= _one_sided(points, offset)
+        displaced |= _displaced_on_one_side(points, offset)
     unreached = out_of_reach(without_implausible(points), _OFFSET_JOINTS)
     steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
     hidden = np.zeros_like(points.visible)
@@ -294,7 +294,7 @@ def misplaced_points(
     return points.without(hidden), found
 
 
-def _one_sided(
+def _displaced_on_one_side(
     points: NamedPoints, offset: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " points"]:
     """Markers of trunk and legs that are displaced while those of the other side are not."""

@@ -244,7 +244,7 @@ class ViewAlignment(Problem[_View]):
         del rows
         step = np.zeros(7)
         step[self._unknown_indices] = steps[0].numpy()
-        return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved(x[1], step[1:4], step[4:])
+        return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved_pose(x[1], step[1:4], step[4:])
 
     def _best_offset(
         self, pose: Float[np.ndarray, "4 4"]
@@ -280,7 +280,7 @@ class ViewAlignment(Problem[_View]):
         if not there.any():
             return pose
         turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
-        return _moved(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
+        return _moved_pose(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
 
     def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":
         points, velocity, covariance, exists = self.paths.at(self.frames - late)
@@ -366,7 +366,7 @@ def cauchy_mean(squared: Float[np.ndarray, " samples"]) -> float:
     return _OUTLIER * float(np.log1p(squared / _OUTLIER).mean())
 
 
-def _moved(
+def _moved_pose(
     pose: Float[np.ndarray, "4 4"], turn: Float[np.ndarray, "3"], shift: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
     """The camera pose after a rotation about its centre and a shift along its axes."""

@@ -187,7 +187,7 @@ def _cheapest_paths(
     here: Float[np.ndarray, "groups moments states"],
     between: Float[np.ndarray, "groups moments states states"],
 ) -> Int[np.ndarray, "groups moments"]:
-    """The states that cost least; the first one in all frames unless that saves enough."""
+    """States of all moments at the least total cost; state 0 throughout if little is saved."""
     paths = cheapest_path(torch.from_numpy(here), torch.from_numpy(between[:, 1:])).numpy()
 
     def cost(paths: Int[np.ndarray, "groups moments"]) -> Float[np.ndarray, " groups"]:

@@ -171,7 +171,7 @@ class Character:
             above = self.tree.parents[k]
             bearer[k] = k if k in driven else bearer.get(above, -1)
         found: dict[int, list[np.ndarray]] = {}
-        for joints, binds, places, own in self._skinned():
+        for joints, binds, places, own in self._skinned_parts():
             for slot in np.unique(own):
                 node = joints[slot]
                 if bearer[node] < 0:
@@ -180,9 +180,9 @@ class Character:
                 back = np.linalg.inv(self.world[bearer[node]]) @ self.world[node]
                 points = points @ back[:3, :3].T + back[:3, 3]
                 found.setdefault(bearer[node], []).append(points)
-        return {node: _outermost(np.concatenate(points)) for node, points in found.items()}
+        return {node: _outermost_points(np.concatenate(points)) for node, points in found.items()}
 
-    def _skinned(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
+    def _skinned_parts(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
         """Joints, inverse bind matrices, vertices and their main joints, by part of the mesh."""
         file, parts = self.file, []
         meshes, skins = file.listed("meshes"), file.listed("skins")
@@ -305,7 +305,7 @@ def _vertices_and_joints(
     return places.astype(float), own
 
 
-def _outermost(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "some 3"]:
+def _outermost_points(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "some 3"]:
     """Points that are farthest in some direction."""
     k = np.arange(_WAYS) + 0.5
     height, angle = 1 - 2 * k / _WAYS, np.pi * (1 + 5**0.5) * k

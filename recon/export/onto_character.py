@@ -68,7 +68,7 @@ def write_character(
     for node in turned:
         record = dict(read.file.listed("nodes")[node])
         if "matrix" in record:
-            record |= _decomposed(read.local[node])
+            record |= _translation_rotation_scale(read.local[node])
             del record["matrix"]
             records[node] = record
         above = read.tree.parents[node]
@@ -171,7 +171,7 @@ def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "
     return so3.rigid(posed[driven][:, :3, :3] @ between, posed[driven][:, :3, 3])
 
 
-def _decomposed(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
+def _translation_rotation_scale(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
     """Translation, rotation and scale of a matrix: animations move no matrices."""
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     turn = torch.from_numpy(matrix[:3, :3] / sizes)

@@ -135,7 +135,7 @@ class BlazePose:
     def _pose(self, cut: Image, region: Region, *, mirror: bool) -> Pose:
         raw, score, heat = self._landmarks(cut / np.float32(255.0), (1,), (_HEAT, _HEAT, _POINTS))
         rows = raw.reshape(_POINTS, 5).astype(float)
-        places = _refined(rows[:, :2], heat)
+        places = _refined_by_heatmap(rows[:, :2], heat)
         sure = _sigmoid(rows[:, 3:])
         if mirror:
             places = places * (-1, 1) + (_SIDE, 0)
@@ -278,7 +278,7 @@ def _overlapping_boxes(
     return groups
 
 
-def _refined(
+def _refined_by_heatmap(
     places: Float[np.ndarray, "39 2"], heat: Float[np.ndarray, "64 64 39"]
 ) -> Float[np.ndarray, "39 2"]:
     """Places moved to the centre of mass of the heat about them, where it is hot enough."""

@@ -172,10 +172,10 @@ def _lens(film: Film, board: Board) -> _Lens:
         if not moved or np.abs(corners - seen[moved[-1]]).max() > _MOVED:
             moved.append(moment)
     chosen = moved[:: -(-len(moved) // _MOST)]
-    found = _calibrated(film, board, [seen[k] for k in chosen])
+    found = _calibrated_camera(film, board, [seen[k] for k in chosen])
     off = found[1]
     kept = [k for k, one in zip(chosen, off, strict=True) if one <= _FAR_OFF * np.median(off)]
-    camera, off, std = _calibrated(film, board, [seen[k] for k in kept])
+    camera, off, std = _calibrated_camera(film, board, [seen[k] for k in kept])
     if std > _SURE:
         raise ObservationError(
             f"{film.path}: the focal length is uncertain by {std:.0%}, expected at most "
@@ -185,7 +185,7 @@ def _lens(film: Film, board: Board) -> _Lens:
     return _Lens(seen, camera, float(np.sqrt(np.mean(np.square(off)))), std)
 
 
-def _calibrated(
+def _calibrated_camera(
     film: Film, board: Board, seen: Sequence[Corners]
 ) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
     """The camera, the error of every moment, pixels, and the focal length's relative deviation."""
@@ -210,7 +210,7 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
     poses = {0: np.eye(4)}
     while len(poses) < len(every):
         pairs = product(poses, [k for k in range(len(every)) if k not in poses])
-        shared = {pair: _shared(every[pair[0]], every[pair[1]]) for pair in pairs}
+        shared = {pair: _moments_both_see(every[pair[0]], every[pair[1]]) for pair in pairs}
         (known, new), moments = max(shared.items(), key=lambda one: len(one[1]))
         if len(moments) < _FEWEST_SHARED:
             raise ObservationError(
@@ -232,7 +232,7 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
     return [poses[k] for k in range(len(every))]
 
 
-def _shared(one: _Lens, other: _Lens) -> list[int]:
+def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
     """Moments at which both see the board, at most so many, evenly spread."""
     both = sorted(one.seen.keys() & other.seen.keys())
     step = max(1, -(-len(both) // _MOST))
@@ -244,8 +244,8 @@ def _above_floor(
 ) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
     """T_camera_world above the floor on which the board lies longest, and a note on it."""
     rests = [_longest_rest(lens.seen) for lens in lenses]
-    moments = max(rests, key=_lasts)
-    if _lasts(moments) < _STILL_S:
+    moments = max(rests, key=_duration)
+    if _duration(moments) < _STILL_S:
         raise ObservationError(
             f"the board never lies still for {_STILL_S:g} s, which tells where the ground is; lay "
             "it on the floor at the end, where a camera sees it, before all films stop"
@@ -278,9 +278,9 @@ def _longest_rest(seen: Mapping[int, Corners]) -> list[int]:
             runs[-1].append(moment)
         else:
             runs.append([moment])
-    return max(runs, key=_lasts)
+    return max(runs, key=_duration)
 
 
-def _lasts(moments: Sequence[int]) -> float:
+def _duration(moments: Sequence[int]) -> float:
     """Seconds from the first to the last moment."""
     return (moments[-1] - moments[0]) / _RATE

@@ -192,7 +192,9 @@ class _Adjustment:
         poses = np.concatenate((-D @ cross, D * it.X[p, 3][:, None, None]), 2)
         count = int(self.moved.sum())
         number = np.cumsum(self.moved) - 1
-        columns = _blocks(poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count)
+        columns = _sparse_blocks(
+            poses * self.moved[k][:, None, None], np.maximum(number[k], 0), count
+        )
         if self.focal is not None:
             zoom = sparse.csr_array((it.focal * seen * root[:, 0]).reshape(-1, 1))
             columns = sparse.hstack((columns, zoom), format="csr")
@@ -216,12 +218,12 @@ class _Adjustment:
                 None,
             )
         used, which = np.unique(p, return_inverse=True)
-        basis = _perpendicular(it.X[used])
+        basis = _perpendicular_bases(it.X[used])
         Jp = D @ np.concatenate((it.R[k], it.t[k][:, :, None]), 2) @ basis[which]
         Hpp, gp = np.zeros((len(used), 3, 3)), np.zeros((len(used), 3))
         np.add.at(Hpp, which, Jp.swapaxes(1, 2) @ Jp)
         np.add.at(gp, which, np.einsum("nij,ni->nj", Jp, off))
-        W = columns.T @ _blocks(Jp, which, len(used))
+        W = columns.T @ _sparse_blocks(Jp, which, len(used))
 
         def without_points(damping: float) -> tuple[np.ndarray, Any, Any]:
             more = (damping * np.einsum("pii->pi", Hpp) + _RIDGE)[:, :, None] * np.eye(3)
@@ -258,7 +260,7 @@ class _Adjustment:
             it.X[used] = X / np.linalg.norm(X, axis=1, keepdims=True)
 
 
-def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:
+def _sparse_blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:
     """Sparse matrix of blocks (2, n): block k stands in rows 2 k and column `number[k]`."""
     rows, _, n = values.shape
     columns = np.broadcast_to(n * number[:, None, None] + np.arange(n), values.shape)
@@ -266,7 +268,7 @@ def _blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: in
     return sparse.csr_array((values.ravel(), columns.ravel(), ends), (2 * rows, n * count))
 
 
-def _perpendicular(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:
+def _perpendicular_bases(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:
     """Orthonormal bases of the complements of unit vectors, by Householder reflections."""
     v = X + np.where(X[:, :1] >= 0, 1.0, -1.0) * np.eye(4)[0]
     v /= np.linalg.norm(v, axis=1, keepdims=True)

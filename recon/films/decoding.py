@@ -115,7 +115,7 @@ class Film:
         last, repeated = None, 0
         for frame, time in self.decoded(losses):
             image = self.image_of(frame)
-            if last is not None and _same(image, last):
+            if last is not None and _equal_images(image, last):
                 repeated += 1
                 continue
             last = image
@@ -128,9 +128,9 @@ class Film:
 
         What was damaged is noted in `losses` at the end.
         """
-        with _opened(self.path) as container:
+        with _open_film(self.path) as container:
             stream = _video_stream(container, self.path)
-            for frame, stamp in _decoded(container, stream, losses):
+            for frame, stamp in _decoded_pictures(container, stream, losses):
                 yield frame, self.clock.time(stamp)
 
     def image_of(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
@@ -160,9 +160,9 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
         FormatError: when it is no film, has a single picture, or is damaged from the start.
     """
     path, notes = existing_file(Path(path)), list[str]()
-    with _opened(path) as container:
+    with _open_film(path) as container:
         stream = _video_stream(container, path)
-        stamps = _stamps(container, stream)
+        stamps = _time_stamps(container, stream)
         recorded = _recorded_rate(container, stream) if frame_rate is None else frame_rate
         promised = stream.frames
     if len(stamps) < 2:
@@ -202,9 +202,9 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
 
 def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
     """A film whose size and rotation are read from its first picture."""
-    with _opened(path) as container:
+    with _open_film(path) as container:
         stream = _video_stream(container, path)
-        found = next(_decoded(container, stream, []), None)
+        found = next(_decoded_pictures(container, stream, []), None)
         aspect = stream.sample_aspect_ratio or Fraction(1)
     if found is None:
         raise FormatError(f"{path}: no picture of it can be decoded; copy or export it again")
@@ -236,7 +236,7 @@ def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator["InputContainer"]:
+def _open_film(path: Path) -> Iterator["InputContainer"]:
     """The container of a film.
 
     Raises:
@@ -250,12 +250,12 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         # the prefix keeps colons in names from being taken for protocols
         container = av.open(f"file:{path}", container_options=options, metadata_errors="replace")
     except (FFmpegError, ValueError) as error:
-        raise FormatError(f"{path}: expected a film, but {_reason(path)}") from error
+        raise FormatError(f"{path}: expected a film, but {_reason_unreadable(path)}") from error
     with container:
         yield container
 
 
-def _reason(path: Path) -> str:
+def _reason_unreadable(path: Path) -> str:
     """Why a file cannot be opened as a film, and what to do."""
     with path.open("rb") as file:
         unfinished = file.read(12)[4:8] == b"ftyp"
@@ -314,21 +314,23 @@ def _packets(container: "InputContainer", stream: "VideoStream") -> Iterator["Pa
             yield packet
 
 
-def _counted(container: "InputContainer") -> bool:
+def _has_no_time_stamps(container: "InputContainer") -> bool:
     """Whether pictures have no time stamps of their own, but follow each other evenly."""
     return container.format.name == "avi"
 
 
-def _stamps(container: "InputContainer", stream: "VideoStream") -> Float[np.ndarray, " pictures"]:
+def _time_stamps(
+    container: "InputContainer", stream: "VideoStream"
+) -> Float[np.ndarray, " pictures"]:
     """Time stamps of all pictures that are shown, seconds, rising."""
     base, rate = float(stream.time_base or 1), float(stream.average_rate or 25)
-    if _counted(container):
+    if _has_no_time_stamps(container):
         return np.arange(sum(1 for _ in _packets(container, stream))) / rate
     stamps = [one.pts for one in _packets(container, stream) if not one.is_discard]
     return np.unique([one * base for one in stamps if one is not None])
 
 
-def _decoded(
+def _decoded_pictures(
     container: "InputContainer", stream: "VideoStream", losses: list[str]
 ) -> Iterator[tuple["VideoFrame", float]]:
     """Decoded pictures and their time stamps since the first, seconds.
@@ -338,7 +340,7 @@ def _decoded(
     from av.error import FFmpegError
 
     base, rate = float(stream.time_base or 1), float(stream.average_rate or 25)
-    counted, first, place, damaged = _counted(container), None, 0, 0
+    counted, first, place, damaged = _has_no_time_stamps(container), None, 0, 0
     for packet in chain(_packets(container, stream), (None,)):
         try:
             frames = stream.codec_context.decode(packet)
@@ -366,7 +368,7 @@ def _recorded_rate(container: "InputContainer", stream: "VideoStream") -> float 
         return None
 
 
-def _same(a: UInt8[np.ndarray, "..."], b: UInt8[np.ndarray, "..."]) -> bool:
+def _equal_images(a: UInt8[np.ndarray, "..."], b: UInt8[np.ndarray, "..."]) -> bool:
     """Whether two images are equal; quick, as most differ in a few pixels already."""
     return np.array_equal(a[::16, ::16], b[::16, ::16]) and np.array_equal(a, b)
 

@@ -103,7 +103,9 @@ def with_hands(
     for frame in frames:
         search = frame.number % every == 0
         here = of_frame.get(frame.number, [])
-        followed = _distinct(list(_hands_at(here, frame.image, followed, networks, search=search)))
+        followed = _without_duplicates(
+            list(_hands_at(here, frame.image, followed, networks, search=search))
+        )
         for wrist, hand in followed:
             pixels = film.in_film(hand.pixels)
             inside = np.all((pixels >= 0) & (pixels <= most), axis=1, keepdims=True)
@@ -196,7 +198,7 @@ def _hands_at(
         yield from ((wrist, hand) for hand in hands if wrist.owns(hand))
 
 
-def _distinct(seen: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
+def _without_duplicates(seen: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
     """Hands without duplicates: one that was found at two wrists is that of the nearer one."""
     seen.sort(key=lambda it: it[0].away(it[1].pixels[0]))
     kept: list[tuple[_Wrist, Hand]] = []

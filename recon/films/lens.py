@@ -32,11 +32,13 @@ def stated_focal_length(path: Path) -> tuple[float | None, str]:
     """
     with path.open("rb") as file:
         values = [
-            one for index in _indices(file) for one in _values(index, 0, len(index), depth=0)
+            one
+            for index in _contents_of_moov(file)
+            for one in _focal_length_values(index, 0, len(index), depth=0)
         ]
     if not values:
         return None, ""
-    numbers = {_number(kind, raw) for kind, raw in values}
+    numbers = {_as_number(kind, raw) for kind, raw in values}
     if len(numbers) == 1 and (focal := numbers.pop()) is not None:
         if FILM_FOCAL_LENGTH.holds(focal):
             return focal, f"the camera states a focal length of {focal:.4g} mm for 35 mm film"
@@ -47,7 +49,7 @@ def stated_focal_length(path: Path) -> tuple[float | None, str]:
     return None, "the camera states a focal length that cannot be read, or several: it is not used"
 
 
-def _indices(file: BinaryIO) -> Iterator[bytes]:
+def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
     """Contents of the boxes `moov` of a file; none of a file of other containers."""
     for _ in range(_MAX_BOXES):
         header = file.read(8)
@@ -77,20 +79,22 @@ def _boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]
         start += size
 
 
-def _values(data: bytes, start: int, end: int, *, depth: int) -> Iterator[tuple[int, bytes]]:
+def _focal_length_values(
+    data: bytes, start: int, end: int, *, depth: int
+) -> Iterator[tuple[int, bytes]]:
     """Types and bytes of the values of the focal length in a part of an index."""
     boxes = list(_boxes(data, start, end))
     spans = {kind: (first, last) for kind, first, last in boxes}
     if {b"keys", b"ilst"} <= spans.keys():
-        yield from _items(data, spans[b"keys"], spans[b"ilst"])
+        yield from _focal_length_items(data, spans[b"keys"], spans[b"ilst"])
     for kind, first, last in boxes:
         if kind in _HOLDERS and depth < len(_HOLDERS):
             # ISO's `meta` begins with a version, QuickTime's does not
             iso = kind == b"meta" and data[first : first + 4] == bytes(4)
-            yield from _values(data, first + 4 * iso, last, depth=depth + 1)
+            yield from _focal_length_values(data, first + 4 * iso, last, depth=depth + 1)
 
 
-def _items(
+def _focal_length_items(
     data: bytes, keys: tuple[int, int], items: tuple[int, int]
 ) -> Iterator[tuple[int, bytes]]:
     """Values of the items whose key is the focal length's."""
@@ -104,7 +108,7 @@ def _items(
                 yield int.from_bytes(data[start : start + 4]), data[start + 8 : end]
 
 
-def _number(kind: int, raw: bytes) -> float | None:
+def _as_number(kind: int, raw: bytes) -> float | None:
     """A value as a number; None where it is none."""
     try:
         if kind == _TEXT:

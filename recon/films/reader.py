@@ -107,12 +107,12 @@ def read_film(
     key = "" if kept is None else _key(path, frame_rate, layout, detector)
     people = None if kept is None else _Kept(path, kept, key)
     if not fingers:
-        return _people(path, frame_rate, layout, detector, people, watch)
+        return _detections_without_hands(path, frame_rate, layout, detector, people, watch)
     both = None if kept is None else _Kept(path, kept, value_checksum([key, _HANDS_VERSION]))
     if both is not None and (found := both.load()) is not None:
         return found
     networks = HandNetworks()
-    found = _people(path, frame_rate, layout, detector, people, watch)
+    found = _detections_without_hands(path, frame_rate, layout, detector, people, watch)
     if found.hands is None:
         film = open_film(path, frame_rate=frame_rate)
         found = with_hands(film, _with_progress(film, watch), found, networks)
@@ -129,7 +129,7 @@ def _with_progress(film: Film, watch: Watch | None) -> Iterator[FilmFrame]:
             watch(frame.number + 1, film.frames)
 
 
-def _people(
+def _detections_without_hands(
     path: Path,
     frame_rate: float | None,
     layout: str | None,
@@ -149,7 +149,8 @@ def _people(
             folder = kept.file.with_name(f"{kept.file.stem}-unfinished")
             unfinished = Unfinished(folder, kept.key)
         sights = sorted(
-            _sights(frames, film.frame_rate, networks, unfinished), key=lambda one: one.track
+            _detect_everybody(frames, film.frame_rate, networks, unfinished),
+            key=lambda one: one.track,
         )
         people = [
             rows_of_sights(list(seen)) for _, seen in groupby(sights, key=lambda one: one.track)
@@ -215,7 +216,7 @@ class _Watched:
         return Background(frames, numbers, self.film.in_film(pixels))
 
 
-def _sights(
+def _detect_everybody(
     frames: Iterable[FilmFrame], rate: float, networks: BlazePose, unfinished: Unfinished | None
 ) -> list[Sight]:
     """Detect everybody in every frame; what was found is kept if the run is interrupted."""

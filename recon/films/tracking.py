@@ -135,7 +135,7 @@ class Tracker:
             if frame >= self._next_search:
                 self._next_search = frame + max(round(_SEARCH_S * self._rate), 1)
         before = len(self._tracks)
-        kept = self._distinct(list(self._looked(image, frame)))
+        kept = self._without_duplicates(list(self._tracks_still_seen(image, frame)))
         for one, sight in kept:
             one.follow(sight, self._rate)
         self._tracks = sorted((one for one, _ in kept), key=lambda one: one.number)
@@ -152,7 +152,7 @@ class Tracker:
                 self._tracks.append(_Track(self._fresh, region))
                 self._fresh += 1
 
-    def _looked(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
+    def _tracks_still_seen(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
         """Tracks whose person is still in the region, each with the new detection.
 
         Where the image and its mirror image show different bodies, of two people who overlap, the
@@ -167,7 +167,7 @@ class Tracker:
             pose, mirrored = (it if _same_body(it, steady) else steady for it in both)
             yield one, Sight(frame, one.number, pose, mirrored)
 
-    def _distinct(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
+    def _without_duplicates(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
         """One track for every body: of several on one body, the one that moved least."""
         seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
         kept: list[tuple[_Track, Sight]] = []

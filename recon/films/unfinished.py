@@ -34,7 +34,7 @@ class Unfinished:
                 replaced.
             state: after the last frame of this part.
         """
-        rows = [(*_packed(one.pose), *_packed(one.mirrored)) for one in sights]
+        rows = [(*_numbers_of_pose(one.pose), *_numbers_of_pose(one.mirrored)) for one in sights]
         self.folder.mkdir(parents=True, exist_ok=True)
         save_arrays(
             self.folder / f"{before:09}.npz",
@@ -56,7 +56,7 @@ class Unfinished:
                 self.remove()
                 return [], None
             sights += [
-                Sight(int(frame), int(track), _unpacked(pose), _unpacked(mirrored))
+                Sight(int(frame), int(track), _pose_of_numbers(pose), _pose_of_numbers(mirrored))
                 for (frame, track), (pose, mirrored) in zip(
                     arrays["sights"], arrays["poses"], strict=True
                 )
@@ -70,7 +70,7 @@ class Unfinished:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _packed(pose: Pose) -> Float[np.ndarray, " numbers"]:
+def _numbers_of_pose(pose: Pose) -> Float[np.ndarray, " numbers"]:
     parts = (
         pose.pixels, pose.visibility, pose.presence, pose.inside, pose.score, pose.region.centre,
         pose.region.side, pose.region.angle, pose.next_points,
@@ -78,7 +78,7 @@ def _packed(pose: Pose) -> Float[np.ndarray, " numbers"]:
     return np.concatenate([np.ravel(one) for one in parts]).astype(float)
 
 
-def _unpacked(numbers: Float[np.ndarray, " numbers"]) -> Pose:
+def _pose_of_numbers(numbers: Float[np.ndarray, " numbers"]) -> Pose:
     pixels, visibility, presence, inside, score, centre, side, angle, after = np.split(
         numbers, np.cumsum(_SIZES)[:-1]
     )

@@ -82,7 +82,7 @@ def find_vertical(
     """
     known = focal_std == 0
     segments = np.concatenate([np.zeros((0, 2, 2)), *images])
-    if len(segments) < _FEWEST_SEGMENTS or not _steep(segments).any():
+    if len(segments) < _FEWEST_SEGMENTS or not _may_be_vertical(segments).any():
         return None
     chance = np.random.default_rng(0)
     lengths = longer * _FOCAL_LENGTHS
@@ -100,7 +100,7 @@ def find_vertical(
     by_chance = _share_by_chance(segments, lengths[::4], chance)
     if share < by_chance + _BEYOND_CHANCE or rival - by_chance > _RIVAL * (share - by_chance):
         return None
-    own = [_explained(one, focal, up[None])[0] for one in images if len(one) > 0]
+    own = [_explained_share(one, focal, up[None])[0] for one in images if len(one) > 0]
     if min(own) < _EVERY_IMAGE * np.mean(own):
         return None
     return Vertical(up, focal if told else None)
@@ -122,7 +122,7 @@ def straight_segments(
     return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > _SHORTEST_SEGMENT * longer]
 
 
-def _steep(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
+def _may_be_vertical(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
     """Which segments may be vertical."""
     along = np.abs(segments[:, 1] - segments[:, 0])
     return np.arctan2(along[:, 0], along[:, 1]) < _MOST_TILTED
@@ -156,8 +156,8 @@ def _best_vertical(
     Also the largest share that one in another direction explains. Shares are multiplied by how
     likely cameras are held so.
     """
-    length, normals = _lengths(segments), _normals(segments, focal)
-    steep = np.flatnonzero(_steep(segments))
+    length, normals = _lengths(segments), _plane_normals(segments, focal)
+    steep = np.flatnonzero(_may_be_vertical(segments))
     if len(steep) == 0:
         return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
     first, second = chance.choice(steep, (2, _PAIRS), p=length[steep] / length[steep].sum())
@@ -167,7 +167,7 @@ def _best_vertical(
     ups = ups[-ups[:, 1] > np.cos(_MOST_TILTED)]
     if len(ups) == 0:
         return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
-    share = _explained(segments, focal, ups) * _likelihood(ups)
+    share = _explained_share(segments, focal, ups) * _likelihood(ups)
     best = int(share.argmax())
     rival = share[ups @ ups[best] < np.cos(_APART)].max(initial=0.0)
     return ups[best], float(share[best]), float(rival)
@@ -179,14 +179,14 @@ def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
     return np.exp(-0.5 * ((roll / _ROLL) ** 2 + ((down - _PITCH) / _PITCH_SPREAD) ** 2))
 
 
-def _explained(
+def _explained_share(
     segments: Float[np.ndarray, "segments 2 2"], focal: float, ups: Float[np.ndarray, "ups 3"]
 ) -> Float[np.ndarray, " ups"]:
     """Share of the segments' length along each vertical and its two best horizontal directions.
 
     Zero where the vertical explains too little by itself.
     """
-    length, normals = _lengths(segments), _normals(segments, focal)
+    length, normals = _lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
     vertical = np.exp(-0.5 * off**2)
     # the horizontal direction that a segment may show is at right angles to its plane's normal
@@ -211,7 +211,7 @@ def _lengths(segments: Float[np.ndarray, "segments 2 2"]) -> Float[np.ndarray, "
     return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
 
 
-def _normals(
+def _plane_normals(
     segments: Float[np.ndarray, "segments 2 2"], focal: float
 ) -> Float[np.ndarray, "segments 3"]:
     """Unit normals of the planes through the segments and the centre of the camera."""

@@ -190,7 +190,7 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
 
 
 def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"] | None:
-    """Pixels of images of another size per pixel, along both sides; None if they are others.
+    """Factors (x, y) from pixels at `size` to those at `other`; None if images are no copies.
 
     Images of the same form are copies in another resolution. Where sides differ by less than a
     codec's block, the larger images were filled up to whole blocks at the right and below: no

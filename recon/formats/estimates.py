@@ -129,7 +129,7 @@ def _read_tree(path: Path) -> Tree:
     if suffix == ".npz":
         return load_arrays(path)
     if suffix in (".pkl", ".npy"):
-        return _by_person(read_tree(path))
+        return _records_by_person(read_tree(path))
     if suffix not in SUFFIXES:
         raise FormatError(
             f"{path}: expected a file of {', '.join(SUFFIXES)} with parameters of a SMPL-like body"
@@ -156,7 +156,7 @@ def _read_tree(path: Path) -> Tree:
     return content
 
 
-def _by_person(tree: Tree) -> Tree:
+def _records_by_person(tree: Tree) -> Tree:
     """Regroup the records of PHALP (4D-Humans) from images to people; leave other files alone."""
     images = list(tree.values())
     if not images or not all(

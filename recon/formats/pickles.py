@@ -41,7 +41,7 @@ def read_pickle(file: BinaryIO, path: Path) -> object:
     try:
         # most files are from Python 2, whose strings are bytes, which latin-1 keeps
         BINARY.check(path.stat().st_size, path)
-        data = _inflated(file.read(), path)
+        data = _decompressed(file.read(), path)
         kind = _JoblibUnpickler if b"joblib.numpy_pickle" in data else _Unpickler
         source = BytesIO(data)
         if array := data.startswith(_MAGIC):
@@ -111,9 +111,9 @@ class _CompressedRows(_InertObject):
     """A pickled scipy.sparse.csr_matrix; repeated entries add up."""
 
     def value(self) -> np.ndarray:
-        return self._dense(*(int(size) for size in self.state["_shape"]))
+        return self._dense_matrix(*(int(size) for size in self.state["_shape"]))
 
-    def _dense(self, lines: int, length: int) -> np.ndarray:
+    def _dense_matrix(self, lines: int, length: int) -> np.ndarray:
         """The full matrix of compressed rows."""
         MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
         if min(lines, length) < 0:
@@ -133,7 +133,7 @@ class _CompressedColumns(_CompressedRows):
 
     def value(self) -> np.ndarray:
         rows, columns = (int(size) for size in self.state["_shape"])
-        return self._dense(columns, rows).T
+        return self._dense_matrix(columns, rows).T
 
 
 def _unwrapped(value: object) -> object:
@@ -277,7 +277,7 @@ class _JoblibUnpickler(_InPython):
     dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
 
 
-def _inflated(data: bytes, path: Path) -> bytes:
+def _decompressed(data: bytes, path: Path) -> bytes:
     """Decompress a file that joblib compressed (zlib or gzip); other data stay as they are."""
     if not data.startswith((b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b")):
         return data

@@ -42,7 +42,7 @@ def writing(
         own_files(output, overwrite=overwrite)
     with ExitStack() as stack:
         stages = [stack.enter_context(_staged_output(output)) for output in outputs]
-        with _named_as_asked(stages):
+        with _errors_name_output(stages):
             yield tuple(stage.path for stage in stages)
         # checked again, since hours may have passed
         former = [own_files(output, overwrite=overwrite) for output in outputs]
@@ -144,7 +144,7 @@ def _staged_output(output: Output) -> Iterator[_StagedOutput]:
 
 
 @contextmanager
-def _named_as_asked(stages: Sequence[_StagedOutput]) -> Iterator[None]:
+def _errors_name_output(stages: Sequence[_StagedOutput]) -> Iterator[None]:
     """Context whose errors name the output instead of its temporary path."""
     try:
         yield

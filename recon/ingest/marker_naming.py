@@ -73,7 +73,7 @@ class Naming:
             near = every[max(0, at - _ABOUT) : at + _ABOUT + 1]
             self._follow_and_turn(found, at, near)
             self._name_tracks()
-            body = self._calibrated(found.body, near)
+            body = self._calibrated_body(found.body, near)
             pose = body.posed(self._translation[[at]], self._rotations[[at]])
             found = replace(found, body=body, pose=pose)
         body = found.body
@@ -82,14 +82,14 @@ class Naming:
         if unknown > _SURE:
             for _ in range(_ROUNDS):  # a table states where markers sit, not their exact offsets
                 former = self.marker.copy()
-                body = self._calibrated(body, every)
+                body = self._calibrated_body(body, every)
                 table = replace(body, offsets=body.markers.nominal, spread=spread)
                 self._look_again(body, table)
                 self._name_tracks()
                 if (self.marker == former).all():
                     break
             else:
-                body = self._calibrated(body, every)
+                body = self._calibrated_body(body, every)
         self._look_again(body, body)
         self._name_tracks()
 
@@ -115,7 +115,7 @@ class Naming:
         return best
 
     def _misfit(self, found: FoundBody, at: int) -> float:
-        """Rank of a body in a key frame over the one below which it is found at once.
+        """Rank of a body in a key frame, divided by the rank below which it is accepted at once.
 
         Where points have names of the set, as in a trial that is named like itself, the share of
         those that disagree is added: most are right, while a limb put on wrongly has a good rank.
@@ -139,14 +139,14 @@ class Naming:
         some = [int(p[(self.track[self.keys[p]] >= 0).sum(1).argmax()]) for p in parts]
         for _ in range(_TURNED):
             self._sum[:], self._count[:] = 0.0, 0.0
-            self._follow(found, at, keys)
+            self._follow_body(found, at, keys)
             poses = found.body.posed(self._translation[some], self._rotations[some])
             turned = turned_limb(found.body, poses, [self._points_and_tracks(k)[0] for k in some])
             if turned is None:
                 break
             found, at = min(zip(turned, some, strict=True), key=lambda one: one[0].rank)
 
-    def _follow(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
+    def _follow_body(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
         """Follow the body from a key frame to others, and sum the log odds of tracks' names."""
         body = found.body
         kept = [found.pose] * len(self.keys)
@@ -175,7 +175,7 @@ class Naming:
     def _store_poses(self, poses: Poses) -> None:
         self._translation, self._rotations = poses.translation, poses.rotations
 
-    def _calibrated(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
+    def _calibrated_body(self, body: MarkedBody, keys: Int[np.ndarray, " keys"]) -> MarkedBody:
         """The body with a shape and offsets that fit the named markers of some key frames."""
         x, seen = self.named(self.keys)
         parts = np.array_split(keys, min(_CALIBRATING, len(keys)))
@@ -247,7 +247,7 @@ class Naming:
         return x, seen
 
     def _look_again(self, body: MarkedBody, told: MarkedBody) -> None:
-        """Pose one body by the named markers, and sum anew the log odds of tracks by another."""
+        """Pose `body` by the named markers; sum log odds of tracks anew by markers of `told`."""
         from scipy.interpolate import CubicSpline
 
         x, seen = self.named(self.keys)

@@ -123,7 +123,7 @@ def body_of_trial(
 
 
 def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:
-    """Bodies of several statures with the markers where the table has them."""
+    """Bodies of several statures, each with its markers where the table of the set puts them."""
     shapes = [torch.zeros(body.shape_size) for _ in _STATURES]
     for shape, stature in zip(shapes, _STATURES, strict=True):
         shape[0] = stature

@@ -62,7 +62,7 @@ class FoundBody:
 def found_bodies(
     clouds: Sequence[Float[np.ndarray, "points 3"]], bodies: list[MarkedBody], effort: int
 ) -> list[FoundBody]:
-    """The body of those given that fits the points of each frame best.
+    """For each frame, the one of the given bodies that fits its points best, with its pose.
 
     Args:
         clouds: the points of each frame, metres.

@@ -97,7 +97,7 @@ def named_tracks(
     bodies: list[MarkedBody],
     like: str,
 ) -> Naming:
-    """Name the tracks of some points of a recording, by that of several bodies which fits.
+    """Name the tracks of some points of a recording, by whichever of several bodies fits them.
 
     Args:
         seen: the recording.

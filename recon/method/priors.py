@@ -136,7 +136,7 @@ class Prior(ABC, Generic[S]):
         )
 
     def belief(self, noise: float) -> Density | None:
-        """A Gaussian density in place of this prior, beside data with this noise in metres.
+        """A Gaussian density that stands for this prior, for data with this noise in metres.
 
         Standard deviations of a fit follow from it; None, the usual answer, gives none.
         """

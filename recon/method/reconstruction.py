@@ -126,7 +126,7 @@ class Reconstruction:
         )
 
     def on_device_of(self, body: BodyModel) -> "Reconstruction":
-        """The same with its estimate where its body is; stages stay where they were minimised."""
+        """The reconstruction with its estimate on the body's device; reports are not moved."""
         device, found = body.template.device, self.estimate.decoded
         if device == found.motion.translation.device:
             return self

@@ -56,7 +56,7 @@ class Hypotheses(Generic[S]):
 
     @property
     def clips(self) -> Int[Tensor, " rows"]:
-        """The clip of every row, also where the rows are the clips."""
+        """The number of the clip of every row; without hypotheses, row k is clip k."""
         return torch.arange(len(self.unknowns.scene.offsets)) if self.clip is None else self.clip
 
     def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:

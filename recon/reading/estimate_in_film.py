@@ -94,9 +94,9 @@ def _keypoints_of_motion(motion: Motion, layout: str, body: BodyModel) -> Keypoi
 
 
 def _doubts(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
-    """A warning if keypoints are clearly nearer when the film runs otherwise."""
+    """A warning if reversed or shifted frames of the film fit the estimate clearly better."""
     best, said = _CLEARLY, ""
-    for how, both in _run_otherwise(file):
+    for how, both in _reversed_or_shifted(file):
         given, other = (_fitted_camera(one, estimate)[0] for one in both)
         if other < best * given < np.inf:
             best = other / given
@@ -107,10 +107,10 @@ def _doubts(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
     return (Finding("frame order", said, value=best),) if said else ()
 
 
-def _run_otherwise(
+def _reversed_or_shifted(
     file: KeypointsFile,
 ) -> Iterator[tuple[str, tuple[KeypointsFile, KeypointsFile]]]:
-    """Ways to run a film, in words, with the frames as they are and as they would be."""
+    """The film reversed or shifted, in words, with frames as given and as so changed."""
     reverse = replace(file, pixels=file.pixels[::-1], confidence=file.confidence[::-1])
     yield "runs backwards", (file, reverse)
     cut, count = round(_CUT_S * file.fps), len(file.pixels)

@@ -52,7 +52,7 @@ def settled(
     hand: Hand | None = None,
     layout: str | None = None,
 ) -> PositionsFile:
-    """3D keypoints in metres with z up.
+    """Convert 3D keypoints of a file to metres and axes with z up.
 
     Args:
         raw: as the file has them.

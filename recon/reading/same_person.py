@@ -172,7 +172,7 @@ class _TriangulatedPairs:
         self._made: dict[tuple[int, int, int, int], Triangulated] = {}
 
     def get(self, v: int, a: int, w: int, b: int) -> Triangulated:
-        """The pair of track a of view v and track b of view w."""
+        """Keypoints triangulated from track a of view v and track b of view w."""
         if v > w:
             v, a, w, b = w, b, v, a
         if (v, a, w, b) not in self._made:

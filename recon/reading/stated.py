@@ -203,7 +203,7 @@ def _with_focal(camera: CameraArrays, focal: float) -> CameraArrays:
 def _with_motion(
     found: Detections, camera: CameraArrays, rate: float
 ) -> tuple[CameraArrays, "CameraMotion | None", str]:
-    """The camera with the focal length that its motion tells, the motion, and a note."""
+    """The camera with a focal length found from its motion, that motion, and a note on both."""
     behind = found.background
     if behind is None or len(behind.frame) == 0:
         return camera, None, ""

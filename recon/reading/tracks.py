@@ -136,7 +136,7 @@ def chosen_track(tracks: tuple[Track, ...], person: int | None, name: str) -> Tr
     best = max(tracks, key=lambda track: track.completeness)
     alike = [one for one in tracks if one.completeness >= _EQUAL * best.completeness]
     alike.sort(key=lambda track: -track.movement)
-    if len(alike) > 1 and not _stands_beside(alike[1], alike[0]):
+    if len(alike) > 1 and not _stands_while_another_moves(alike[1], alike[0]):
         numbers = sorted(one.number for one in alike[:2])
         raise ObservationError(
             f"{name}: persons {numbers[0]} and {numbers[1]} are seen about equally well; "
@@ -145,7 +145,7 @@ def chosen_track(tracks: tuple[Track, ...], person: int | None, name: str) -> Tr
     return alike[0]
 
 
-def _stands_beside(other: Track, mover: Track) -> bool:
+def _stands_while_another_moves(other: Track, mover: Track) -> bool:
     """Whether a person stands still while another one moves."""
     return other.movement < _STANDS and mover.movement > _MOVES * max(other.movement, _STANDS / 3)
 

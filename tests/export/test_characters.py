@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from recon.body.hands import RELAXED, HandModel, hands_of_angles
+from recon.body.hands import RELAXED, HandModel
 from recon.body.model import BodyModel
 from recon.core.bone_names import names_of_joints
 from recon.core.errors import ReconError
@@ -33,6 +33,7 @@ from tests.export.characters import (
     twists,
     write_glb_of,
 )
+from tests.hands.made import hands_of_angles
 
 DEMO = Path(str(files("recon").joinpath("assets", "demo.npz")))
 NAMES = names_of_joints()

@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from recon import cli
-from recon.body.hands import RELAXED, HandModel, hands_of_angles, pose_fingers
+from recon.body.hands import RELAXED, HandModel, pose_fingers
 from recon.core.motion import MotionFile
 from recon.core.skeleton import JOINTS
 from recon.export.usd import joint_paths, write_usd
 from recon.formats.motions import save_motion
 from tests.export.test_opensim_files import make_motion
+from tests.hands.made import hands_of_angles
 
 
 @pytest.fixture

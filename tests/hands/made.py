@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 
-from recon.body.hands import ANGLES, HandModel, hands_of_angles, pose_fingers
+from recon.body.hands import ANGLES, HandModel, pose_fingers
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.fingers import FINGER_POINTS, ROWS
+from recon.core.fingers import FINGER_POINTS, HAND_JOINTS, ROWS, TIPS, Hands
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 
@@ -100,3 +101,18 @@ def noisy(points: torch.Tensor, noise: float, missing: float, seed: int = 0) -> 
     found = points + noise * torch.randn(points.shape, generator=generator)
     seen = torch.rand(points.shape[:-1], generator=generator) >= missing
     return torch.cat((found, torch.ones_like(found[..., :1])), -1) * seen[..., None]
+
+
+def hands_of_angles(
+    angles: Float[torch.Tensor, "time 2 22"], model: HandModel, lengths: torch.Tensor | None = None
+) -> Hands:
+    """Finger rotations and bone lengths for joint angles (radians) of left and right hand."""
+    eye = torch.eye(3).to(angles).expand(len(angles), 3, 3)
+    nowhere = angles.new_zeros(len(angles), 3)
+    local = torch.stack([model.posed(angles[:, s], eye, nowhere, s).local for s in (0, 1)], 1)
+    rotations = angles.new_zeros(len(angles), len(HAND_JOINTS), 3, 3)
+    joints: Int[torch.Tensor, "2 15"] = ROWS.unflatten(1, (5, 4))[:, :, :3].flatten(1)
+    rotations[:, joints] = local
+    out = model.lengths.new_zeros(len(HAND_JOINTS) + len(TIPS))
+    out[ROWS] = model.lengths if lengths is None else lengths
+    return Hands(rotations, out)
