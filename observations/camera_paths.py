@@ -130,7 +130,7 @@ def triangulate(
     if len(clocks) != 1:
         raise ObservationError(
             "views are triangulated moment by moment: expected one frame rate, start time and "
-            "shape (clips, moments, points) of all, so resample or cut them; got "
+            "layout, and equally many moments of all; got frame rates, times and shapes "
             + " and ".join(f"{fps:g} fps from {t:g} s, {tuple(n)}" for fps, t, *n in clocks)
         )
     matrix = views[0].pixels.new_zeros(*views[0].confidence.shape, 3, 3)
