@@ -249,15 +249,20 @@ def better_changes(
     return new < _FALL * given
 
 
-def cost_of_exchange(images: Images) -> float:
-    """Objective of a body fitted to one view with all left and right exchanged, over that without.
+def fits_better_exchanged(images: Images, share: float) -> bool:
+    """Whether a body fits one view clearly better with all left and right exchanged.
 
-    Knees, feet and the face tell the front from the back, and with it the sides.
+    Knees, feet and the face tell the front from the back, and with it the sides. The objective
+    must fall below this share of that without the exchange, in a quick fit and then in one at the
+    full frame rate: a single fit may end in a wrong local minimum under the right names.
     """
     after = images.exchanged(np.ones(images.confidence.shape[:2], dtype=bool))
     excerpts = [middle_seconds(one.sensors[0]) for one in (images, after)]
-    costs = _costs_of_views([paced(one, QUICK_PACE) for one in excerpts], images.body)
-    return float(costs[1] / costs[0])
+    costs = (
+        _costs_of_views(versions, images.body)
+        for versions in ([paced(one, QUICK_PACE) for one in excerpts], excerpts)
+    )
+    return all(exchanged < share * given for given, exchanged in costs)
 
 
 def keeps_facing(images: Images) -> bool:

@@ -25,7 +25,7 @@ from recon.diagnosis.findings import Finding, Findings, spans, stretches
 from recon.diagnosis.images import (
     Images,
     confirmed_sides,
-    cost_of_exchange,
+    fits_better_exchanged,
     neighbours_on_limbs,
 )
 from recon.diagnosis.rays import Rays
@@ -74,7 +74,7 @@ def repaired_sides(images: Images) -> tuple[Images, Findings]:
         flags, doubted = sure, flags & ~sure
     if len(flags) == 1 and images.sided.any() and images.seen.any():
         needed = _BETTER if flags.any() else _MUCH_BETTER
-        flags = flags ^ (cost_of_exchange(images.exchanged(flags)) < needed)
+        flags = flags ^ fits_better_exchanged(images.exchanged(flags), needed)
     found = list(zip(images.names, flags, strict=True))
     if len(flags) > 1 and (flags == flags[0]).all():
         found = [("all views", flags[0])]
