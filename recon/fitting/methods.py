@@ -101,7 +101,7 @@ def checked_method(prior: str | PriorLike, name: Method | None) -> str | None:
     if len(known) == 0:
         raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
     ways = " or ".join((*known, *registered_places(LOOKS)))
-    raise ReconError(f"method: expected {ways} for the prior {whose}, got {name!r}")
+    raise ReconError(f"method: expected a fit under {whose} by {ways}, got {name!r}")
 
 
 @dataclass(frozen=True)
