@@ -135,13 +135,16 @@ class Naming:
 
     def _follow_and_turn(self, found: FoundBody, at: int, keys: Int[np.ndarray, " keys"]) -> None:
         """Follow the body, again while it fits better with a limb turned about its length."""
-        parts = np.array_split(keys, min(_COMPARED, len(keys)))
-        some = [int(p[(self.track[self.keys[p]] >= 0).sum(1).argmax()]) for p in parts]
-        for _ in range(_TURNED):
+        some = [
+            int(part[(self.track[self.keys[part]] >= 0).sum(1).argmax()])
+            for part in np.array_split(keys, min(_COMPARED, len(keys)))
+        ]
+        clouds = [self._points_and_tracks(k)[0] for k in some]
+        for turns_left in reversed(range(_TURNED)):
             self._sum[:], self._count[:] = 0.0, 0.0
             self._follow_body(found, at, keys)
             poses = found.body.posed(self._translation[some], self._rotations[some])
-            turned = turned_limb(found.body, poses, [self._points_and_tracks(k)[0] for k in some])
+            turned = turned_limb(found.body, poses, clouds) if turns_left else None
             if turned is None:
                 break
             found, at = min(zip(turned, some, strict=True), key=lambda one: one[0].rank)
