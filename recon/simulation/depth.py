@@ -163,7 +163,7 @@ def without_pose(file: PointsFile) -> PointsFile:
     """
     camera = file.camera
     if camera is None or camera.T_camera_world is None or len(camera.T_camera_world) != 1:
-        raise ReconError("expected a sensor that stands still: a moving one needs its poses")
+        raise ReconError("expected a fixed sensor: a moving one needs its poses")
     T = camera.T_camera_world[0]
     points = file.points @ T[:3, :3].T + T[:3, 3]
     return replace(file, points=points, camera=replace(camera, T_camera_world=None))
