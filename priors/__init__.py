@@ -1,4 +1,4 @@
-"""Learned priors over motions, and the network that labels points of clouds by body part."""
+"""Learned priors over motions, and a network that labels each point of a cloud by body part."""
 
 from typing import TYPE_CHECKING
 

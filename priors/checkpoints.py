@@ -30,7 +30,7 @@ class Checkpoint:
     settings: Mapping[str, Any]
 
     def require(self, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
-        """The tensors, checked to have exactly these names and shapes.
+        """Return the file's tensors after checking that they have exactly the given shapes.
 
         Raises:
             ValueError: naming the file and every layer that is missing, spare or misshapen.
@@ -49,7 +49,7 @@ class Checkpoint:
         return {name: self.tensors[name] for name in shapes}
 
     def with_prefix(self, prefix: str) -> "Checkpoint":
-        """Tensors whose names have this prefix, the prefix removed, in single precision."""
+        """Return the tensors whose names begin with `prefix`, without it, in single precision."""
         own = {
             name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
             for name, tensor in self.tensors.items()
@@ -58,7 +58,7 @@ class Checkpoint:
         return Checkpoint(self.path, own, self.settings)
 
     def without_prefixes(self, *prefixes: str) -> "Checkpoint":
-        """Tensors whose names have none of these prefixes, in single precision."""
+        """Return the tensors whose names begin with none of the prefixes, in single precision."""
         others = {
             name: tensor.float()
             for name, tensor in self.tensors.items()
@@ -67,7 +67,7 @@ class Checkpoint:
         return Checkpoint(self.path, others, self.settings)
 
     def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
-        """The integer settings `names`; the file's settings in `words` must equal these texts.
+        """Return the integer settings `names`; the settings `words` must have the given texts.
 
         Raises:
             ValueError: naming the file and what it says, when they are not.
@@ -85,13 +85,13 @@ class Checkpoint:
         return right
 
     def copy_into(self, network: nn.Module) -> None:
-        """Copy all tensors into a network of the same layers; raises as `require`."""
+        """Copy the file's tensors into a network; raises as `require` if its layers differ."""
         layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}
         network.load_state_dict(self.require(layers), strict=True)
 
 
 def checksum(tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> str:
-    """SHA-256 over kind, settings, and names, types, shapes and bytes of all tensors."""
+    """Return the SHA-256 of a weights file's metadata and of all its tensors with their names."""
     hashed = {key: metadata.get(key) for key in ("kind", "settings")}
     digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode())
     for name in sorted(tensors):
@@ -117,7 +117,7 @@ def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
 
 
 def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
-    """Read a weights file of this kind.
+    """Read a weights file and check that it holds weights of the network `kind`.
 
     A file without a checksum, as version 0.1.0 wrote them, is read when its numbers are those of
     a network.
@@ -168,7 +168,7 @@ FIRST = "pose"
 
 
 def weights_path(name: str | Path, kind: str) -> Path:
-    """The weights file of a prior in the package for `open`; any other name is a path."""
+    """Return the path of the packaged weights of `kind` if `name` is "open", else `name`."""
     if name != "open":
         return Path(name)
     found = find_spec("priors")

@@ -29,7 +29,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 @dataclass(frozen=True)
 class Anchors(TensorStruct):
-    """Cycles of motion, each as 100 anchor frames."""
+    """Gait cycles, each described by 100 anchor frames that are evenly spaced in time."""
 
     rotations: Float[Tensor, "*batch anchors 20 3 3"]
     """Relative to the parent joint; the root in the world, or in the frame of the first anchor."""
@@ -40,7 +40,7 @@ class Anchors(TensorStruct):
 
     @classmethod
     def of(cls, motion: Motion) -> "Anchors":
-        """A motion of one cycle (batched or not), from its first to its last frame."""
+        """Return 100 anchors of a motion (batched or not) that is one cycle from end to end."""
         last = (motion.frames - 1) / motion.fps
         moments = torch.linspace(0, last, ANCHORS, dtype=torch.float64)
         at = motion.at(motion.start_time + moments, (ANCHORS - 1) / max(last, 1e-9))
@@ -54,25 +54,25 @@ class Anchors(TensorStruct):
 
     @property
     def full_rotations(self) -> Float[Tensor, "*batch anchors 22 3 3"]:
-        """Rotations of all joints, those of the toes at rest."""
+        """Rotations of all 22 joints; the toe joints, which anchors lack, have the identity."""
         shape = (*self.rotations.shape[:-3], len(JOINTS), 3, 3)
         every = torch.eye(3).to(self.rotations).expand(shape).clone()
         every[..., POSED, :, :] = self.rotations
         return every
 
     def motion(self, shape: Float[Tensor, "*batch shape"], fps: float) -> Motion:
-        """The anchor frames resampled to a frame rate."""
+        """Return the anchor frames as a motion of a body, with `fps` anchors per second."""
         return Motion.create(self.translation, self.full_rotations, shape, fps)
 
     def pack(self) -> Float[Tensor, "*batch anchors 124"]:
-        """The rows chi: 6D rotations minus the identity's, translation (m), time (s)."""
+        """Return rows of anchors: 6D rotations minus the identity's, translation (m), time (s)."""
         columns = so3.to_6d(self.rotations)
         pose = (columns - columns.new_tensor(_IDENTITY)).flatten(-2)
         return torch.cat((pose, self.translation, self.times[..., None]), -1)
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch anchors 124"]) -> "Anchors":
-        """The inverse of `pack`; 6D rotations are orthonormalised."""
+        """Return the anchors whose packed rows (`pack`) are given; makes rotations orthonormal."""
         columns = rows[..., :POSE_NUMBERS].unflatten(-1, (len(POSED), 6))
         return cls(
             rotations=so3.from_6d(columns + columns.new_tensor(_IDENTITY)),
@@ -154,7 +154,7 @@ class CycleBasis(TensorStruct):
 
     @property
     def whitening(self) -> Float[Tensor, " basis"]:
-        """Factors that give every coefficient unit variance over the training cycles.
+        """Factors by which coefficients are multiplied to have unit variance in the training data.
 
         Directions without variance, whose deviation is rounding, are not blown up to it.
         """
@@ -163,7 +163,7 @@ class CycleBasis(TensorStruct):
     def normalised(
         self, rows: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
-        """Rows chi of cycles, scaled to the units of the training losses."""
+        """Return packed rows of cycles (`Anchors.pack`) in the units of the training losses."""
         span = self.high - self.low
         rest = (rows[..., POSE_NUMBERS:] - self.low) / span
         rest = torch.cat((2 * rest[..., :3] - 1, rest[..., 3:]), -1)
@@ -172,20 +172,20 @@ class CycleBasis(TensorStruct):
     def denormalised(
         self, normalised: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
-        """The inverse of `normalised`: 6D rotations without unit, metres, seconds."""
+        """Return normalised rows in physical units again: 6D rotations, metres, seconds."""
         span = (self.high - self.low) / self.high.new_tensor([2.0, 2.0, 2.0, 1.0])
         low = self.low + span * span.new_tensor([1.0, 1.0, 1.0, 0.0])
         scale = torch.cat((span.new_ones(POSE_NUMBERS), span))
         return torch.cat((low.new_zeros(POSE_NUMBERS), low)) + scale * normalised
 
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
-        """Cosine coefficients of every channel and the duration, in the units of the losses."""
+        """Return a cycle's duration and cosine coefficients over time of all other row entries."""
         waves = cosines(ANCHORS, COSINES).to(normalised)
         slow = waves.mT @ normalised[..., :-1] * _units_of_features(normalised)
         return torch.cat((slow.flatten(-2), _TIME * normalised[..., -1, -1:]), -1)
 
     def from_codes(self, codes: Float[Tensor, "*batch codes"]) -> Float[Tensor, "*batch 100 124"]:
-        """Normalised rows; times grow evenly from zero to the duration."""
+        """Return the normalised rows of a cycle from its cosine coefficients and duration."""
         slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _units_of_features(
             codes
         )
@@ -201,7 +201,7 @@ class CycleBasis(TensorStruct):
     def synthesise(
         self, coefficients: Float[Tensor, "*batch basis"]
     ) -> Float[Tensor, "*batch 100 124"]:
-        """Normalised rows of the cycles that have these coefficients."""
+        """Return the normalised anchor rows of cycles from their coefficients in this basis."""
         return self.from_codes(self.mean + (coefficients * self.scale) @ self.directions)
 
 

@@ -27,10 +27,10 @@ class AnchorNetworks(nn.Module):
     """
 
     def __init__(self, basis: CycleBasis, latent: int, shape: int, width: int) -> None:
-        """Untrained.
+        """Build untrained networks.
 
         Args:
-            basis: of cycles; not learned.
+            basis: linear map between cycles and coefficients; not learned.
             latent: size of z.
             shape: coefficients of the body that the decoder sees.
             width: units of the hidden layers; 0 has no hidden layers, what is learned is linear.
@@ -51,7 +51,7 @@ class AnchorNetworks(nn.Module):
     def posterior(
         self, rows: Float[Tensor, "*batch 100 124"]
     ) -> tuple[Float[Tensor, "*batch latent"], Float[Tensor, "*batch latent"]]:
-        """Mean and log-variance of the code of aligned cycles (rows chi)."""
+        """Mean and log-variance of the latent codes of aligned cycles (rows of `Anchors.pack`)."""
         coefficients = self.basis.analyse(rows)
         mean, log_variance = self.encoder(coefficients).chunk(2, -1)
         return mean + coefficients @ self.to_code.mT, log_variance.clamp(*_LOG_VARIANCE)
@@ -66,12 +66,12 @@ class AnchorNetworks(nn.Module):
     def decode(
         self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch 100 124"]:
-        """Aligned cycles as rows chi: metres, seconds."""
+        """Decode latent codes to aligned cycles: rows of `Anchors.pack` in metres and seconds."""
         return self.basis.denormalised(self.normalised(latent, shape))
 
 
 class _ResidualBlock(nn.Module):
-    """x + B silu(A norm(x))."""
+    """Residual block of two linear layers A and B: x + B silu(A norm(x))."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class _ResidualBlock(nn.Module):
 
 
 def _residual_layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
-    """Layers whose output is zero before training."""
+    """Build a residual network whose output is zero until it is trained."""
     last = nn.Linear(width or inputs, outputs)
     nn.init.zeros_(last.weight)
     nn.init.zeros_(last.bias)
@@ -112,7 +112,7 @@ class CodeSpread(TensorStruct):
 
 @dataclass(frozen=True)
 class AnchorWeights:
-    """The content of a weights file."""
+    """Networks and code distribution of the anchor prior, as a weights file holds them."""
 
     networks: AnchorNetworks
     spread: CodeSpread

@@ -105,16 +105,16 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
 
     @property
     def typical(self) -> Float[Tensor, "typical latent"]:
-        """Latent codes of a few different cycles, as first hypotheses."""
+        """Latent codes of a few different recorded cycles, from which a fit's search starts."""
         return self.weights.spread.typical
 
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
-        """The path of the pelvis in each typical cycle, at evenly spaced moments, metres."""
+        """The pelvis' path in each typical cycle at 100 evenly spaced times, metres."""
         rows = self.weights.networks.decode(self.typical, shape.expand(len(self.typical), -1))
         return rows[..., -4:-1] + rest_pelvis(self.body, shape)
 
     def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages of a quick fit that ranks first hypotheses.
+        """Return the stages of a quick fit by which hypotheses of the cycle are ranked.
 
         Place and heading, then the latent code.
         """
@@ -124,14 +124,14 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         )
 
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages over the latent code, then over the body's shape as well."""
+        """Return two stages: one over place, time and latent code, one with the shape as well."""
         return (
             self._stage("cycle", data, noise, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
             self._stage("body", data, noise, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
         )
 
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """The last stage, for dense data: corrections that latent codes cannot express."""
+        """Return the last stage, for dense data, which adds corrections to the decoded cycle."""
         minimiser = LBFGS(60, tolerance_decrease=1e-5)
         stage = self._stage("details", data, noise, _BODY | {"bend", "shift"}, minimiser)
         held = Term("details", prior_energy("details"), noise**2)
@@ -145,13 +145,13 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         free: frozenset[str],
         minimiser: LBFGS,
     ) -> Stage[AnchorVariables]:
-        """A stage with the densities of codes, shapes and ends: -log p in nats, times noise²."""
+        """Build a stage of data terms and the prior's energies (-log p in nats, times noise²)."""
         weights = {"latent": 1.0, "shape": 1.0, "ends": _ENDS**-2, "sink": 1.0}
         likely = (Term(one, prior_energy(one), w * noise**2) for one, w in weights.items())
         return Stage(name, self, (*data, *likely), free, minimiser)
 
     def encode(self, motion: Motion) -> AnchorVariables:
-        """The code of each clip, taken as one cycle from its first to its last frame.
+        """Return variables with the latent code of each clip, taken as one whole gait cycle.
 
         Details are what the decoder leaves out, as far as they are slow: of a recorded cycle
         they are left at zero, since it is codes that are looked for.
@@ -202,13 +202,13 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         )
 
     def rows(self, variables: AnchorVariables) -> Float[Tensor, "*batch 100 124"]:
-        """Rows chi of the decoded anchors, in the frame of the first anchor."""
+        """Rows (`Anchors.pack`) of the decoded anchors, in the frame of the first anchor."""
         spread = self.weights.spread
         codes = spread.mean + variables.latent @ spread.root.mT
         return self.weights.networks.decode(codes, variables.shape)
 
     def decode(self, variables: AnchorVariables) -> Decoded:
-        """The motion at the clock's moments, and -log p in parts.
+        """Return the motion in the clip's frames, and the parts of -log p of the variables.
 
         Moments before the cycle or after it have its first or last anchor. `latent`, `shape` and
         `details` are half squared Mahalanobis distances; `ends` is half the squared time, in
@@ -250,7 +250,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
     def _anchor_of_frames(
         self, variables: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
     ) -> Float[Tensor, "*batch time"]:
-        """Position of every frame among the anchors, 0 to 99, fractional."""
+        """Fractional anchor index of every frame: 0 at the cycle's begin, 99 at its end."""
         clock = (
             torch.arange(variables.valid.shape[-1], dtype=rows.dtype, device=rows.device)
             / variables.fps
@@ -269,7 +269,7 @@ def with_corrections(
     bend: Float[Tensor, "*batch modes 60"],
     shift: Float[Tensor, "*batch modes 3"],
 ) -> Anchors:
-    """Poses and translations plus corrections in cosines of time, scaled by frequency."""
+    """Add corrections, sums of cosines over time, to the poses and translations of anchors."""
     frames, modes = anchors.translation.shape[-2], bend.shape[-2]
     waves = torch.zeros(frames, modes, dtype=torch.float64)
     count = min(frames, modes)
@@ -285,7 +285,7 @@ def with_corrections(
 def _interpolated_rows(
     rows: Float[Tensor, "*batch 100 124"], place: Float[Tensor, "*batch time"]
 ) -> Float[Tensor, "*batch time 124"]:
-    """Linear interpolation between anchors, which are some milliseconds apart."""
+    """Interpolate anchor rows linearly at fractional anchor indices (0 to 99)."""
     place = place.clamp(0, ANCHORS - 1)
     before = place.detach().floor().long().clamp(max=ANCHORS - 2)
     fraction = (place - before)[..., None]

@@ -80,7 +80,7 @@ class Collocation(Prior[PoseVariables]):
     def for_noise(
         cls, humor: Humor, noise: float, density: PoseDensity | None = None
     ) -> "Collocation":
-        """The prior for observations of a standard deviation of `noise` metres per coordinate.
+        """Return the prior, weighted for observations with `noise` metres per coordinate.
 
         Args:
             humor: whose networks judge the steps.
@@ -115,15 +115,15 @@ class Collocation(Prior[PoseVariables]):
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "clips time 69"]
     ) -> PoseVariables:
-        """Variables after steps of frames; see `PosePrior.from_steps`."""
+        """Return the variables after a step of every frame's pose; see `PosePrior.from_steps`."""
         return self.poses.from_steps(variables, steps)
 
     def turns(self, variables: PoseVariables, clip: int) -> Float[Tensor, "time 63 63"]:
-        """Derivatives of the joints' rotations by the pose; see `PosePrior.turns`."""
+        """Derivatives of joint rotations by pose coordinates z; see `PosePrior.turns`."""
         return self.poses.turns(variables, clip)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
-        """Add the Gauss-Newton Hessian of a term: pose density, steps (mean) or held feet."""
+        """Add the Gauss-Newton Hessian of one of the prior's terms; false if it has none."""
         if term.energy is contact_velocity:
             contacts = clip.estimate.decoded.contacts
             assert contacts is not None

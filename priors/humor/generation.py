@@ -60,7 +60,7 @@ class FootingSettings:
         contact_heights: Float[Tensor, "all 4"],
         random: torch.Generator,
     ) -> Int[Tensor, " clips"]:
-        """Index of the selected sample in each group of `draws` samples.
+        """Select one sample of each group of `draws`, those with a foot on the ground likelier.
 
         Args:
             before: states in the world, each repeated for its draws.
@@ -82,7 +82,7 @@ class FootingSettings:
     def grounded(
         self, before: State, after: State, contact_heights: Float[Tensor, "clips 4"]
     ) -> State:
-        """The states, moved towards the ground; arguments as of `selected`, without `draws`."""
+        """Return states moved vertically so that the lowest foot comes nearer to the ground."""
         lower = (after.joints[:, FEET, 2] - contact_heights).amin(-1)
         raised = self.raised * (-lower - _SUNK).clamp(min=0)
         lowered = self.lowered * _carried_share(before, after) * (lower - _ABOVE).clamp(min=0)
@@ -94,7 +94,7 @@ class FootingSettings:
 
 
 def _carried_share(before: State, after: State) -> Float[Tensor, " all"]:
-    """Share of the body's weight that the ground carries between two states."""
+    """Share of the body's weight that the ground carries, from the pelvis' acceleration."""
     rise = (after.joints - before.joints)[:, 0, 2] * REFERENCE_FPS
     return carried_share((rise - before.velocity[:, 2]) * REFERENCE_FPS)
 
@@ -107,7 +107,7 @@ def drawn_step(
     *,
     temperature: float = 1.0,
 ) -> tuple[Frame, State, Float[Tensor, "clips 9"]]:
-    """One step by a latent drawn from the conditional prior, or by the prior's mean.
+    """Make one step of a motion, with a latent drawn from the prior or with its mean.
 
     Args:
         networks: in the states' precision and on their device.
@@ -159,7 +159,7 @@ def roll_from(
     footing: FootingSettings | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
-    """Continue given states by random steps; axes (clips, frames), 30 Hz.
+    """Return motions (clips, frames) at 30 Hz that continue given states by random steps.
 
     Args:
         humor: in the states' precision and on their device.
@@ -223,7 +223,7 @@ def predict(
     temperature: float = TEMPERATURE,
     footing: FootingSettings | None = _FOOTING,
 ) -> Decoded:
-    """Continue motions from their last frames; axes (samples · clips, frames), 30 Hz.
+    """Return random continuations (samples · clips, frames) of motions at 30 Hz.
 
     The first frame is the motion's last. All clips of the first sample come first.
 
@@ -276,7 +276,7 @@ def sample(
     temperature: float = TEMPERATURE,
     footing: FootingSettings | None = _FOOTING,
 ) -> Decoded:
-    """Motions drawn from the prior: first states from the mixture, latents from the prior.
+    """Draw motions: first states from the mixture of states, then a latent for every step.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
     `temperature` and `footing` are as of `roll_from`; the first states are drawn with the same
@@ -295,7 +295,7 @@ _FACING = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
 
 @dataclass(frozen=True)
 class _JointEnergy(TensorStruct):
-    """½ Σ |p - p̂|² of all joints of one frame; metres²."""
+    """Energy that pulls the joints of a one-frame motion to positions: ½ Σ |p - p̂|², metres²."""
 
     positions: Float[Tensor, "clips 22 3"]
 

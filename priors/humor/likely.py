@@ -31,7 +31,7 @@ matters."""
 
 
 def time_factor(data: Sequence[Term]) -> float:
-    """Factor by which time is scaled for the networks, per motion of a batch; 1 is real time.
+    """Factor, at most 1, by which fast motions are slowed down for the networks.
 
     √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
@@ -60,7 +60,7 @@ def _centroid_speed(sensor: Any) -> Float[Tensor, " clips"]:
 
 @dataclass(frozen=True, eq=False)
 class LikelyStates(TensorStruct):
-    """Energy of the states of clips with an unobserved limb, at 30 Hz."""
+    """Energy that makes every state likely in clips of which a limb was not observed."""
 
     humor: Humor
     """Prior whose mixture of initial states is the density."""

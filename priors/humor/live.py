@@ -1,4 +1,4 @@
-"""HuMoR in a stream: the energies of the steps between its newest frames."""
+"""HuMoR's energies of the steps between the newest frames of a live stream."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -28,7 +28,7 @@ they are too short for fast motions, with half of it many do not descend (valida
 
 @dataclass(frozen=True)
 class JudgedSteps:
-    """The networks' outputs for the steps of a window, and the energy of these steps."""
+    """Energy of the steps of a window of frames under HuMoR, and the predicted contacts."""
 
     energy: Float[Tensor, ""]
     contacts: Float[Tensor, "time 22"]
@@ -53,7 +53,7 @@ class LiveSteps:
 
     @classmethod
     def for_noise(cls, humor: Humor, noise: float) -> "LiveSteps":
-        """The energies, weighted for points with a noise of `noise` metres per coordinate."""
+        """Return the energies of steps, weighted for points with `noise` metres of noise."""
         return cls(humor, CollocationWeights.for_noise(noise))
 
     @property
@@ -99,7 +99,7 @@ class LiveSteps:
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
-        """Add the mean Hessian of the steps, and the Hessian of held feet by joint coordinates.
+        """Add the mean Hessian of steps to `hessian`, and that of feet in contact to `of_joints`.
 
         Args:
             motion: of the window, without a batch axis.

@@ -80,7 +80,7 @@ class FrozenDecoder:
 
     @classmethod
     def of(cls, decoder: Perceptron) -> "FrozenDecoder":
-        """A copy of a network's weights, detached from the network."""
+        """Copy the weights of a decoder network, detached from it, into the loop's layout."""
         linear = [m for m in decoder.net if isinstance(m, nn.Linear)]
         norms = [m for m in decoder.net if isinstance(m, nn.GroupNorm)]
         weights = [m.weight.detach() for m in linear]
@@ -107,22 +107,22 @@ class FrozenDecoder:
     def constant_inputs(
         self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch all_outputs"]:
-        """The part of the inputs of all layers that comes from latents, pelvis and biases."""
+        """What latents, pelvis and biases add to the linear outputs of all layers."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
     def split_by_layer(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
-        """Split the inputs of all layers into one tensor for each layer."""
+        """Split what `constant_inputs` returns into one tensor per layer."""
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
     def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:
-        """The units arranged by groups that are normalised together."""
+        """Reshape hidden units to the groups that group normalisation normalises together."""
         return units.view(*units.shape[:-1], self.groups, -1)
 
     def __call__(
         self, x: Float[Tensor, "batch 337"], added: tuple[Tensor, ...]
     ) -> tuple[Tensor, ...]:
-        """The outputs of all layers; the last is the raw step."""
+        """Return the linear outputs of all layers; the last one is the decoder's raw step."""
         units: list[Tensor] = []
         for weight, bias, norm in zip(self.layers[:-1], added[:-1], self.norms, strict=True):
             units.append(torch.addmm(bias, x, weight))
@@ -133,7 +133,7 @@ class FrozenDecoder:
 
 
 def _last_layer_in_loop_order(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
-    """The last layer with joints relative to the translation, and rotation vectors halved."""
+    """Reorder the last layer's rows for the loop, with joints relative to the translation."""
     looped = rows[_RAW_ORDER]
     for axis in range(2):
         joints = slice(VECTORS * axis + 2, VECTORS * axis + 2 + len(JOINTS))
@@ -144,7 +144,7 @@ def _last_layer_in_loop_order(rows: Float[Tensor, "outputs ..."]) -> Float[Tenso
 
 @dataclass(frozen=True)
 class HeadingTurn:
-    """The rotation of a state about the vertical into its canonical frame.
+    """Computes the rotation about the vertical that brings a state to its canonical frame.
 
     The body's right side along +x.
     """
@@ -155,7 +155,7 @@ class HeadingTurn:
 
     @classmethod
     def like(cls, tensor: Tensor) -> "HeadingTurn":
-        """A turn in a tensor's precision and on its device."""
+        """Make the rotation's constants in a tensor's precision and on its device."""
         quarters = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0))
         like = (tensor.device, tensor.dtype)
         return cls(cached_constant((_UPRIGHT, 0.0), *like), cached_constant(quarters, *like))
@@ -165,18 +165,18 @@ class HeadingTurn:
         return self.upright - turns[..., 0, :2, 0]
 
     def heading(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
-        """The heading's (c, s): unit vector to the right of the body."""
+        """Horizontal unit vector (c, s) to the body's right, which defines its heading."""
         side = self.right_side(turns)
         return side / torch.linalg.vector_norm(side, dim=-1, keepdim=True)
 
     def __call__(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2 2"]:
-        """[[c, s], [-s, c]], for the horizontal parts of vectors."""
+        """Return the rotation [[c, s], [-s, c]] of horizontal vectors into the canonical frame."""
         return (self.heading(turns) @ self.quarters).unflatten(-1, (2, 2))
 
 
 @dataclass(frozen=True)
 class Unrolled:
-    """Steps one after the other, each in the canonical frame of the state it starts from."""
+    """States and raw steps of a roll-out, each in the canonical frame of its step's start."""
 
     inputs: Float[Tensor, "steps batch 337"]
     """The state from which each step starts."""
@@ -192,7 +192,7 @@ def _unrolled(
     start: Float[Tensor, "batch 337"],
     added: Float[Tensor, "steps batch all_outputs"],
 ) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
-    """States of all steps from a canonical state, and the outputs of the hidden layers at each."""
+    """Roll out all steps from a canonical state; also return every hidden layer's outputs."""
     turn = HeadingTurn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
@@ -293,7 +293,7 @@ def _horizontal_vectors(
 
 
 def _horizontal_root(gradient: Float[Tensor, "batch 198"]) -> Float[Tensor, "batch 2 3"]:
-    """The horizontal parts of the root's columns."""
+    """The x and y rows (2, 3) of the gradient by the root's rotation matrix."""
     return gradient[:, :6].view(-1, 2, 3)
 
 
@@ -346,7 +346,7 @@ class _LayerBackward:
 def _turned_adjoints(
     half: Float[Tensor, "steps batch 22 3"],
 ) -> tuple[Float[Tensor, "steps joints 3 3"], Float[Tensor, "steps joints 3 3"]]:
-    """Transposed derivatives of R' = Exp(2 h) R: dR' = hat(2 J dh) R' + Exp(2 h) dR.
+    """Transposed derivatives of R' = Exp(2 h) R by R and h, where 2 h is a rotation vector.
 
     The first is of dR. The second is of dh: 2 Jᵀ = 2 (I - b hat(v) + d hat(v)²), J the left
     Jacobian of SO(3) at v = 2 h, with b = (1 - cos a)/a², d = (1 - sin(a)/a)/a², a = |v|.
@@ -367,7 +367,7 @@ _MIN_SQUARED_ANGLE = 1e-30
 def _derivatives_by_heading(
     inputs: Float[Tensor, "steps batch 337"],
 ) -> Float[Tensor, "steps batch 337"]:
-    """Derivatives of canonical states by the angle of the turn to their heading."""
+    """Derivatives of canonical states by the angle that rotates them into their frame."""
     turned = torch.zeros_like(inputs)
     for first, numbers in ((0, LEVEL // 2), (MOVED, 3)):
         x, y = slice(first, first + numbers), slice(first + numbers, first + 2 * numbers)
@@ -378,6 +378,6 @@ def _derivatives_by_heading(
 def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
-    """Derivatives of the angle of the heading by the first column of the root's rotation."""
+    """Derivatives of the heading angle by x and y of the root rotation's first column."""
     x, y = HeadingTurn.like(turns).right_side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

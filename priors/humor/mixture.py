@@ -14,7 +14,7 @@ from recon.core.struct import TensorStruct
 
 @dataclass(frozen=True)
 class Mixture(TensorStruct):
-    """p(x) = Σ_k w_k N(x; m_k, C_k) over some of the numbers of x.
+    """Mixture of Gaussians p(x) = Σ_k w_k N(x; m_k, C_k) over selected entries of x.
 
     Numbers that follow from others make covariances singular: an energy that punishes a
     mismatch of a millimetre by hundreds of nats, and stops a minimiser. They are left out by
@@ -37,7 +37,7 @@ class Mixture(TensorStruct):
         covariances: Float[Tensor, "components features features"],
         features: Int[Tensor, " features"] | None = None,
     ) -> "Mixture":
-        """A mixture in double precision from weights, means and covariances.
+        """Make a mixture in double precision from weights, means and covariances.
 
         Raises:
             ValueError: when a covariance is not positive definite.
@@ -95,7 +95,7 @@ class Mixture(TensorStruct):
     def sample(
         self, count: int, random: torch.Generator, temperature: float = 1.0
     ) -> Float[Tensor, "count features"]:
-        """Draws of the numbers in `features`; `temperature` multiplies standard deviations."""
+        """Draw vectors x (only entries `features`); `temperature` scales standard deviations."""
         chance = self.log_weights.exp().cpu()
         which = torch.multinomial(chance, count, replacement=True, generator=random)
         white = torch.randn(count, len(self.features), generator=random).to(self.means)

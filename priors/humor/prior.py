@@ -116,13 +116,13 @@ class Humor(Prior[HumorVariables]):
         return kind.for_noise(humor, noise).stages(data)
 
     def live(self, noise: float) -> "LiveSteps":
-        """The energies of steps for a stream of points with a noise of `noise` metres."""
+        """Return HuMoR's energies for a live stream of points with `noise` metres of noise."""
         return imported_object("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None
     ) -> "Humor":
-        """The prior on another device or in another precision."""
+        """Return the prior on another device or in another precision."""
         networks = type(self.networks)(self.networks.width).requires_grad_(False)
         networks.load_state_dict(self.networks.state_dict())
         return replace(
@@ -134,14 +134,14 @@ class Humor(Prior[HumorVariables]):
         )
 
     def like(self, tensor: Tensor) -> "Humor":
-        """The prior in a tensor's precision and on its device; made once for each."""
+        """Return the prior in a tensor's precision and on its device; cached."""
         own = self.body.template
         if own.dtype == tensor.dtype and own.device == tensor.device:
             return self
         return _converted_prior(self, tensor.device, tensor.dtype)
 
     def encode(self, motion: Motion) -> HumorVariables:
-        """First state and posterior means of a motion, which is brought to 30 Hz.
+        """Encode a motion, resampled to 30 Hz, as its first state and a latent per step.
 
         Every latent leads from where the latents before it have led towards the motion's next
         state, so that the roll-out follows the motion instead of adding up errors.
@@ -154,7 +154,7 @@ class Humor(Prior[HumorVariables]):
         return encoded_variables(self.like(motion.translation), motion)
 
     def decode(self, variables: HumorVariables) -> Decoded:
-        """The motion of a first state and latents.
+        """Roll out the motion that starts with a first state and follows the given latents.
 
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
@@ -184,7 +184,7 @@ def _converted_prior(humor: Humor, device: torch.device, dtype: torch.dtype) -> 
 
 @lru_cache(maxsize=1)
 def _bundled_prior() -> Humor:
-    """The prior with the weights in the package and the bundled body, read once."""
+    """Load the prior with the packaged weights and the bundled body; cached."""
     with torch.inference_mode(False):  # inference tensors would be unusable in later fits
         weights = read_weights("open")
         initial, whitening = mixture_from(weights), whitening_from(weights)
@@ -220,7 +220,7 @@ def read_weights(path: str | Path) -> Checkpoint:
 
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
-    """Networks of the width that the weights have."""
+    """Build the three networks in the weights' width and copy the weights into them."""
     own = weights.without_prefixes(INITIAL, WHITENING)
     networks = HumorNetworks(width_of(own.tensors))
     own.copy_into(networks)
@@ -243,7 +243,7 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
-    """The matrix that whitens the decoder's errors, where the file has one."""
+    """The matrix that whitens the decoder's errors, from a weights file; None without one."""
     own = weights.with_prefix(WHITENING)
     return own.require({"": (207, 207)})[""] if own.tensors else None
 

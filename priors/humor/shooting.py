@@ -142,17 +142,17 @@ class Shooting(Prior[HumorVariables]):
 
     @classmethod
     def published(cls, humor: Humor, sensor: str) -> "Shooting":
-        """The fit of the publication for a kind of sensor, a key of `PUBLISHED`."""
+        """Return the method with the published settings for a sensor, a key of `PUBLISHED`."""
         weights, poses = PUBLISHED[sensor]
         start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
         return cls(humor, weights, IterationSchedule.published(), start, _AS_PUBLISHED)
 
     def encode(self, motion: Motion) -> HumorVariables:
-        """First state and latents; see `Humor.encode`."""
+        """Encode a motion as first state and latents; see `Humor.encode`."""
         return self.humor.encode(motion)
 
     def decode(self, variables: HumorVariables) -> Decoded:
-        """The motion of a first state and latents; see `Humor.decode`."""
+        """Decode first state and latents to a motion; see `Humor.decode`."""
         return self.humor.decode(variables)
 
     def stages(
@@ -162,7 +162,7 @@ class Shooting(Prior[HumorVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """The stages: start; first 15 frames; all latents with the first state fixed; everything.
+        """Return the stages: start, first 15 frames, latents with the first state fixed, all.
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
@@ -225,7 +225,7 @@ def _with_sensor_weight(term: Term, weights: Mapping[str, float]) -> Term:
 
 
 def _ground_energy_per_frame(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """The energy `ground_moved` for every frame; zero where the ground is known."""
+    """The energy `ground_moved` times the number of frames; zero where the ground is known."""
     frames = estimate.motion.valid.sum(-1)
     if estimate.scene.ground is None:
         return torch.zeros_like(estimate.motion.shape[..., 0])
@@ -233,5 +233,5 @@ def _ground_energy_per_frame(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def _per_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:
-    """The energy per 15 frames, as the publication scales it from its second phase on."""
+    """Multiply an energy by the number of frames / 15, as the published second phase does."""
     return lambda estimate: energy(estimate) * (estimate.motion.valid.sum(-1) / FIRST_FRAMES)

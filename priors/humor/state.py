@@ -1,4 +1,4 @@
-"""HuMoR's state of a body at one moment, its canonical frame, and a step to the next."""
+"""HuMoR's state of a body in one frame, its canonical coordinates, and steps between states."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ assert sum(_SIZES) == STATE
 
 @dataclass(frozen=True)
 class State(TensorStruct):
-    """Pose and velocities of a body at one moment; z up, metres and seconds."""
+    """Pose, joints and their velocities of a body in one frame; z up, metres and seconds."""
 
     translation: Float[Tensor, "*batch 3"]
     """SMPL translation: the pelvis is at translation + rest pelvis."""
@@ -46,14 +46,14 @@ class State(TensorStruct):
         return torch.cat((self.root[..., None, :, :], self.pose), -3)
 
     def pack(self) -> Float[Tensor, "*batch 339"]:
-        """The networks' input: all parts in their order, matrices by rows."""
+        """Concatenate a state's fields to the networks' input vector, matrices row by row."""
         batch = self.translation.shape[:-1]
         parts = (t.reshape(*batch, -1) for t in self.tensors().values())
         return torch.cat(tuple(parts), -1)
 
     @classmethod
     def unpack(cls, packed: Float[Tensor, "*batch 339"]) -> "State":
-        """The inverse of `pack`."""
+        """Split a packed vector into the fields of a state; the inverse of `pack`."""
         parts = packed.split(_SIZES, -1)
         return cls(
             translation=parts[0],
@@ -77,7 +77,7 @@ class Frame(TensorStruct):
 
     @classmethod
     def of(cls, state: State) -> "Frame":
-        """The canonical frame of a state: its heading and horizontal translation."""
+        """Compute a state's canonical frame from its heading and horizontal translation."""
         place = state.translation
         return cls(
             so3.heading(state.root),
@@ -85,7 +85,7 @@ class Frame(TensorStruct):
         )
 
     def to_frame(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-        """A state of the outer frame, expressed in this frame.
+        """Transform a state from the outer frame (usually the world) into this frame.
 
         Args:
             state: in the outer frame.
@@ -106,7 +106,7 @@ class Frame(TensorStruct):
         )
 
     def from_frame(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-        """A state of this frame, expressed in the outer frame; the inverse of `to_frame`."""
+        """Transform a state from this frame to the outer one; the inverse of `to_frame`."""
         back = self.turn.mT
         joints = (state.joints - pelvis[..., None, :]) @ self.turn
         return State(
@@ -127,14 +127,14 @@ def rest_pelvis(state: State) -> Float[Tensor, "*batch 3"]:
 
 
 def canonical_state(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
-    """The state expressed in its canonical frame."""
+    """Return a state in the coordinates of its own canonical frame."""
     return Frame.of(state).to_frame(state, pelvis)
 
 
 def state_after_step(
     state: State, raw: Float[Tensor, "*batch 216"]
 ) -> tuple[State, Float[Tensor, "*batch 9"]]:
-    """The decoder's step applied: vectors are added, rotations R' = Exp(w) R; and contact logits.
+    """Apply the decoder's raw step to a state; return the next state and contact logits.
 
     The new state is in the frame of the old one.
     """
@@ -165,7 +165,7 @@ def contact_probabilities(
 
 
 def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
-    """The raw step by which `state_after_step` leads from a state to another of the same frame.
+    """Return the raw step with which `state_after_step` gets from one state to another.
 
     Turns are axes times sines of angles: those of a step are small.
     """
@@ -181,7 +181,7 @@ def _rotated(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"
 
 
 def at_tempo(motion: Motion, tempo: float) -> Motion:
-    """The motion resampled to `REFERENCE_FPS` frames per second of the networks' time.
+    """Resample a motion so that, when read at 30 Hz, it runs at `tempo` times its speed.
 
     Read slower, its frames are as many as fill its whole length.
     """
@@ -193,12 +193,12 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
 
 
 def on_network_clock(motion: Motion) -> Motion:
-    """The motion with frames taken to be 1/30 s apart, as the networks read them."""
+    """Return the motion's frames unchanged with the rate set to 30 Hz, as networks read them."""
     return motion.replace(fps=REFERENCE_FPS)
 
 
 def states_of(motion: Motion, body: BodyModel) -> State:
-    """States along a motion of a body; see `posed_states`.
+    """Return HuMoR's states of all frames of a body's motion; see `posed_states`.
 
     Raises:
         ValueError: when a clip has fewer than two frames.
@@ -232,7 +232,7 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
 
 
 def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
-    """Mean of the existing steps before and after each frame, per second."""
+    """Velocity of each frame: mean of the steps before and after it that exist, per second."""
     exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])
     after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
@@ -242,7 +242,7 @@ def _mean_rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> 
 
 
 def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
-    """Features of a state for the mixture of initial states: joints and velocities."""
+    """The 138 numbers of a state that the mixture is over: joints and all velocities."""
     parts = (
         state.joints.flatten(-2),
         state.joint_velocities.flatten(-2),

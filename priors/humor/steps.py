@@ -54,7 +54,7 @@ def posterior_outputs(
 
 @dataclass(frozen=True)
 class Steps(TensorStruct):
-    """States at both ends of all steps, packed (`State.pack`), in the frame of the start.
+    """Packed states (`State.pack`) before and after every step, in the frame of its start.
 
     The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
     """
@@ -101,7 +101,7 @@ class Steps(TensorStruct):
         return cls(packed[0], packed[1], rotations)
 
     def error(self, raw: Float[Tensor, "clips steps 216"]) -> Float[Tensor, "clips steps 207"]:
-        """The raw step from the decoder's predicted state to the true end of the step."""
+        """Return the error of the decoder's raw steps: the step from prediction to true end."""
         straight = self.end - self.start
         turns = torch.cat((raw[..., 6:9], raw[..., 12:75]), -1).unflatten(-1, (-1, 3))
         before, after = self.rotations.unbind(0)
@@ -163,7 +163,7 @@ class StepCurvature(TensorStruct):
 
     @classmethod
     def load(cls, path: str | Path = "open") -> "StepCurvature":
-        """Load the bundled curvature, or that of a file.
+        """Load the bundled step curvature ("open") or that of a weights file.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -209,7 +209,7 @@ class StepCurvature(TensorStruct):
 def _block_in_world(
     turn: Tensor, block: Tensor, exists: Tensor | None
 ) -> Float[Tensor, "steps 69 n"]:
-    """A block with its three rows of translation turned from the canonical frame to the world."""
+    """Rotate the three translation rows of a Hessian block from canonical frame to world."""
     block = block.expand(len(turn), *block.shape[-2:])
     found = torch.cat((turn @ block[:, :3], block[:, 3:]), 1)
     return found if exists is None else exists[:, None, None] * found
@@ -217,7 +217,7 @@ def _block_in_world(
 
 @lru_cache(maxsize=2)
 def bundled_curvature(device: torch.device) -> StepCurvature:
-    """The curvature measured for the bundled weights, on a device.
+    """Load the step curvature measured for the bundled weights, on a device; cached.
 
     Minima do not depend on it. Networks of another width need their own for streams: with this
     one most of their steps are too long.
@@ -277,5 +277,5 @@ class CollocationWeights:
 
 
 def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
-    """ρ(x) = s log(1 + x / s): like x for small x, logarithmic for large x."""
+    """Robust kernel ρ(x) = s log(1 + x / s) with scale s: about x for small x, then log."""
     return scale * torch.log1p(nats / scale)

@@ -76,12 +76,12 @@ class HumorVariables(TensorStruct):
         )
 
     def first(self, frames: int) -> "HumorVariables":
-        """Variables of the motion's first frames."""
+        """Return the variables of the first `frames` frames of the motion."""
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
 
 
 def encoded_variables(humor: Any, motion: Motion) -> HumorVariables:
-    """First state and posterior means of a motion; see `Humor.encode`."""
+    """Encode a motion as its first state and a latent per step; see `Humor.encode`."""
     motion = motion.resample(REFERENCE_FPS)
     states = states_of(motion, humor.body)
     first = states[:, 0]
@@ -102,7 +102,7 @@ def encoded_variables(humor: Any, motion: Motion) -> HumorVariables:
 
 
 def decoded_motion(humor: Any, variables: HumorVariables) -> Decoded:
-    """The motion of a first state and latents; see `Humor.decode`."""
+    """Roll out the motion of a first state and latents; see `Humor.decode`."""
     first, pelvis = _first_state(humor, variables), humor.pelvis(variables.shape)
     frame = Frame.of(first)
     start = frame.to_frame(first, pelvis)
@@ -144,7 +144,7 @@ def _first_state(humor: Any, variables: HumorVariables) -> State:
 def _latents_along(
     humor: Any, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> Float[Tensor, "clips steps 48"]:
-    """Posterior means of the latents, each encoded from the state reached before its step.
+    """Encode each step from the state that decoding the previous latents has reached.
 
     Were each taken from the true state before, errors would add up over the roll-out.
     """
@@ -177,7 +177,7 @@ def _motion(
 
 @dataclass(frozen=True)
 class Rollout(TensorStruct):
-    """Consecutive steps, each in the canonical frame of the state it starts from."""
+    """Result of a roll-out: the state after every step, in the canonical frame of its start."""
 
     inputs: Float[Tensor, "batch steps 339"]
     """Packed canonical states from which the steps start."""
@@ -266,6 +266,6 @@ _PLACES = torch.cat((STATE_ORDER, torch.arange(2))).argsort()
 
 
 def _joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:
-    """A packed state with all joints at one position and zeros elsewhere."""
+    """Return a packed state with all joints at one position and all other entries zero."""
     joints = 3 * len(JOINTS)
     return functional.pad(torch.cat([place] * len(JOINTS), -1), (STATE - 2 * joints, joints))

@@ -42,11 +42,11 @@ class CollocatedHumos(Prior[PoseVariables]):
     poses: PosePrior = field(default_factory=PosePrior.load)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """Variables that encode the motion exactly."""
+        """Encode a motion exactly in the variables of the pose prior."""
         return self.poses.encode(motion)
 
     def decode(self, variables: PoseVariables) -> Decoded:
-        """The motion and its energies under the networks.
+        """Return the variables' motion and its energies under pose prior and HUMOS networks.
 
         `energies` in nats: those of the pose prior, "codes" -log p of the mean codes, "error"
         ½ Σ |x - D(E(x))|² / (2 cm)² over the numbers of all frames at 20 Hz.
@@ -108,7 +108,7 @@ class CollocatedHumos(Prior[PoseVariables]):
 
 @lru_cache(maxsize=16)
 def _linear_resampling(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
-    """Matrix that interpolates rows linearly to 20 Hz; the last row is held."""
+    """Matrix that linearly resamples rows at `fps` to 20 Hz and repeats the last row beyond it."""
     coarse = frames_at_rate(frames, fps)
     place = (torch.arange(coarse) * (fps / FPS)).clamp(max=frames - 1)
     before = place.floor().long().clamp(max=max(frames - 2, 0))

@@ -40,7 +40,7 @@ _SMOOTHING = 4.0
 
 @dataclass(frozen=True)
 class BodyFrames(TensorStruct):
-    """Frames of a motion relative to the first frame's pelvis position and heading."""
+    """Poses of all frames, relative to the first frame's pelvis position and heading."""
 
     orientations: Float[Tensor, "*batch time 22 3 3"]
     """Orientation of every bone relative to the rest pose, in a frame that turns with the body's
@@ -56,7 +56,7 @@ class BodyFrames(TensorStruct):
     def of(
         cls, motion: Motion, body: BodyModel
     ) -> tuple["BodyFrames", Float[Tensor, "*batch 4 4"]]:
-        """The frames of a motion, and T_world_frames: where and how it starts."""
+        """Return the features of a motion's frames, and T_world_frames of its first frame."""
         posed = body.pose(motion)
         heading = _headings(motion)
         turn = turn_of(heading)
@@ -81,7 +81,7 @@ class BodyFrames(TensorStruct):
         fps: float,
         base: Float[Tensor, "*batch 4 4"],
     ) -> Motion:
-        """The frames as a body of this shape performs them, from where `base` puts them."""
+        """Return the motion of a body of given shape; `base` is T_world_frames of its start."""
         turn = base[..., None, :3, :3] @ turn_of(self.direction)
         world = turn[..., None, :, :] @ self.orientations
         local = world[..., list(PARENTS[1:]), :, :].mT @ world[..., 1:, :, :]
@@ -98,7 +98,7 @@ class BodyFrames(TensorStruct):
     def joints(
         self, shape: Float[Tensor, "*batch shape"], body: BodyModel
     ) -> Float[Tensor, "*batch time 22 3"]:
-        """Joints about the level of the pelvis and the first frame's place, metres.
+        """Joint positions, metres: z relative to the pelvis, x and y to the first frame's pelvis.
 
         Orientations are those of bones, not of joints beside their parents: what hangs from a
         joint does not turn with its error.
@@ -112,14 +112,14 @@ class BodyFrames(TensorStruct):
         return world + pad(self.place * legs, (0, 1))[..., None, :]
 
     def pack(self) -> Float[Tensor, "*batch time numbers"]:
-        """One row per frame: every feature in metres, angles times a lever in metres."""
+        """Return one vector per frame with all features in metres (angles times lever lengths)."""
         columns = so3.to_6d(self.orientations).flatten(-2)
         rest = torch.cat((self.direction, self.place, self.clearance[..., None]), -1)
         return torch.cat((columns, rest), -1) * _metres_per_feature().to(columns)
 
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
-        """The inverse of `pack`; approximate rotations and directions are made exact."""
+        """Return the frames of packed rows (inverse of `pack`), with exact rotation matrices."""
         rows = rows / _metres_per_feature().to(rows)
         angle = rows[..., -5:-3]
         length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()
@@ -157,7 +157,7 @@ def _headings(motion: Motion) -> Float[Tensor, "*batch time 2"]:
 
 
 def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]:
-    """The rotation about the vertical with this cosine and sine."""
+    """Return the rotation matrix about the vertical for a given (cosine, sine)."""
     c, s = direction.unbind(-1)
     zero, one = torch.zeros_like(c), torch.ones_like(c)
     return torch.stack((c, -s, zero, s, c, zero, zero, zero, one), -1).unflatten(-1, (3, 3))
@@ -165,7 +165,7 @@ def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]
 
 @lru_cache(maxsize=1)
 def _bones_above_joints() -> Float[Tensor, "22 21"]:
-    """Matrix with 1 where the bone to joint k + 1 is on the path from the pelvis to a joint."""
+    """Matrix (joint, k): 1 where the bone ending at joint k + 1 lies between pelvis and joint."""
     rows = torch.zeros(BONES, BONES - 1)
     for joint in range(1, BONES):
         rows[joint] = rows[PARENTS[joint]]
@@ -219,13 +219,13 @@ class LappedBasis(TensorStruct):
 
     @property
     def scale(self) -> Float[Tensor, " basis"]:
-        """Metres that one unit of each coefficient stands for."""
+        """Standard deviation in metres by which each coefficient is divided, bounded below."""
         return self.deviation.clamp(min=_LEAST * float(self.deviation[0]))
 
     def analyse(
         self, rows: Float[Tensor, "*batch time numbers"]
     ) -> Float[Tensor, "*batch windows basis"]:
-        """Coefficients of all windows of a motion."""
+        """Return the coefficients in this basis of all windows of a motion's feature rows."""
         return (cut_windows(rows) - self.mean) @ self.directions.mT / self.scale
 
     def synthesise(
@@ -262,7 +262,7 @@ def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*b
 def _sum_of_windows(
     windows: Float[Tensor, "*batch windows 16 numbers"], frames: int
 ) -> Float[Tensor, "*batch time numbers"]:
-    """The sum of overlapping windows, each at its own place in time."""
+    """Add up overlapping windows, each weighted and at its time, to the rows of a motion."""
     weighed = windows * _sine_window().to(windows)[:, None]
     early, late = weighed[..., 1:, :HOP, :], weighed[..., :-1, HOP:, :]
     return (early + late).flatten(-3, -2)[..., :frames, :]

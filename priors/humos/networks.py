@@ -26,13 +26,13 @@ _HEADS = 4
 
 
 class WindowNetworks(nn.Module):
-    """Encoder and decoder of a motion, with a latent code per window of 0.8 s, 0.4 s apart."""
+    """Encoder and decoder of a motion; each window of 0.8 s has a latent code, every 0.4 s."""
 
     def __init__(
         self, basis: LappedBasis, latent: int, shape: int, width: int, layers: int,
         dropout: float = 0.0,
     ) -> None:  # fmt: skip
-        """Untrained networks.
+        """Build untrained networks.
 
         Codes are the first coefficients of the basis, which decode exactly to these.
 
@@ -60,7 +60,7 @@ class WindowNetworks(nn.Module):
         shape: Float[Tensor, "clips shape"],
         exists: Bool[Tensor, "clips windows"],
     ) -> tuple[Float[Tensor, "clips memory latent"], Float[Tensor, "clips memory latent"]]:
-        """Mean and log-variance of the codes of a motion that a body performs."""
+        """Mean and log-variance of codes of motions (feature rows) by bodies of given shape."""
         coefficients = self.basis.analyse(rows)
         mean, log_variance = self.encoder(coefficients, shape, exists).chunk(2, -1)
         return mean + coefficients @ self.to_code.mT, log_variance.clamp(*LOG_VARIANCE)
@@ -72,7 +72,7 @@ class WindowNetworks(nn.Module):
         exists: Bool[Tensor, "clips windows"],
         frames: int,
     ) -> Float[Tensor, "clips time numbers"]:
-        """The motion that codes decode to for a body of this shape."""
+        """Decode latent codes to `frames` feature rows of a motion of a body of given shape."""
         bent = self.decoder(latent, shape, exists)
         return self.basis.synthesise(latent @ self.from_code.mT + bent, frames)
 
@@ -105,7 +105,7 @@ class _Transformer(nn.Module):
 
 
 class _AttentionLayer(nn.Module):
-    """x + attention(norm(x)), then x + B gelu(A norm(x))."""
+    """Transformer layer: x + attention(norm(x)), then x + B gelu(A norm(x))."""
 
     def __init__(self, width: int, dropout: float) -> None:
         super().__init__()
@@ -151,19 +151,19 @@ class CodeDensity(TensorStruct):
     def whitened(
         self, codes: Float[Tensor, "*batch memory latent"]
     ) -> Float[Tensor, "*batch memory latent"]:
-        """Whitened codes u."""
+        """Return the whitened codes u = root⁻¹ (z - mean) of codes z."""
         return torch.linalg.solve_triangular(self.root, (codes - self.mean).mT, upper=False).mT
 
     def codes(
         self, white: Float[Tensor, "*batch memory latent"]
     ) -> Float[Tensor, "*batch memory latent"]:
-        """The inverse of `whitened`."""
+        """Return the codes z whose whitened codes u are given (inverse of `whitened`)."""
         return self.mean + white @ self.root.mT
 
     def energy(
         self, white: Float[Tensor, "*batch memory latent"], exists: Tensor
     ) -> Float[Tensor, "*batch"]:
-        """-log p of u up to a constant; windows without a frame count nothing."""
+        """-log p of whitened codes u, up to a constant; windows without frames are ignored."""
         away = white[..., 1:, :] - white[..., :-1, :] @ self.follow.mT
         away = torch.linalg.solve_triangular(self.rest, away.mT, upper=False).mT
         every = torch.cat((white[..., :1, :], away), -2).square().sum(-1)
@@ -172,7 +172,7 @@ class CodeDensity(TensorStruct):
     def drawn_codes(
         self, clips: int, memory: int, random: torch.Generator
     ) -> Float[Tensor, "clips memory latent"]:
-        """Random codes z, each drawn given the one before."""
+        """Draw sequences of random codes z, each conditioned on the previous one."""
         noise = torch.randn(clips, memory, len(self.mean), generator=random).to(self.mean)
         rows = [noise[:, 0]]
         for k in range(1, memory):
@@ -182,7 +182,7 @@ class CodeDensity(TensorStruct):
 
 @dataclass(frozen=True)
 class HumosWeights:
-    """The content of a weights file."""
+    """Networks and code density of the HUMOS prior, as a weights file holds them."""
 
     networks: WindowNetworks
     density: CodeDensity

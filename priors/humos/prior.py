@@ -69,7 +69,7 @@ class HumosVariables(TensorStruct):
     start_time: float
 
     def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "HumosVariables":
-        """Variables of the motion after a rigid transform that keeps the vertical axis."""
+        """Return variables of the motion moved by `T`, which must keep the vertical axis."""
         del body
         ahead = torch.nn.functional.pad(self.place, (0, 1))
         place = (T[..., :3, :3] @ ahead[..., None])[..., :2, 0]
@@ -78,7 +78,7 @@ class HumosVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class Humos(Prior[HumosVariables]):
-    """The HUMOS prior.
+    """The HUMOS prior: motions as latent codes that are decoded for a given body shape.
 
     Latent codes of windows of 0.8 s, with the density of recorded sequences.
     """
@@ -122,7 +122,7 @@ class Humos(Prior[HumosVariables]):
         return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
-        """Mean codes of each clip; the remainder becomes `details`, so decoding is exact.
+        """Encode each clip as mean latent codes plus corrections that make decoding exact.
 
         Raises:
             ValueError: when the clips are longer than networks of one code per clip know.
@@ -148,7 +148,7 @@ class Humos(Prior[HumosVariables]):
         return self._with_details(plain, motion)
 
     def decode(self, variables: HumosVariables) -> Decoded:
-        """The motion at the clip's frame rate, and the parts of -log p.
+        """Return the motion in the clip's frames, and the parts of -log p.
 
         `latent` is that of codes following each other, `shape` and `details` are half squared
         Mahalanobis distances.
@@ -189,7 +189,7 @@ class Humos(Prior[HumosVariables]):
     def sample(
         self, shape: Float[Tensor, "clips shape"], seconds: float, generator: torch.Generator
     ) -> Motion:
-        """Motions drawn from the prior for these bodies, at 20 Hz, beginning at the origin.
+        """Draw random motions at 20 Hz for bodies of given shapes, beginning at the origin.
 
         Raises:
             ValueError: when they would be shorter than a second.
@@ -206,7 +206,7 @@ class Humos(Prior[HumosVariables]):
         return made.motion(shape, self.body, FPS, base)
 
     def _with_details(self, variables: HumosVariables, motion: Motion) -> HumosVariables:
-        """The corrections with which the variables decode to a given motion."""
+        """Set `bend` and `shift` of the variables so that they decode to the given motion."""
         made, posed, base = (
             self.frames(variables),
             self.body.pose(motion),
@@ -240,7 +240,7 @@ class Humos(Prior[HumosVariables]):
 
 @lru_cache(maxsize=1)
 def _sizes_of_corrections() -> Float[Tensor, "22 1"]:
-    """Typical size of the corrections of every bone's rotation, radians."""
+    """Standard deviation of the corrections to every bone's rotation, radians."""
     return _BEND / lever_lengths()[:, None]
 
 
@@ -269,7 +269,7 @@ def spline_matrix(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames
 
 @lru_cache(maxsize=16)
 def _scaled_cosines(frames: int, fps: float) -> tuple[Tensor, Tensor]:
-    """Cosines scaled to the expected size of corrections at their frequency, and the inverse.
+    """Matrix of cosines over frames, scaled to corrections' expected size, and its inverse.
 
     Together they have unit variance in every frame.
     """

@@ -1,1 +1,1 @@
-"""Labels: which part of a body every point of a cloud shows, and where on its surface it lies."""
+"""A network that tells which part of a body each point of a cloud lies on, and where."""

@@ -18,7 +18,7 @@ from recon.core.struct import TensorStruct, concatenate, stack
 
 @dataclass(frozen=True)
 class PointLabels(TensorStruct):
-    """Region and place of the points of a cloud; all numbers are zero where there is no point.
+    """Body region and surface position of every point of a cloud; zero where there is no point.
 
     Left and right, front and back look alike in a single moment: where a region's probability is
     divided between its two sides, `places` holds the more likely of both.
@@ -40,7 +40,7 @@ class PointLabels(TensorStruct):
 
     @property
     def region(self) -> Int[Tensor, "*batch moments points"]:
-        """Number in `REGIONS` of the most likely region; -1 where there is no point."""
+        """Index in `REGIONS` of each point's most likely region; -1 where there is no point."""
         return self.regions.argmax(-1).where(self.present, -1)
 
     @property
@@ -61,7 +61,7 @@ class PointLabels(TensorStruct):
         present: Bool[Tensor, "*batch moments points"],
         std: float = 0.01,
     ) -> "PointLabels":
-        """Exact labels, for simulated points at known vertices.
+        """Make exact labels for simulated points whose nearest vertices are known.
 
         Args:
             body: whose vertices they are.
@@ -123,7 +123,7 @@ def turns_to_network_frame(
     has_eye: Bool[Tensor, " moments"],
     level: Bool[Tensor, " moments"],
 ) -> Float[Tensor, "moments 3 3"]:
-    """Rotations to the frame in which z is up and x points to the sensor.
+    """Rotations of clouds into the network's frame: z up, x towards the sensor.
 
     One of both that is not known lies along the longest axis of the points across the other. Where
     there is no sensor, the longest axis of the points across z is y; where nothing is known, their
@@ -153,7 +153,7 @@ def widest_direction(
     present: Bool[Tensor, "moments points"],
     across: Float[Tensor, "moments 3"] | None,
 ) -> Float[Tensor, "moments 3"]:
-    """Direction in which points vary most, among all or those perpendicular to `across`."""
+    """Direction of the points' greatest variance, perpendicular to `across` if that is given."""
     count = present.sum(-1, keepdim=True).clamp(min=1)[..., None]
     away = (points - points.sum(-2, keepdim=True) / count).where(present[..., None], 0.0)
     if across is not None:
@@ -178,7 +178,7 @@ _LATE = 0.1
 
 @dataclass(frozen=True)
 class CloudLabeller:
-    """The labeller: for every point of a cloud, the part of the body that it shows, if any."""
+    """Computes for every point of a cloud which part of the body it lies on, if any."""
 
     network: LabelNetwork
 
@@ -205,7 +205,7 @@ class CloudLabeller:
         *,
         level: bool = True,
     ) -> PointLabels:
-        """Labels of all points; each frame is labelled together with frames up to 0.6 s away.
+        """Label all points of a sequence of clouds, using frames up to 0.6 s around each frame.
 
         A few hundred points of a person are as many as it takes: give `PointCloud.thinned` clouds.
 
@@ -259,7 +259,7 @@ _OFFSETS = range(-(STEPS // 2), STEPS // 2 + 1)
 def neighbouring_moments(
     shown: Bool[Tensor, " moments"], steps: list[int], fps: float
 ) -> tuple[Int[Tensor, "moments steps"], Bool[Tensor, "moments steps"]]:
-    """Indices of the frames around each frame, and whether these exist and have points."""
+    """Indices of each frame's neighbouring frames, and a mask of those that can be used."""
     offset = torch.tensor(steps, device=shown.device)
     asked = torch.arange(len(shown), device=shown.device)[:, None] + offset
     inside = (asked >= 0) & (asked < len(shown))
@@ -270,7 +270,7 @@ def neighbouring_moments(
 
 
 def label_probabilities(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
-    """Probabilities from the network's outputs, sides exchanged where likelier."""
+    """Convert the network's outputs to labels, mixing left and right by their probability."""
     exists = present[..., None]
     as_said = raw.sides.sigmoid()[:, None, None]
     regions = raw.regions.softmax(-1)

@@ -49,7 +49,7 @@ def spread_points(
     present: Bool[Tensor, "moments points"],
     count: int,
 ) -> Int[Tensor, "moments count"]:
-    """Numbers of points far from each other, one after the other (farthest point sampling).
+    """Return indices of `count` points far from each other (farthest point sampling).
 
     The first is the farthest from the origin, so that the order of points does not matter. Where
     fewer points are present than asked for, some come more than once.
@@ -105,7 +105,7 @@ def local_patches(
 def smallest_axes(
     entries: Float[Tensor, "*shape 6"],
 ) -> tuple[Float[Tensor, "*shape 3"], Float[Tensor, "*shape"], Float[Tensor, "*shape"]]:
-    """Of symmetric matrices: eigenvector of the smallest eigenvalue, smallest, middle eigenvalue.
+    """Smallest eigenvalue with its eigenvector, and middle eigenvalue, of 3x3 symmetric matrices.
 
     Eigenvalues by the trigonometric solution of the cubic (Smith 1961), the vector as the longest
     cross product of two rows of A - λI: thousands at once, where a library would take them one by
@@ -148,7 +148,7 @@ def from_right_to_left(
     places: Float[Tensor, "moments points 3"],
     weights: Float[Tensor, "moments points"],
 ) -> Float[Tensor, "moments 3"]:
-    """Unit vector per frame from the points labelled right to those labelled left.
+    """Unit vector per frame from the body's right to its left, found from labelled points.
 
     It is that of the covariance Σ w (s - s̄) (p - p̄) of points p and the coordinate s of their
     places from right to left, at most 15 cm. With left and right of all places exchanged, it is
@@ -201,11 +201,11 @@ class SeenClouds(TensorStruct):
 
     @property
     def flags(self) -> Float[Tensor, "moments 1 2"]:
-        """Whether the frame is level and the sensor known, as input numbers."""
+        """Inputs (0 or 1): whether z points up, and whether a sensor's place is known."""
         return torch.stack((self.level, self.has_eye), -1).to(self.points)[:, None]
 
     def view(self, places: Float[Tensor, "moments places 3"]) -> Tensor:
-        """Directions from places to the sensor; zero where there is none."""
+        """Unit vectors from given places to the sensor; zero where no sensor is known."""
         return normalize(self.eyes[:, None] - places, dim=-1) * self.has_eye[:, None, None]
 
 
@@ -247,7 +247,7 @@ class Layer(nn.Module):
         tokens: Float[Tensor, "rows tokens width"],
         squared: Float[Tensor, "rows tokens tokens"],
     ) -> Float[Tensor, "rows tokens width"]:
-        """Tokens after attention whose weights fall with distance.
+        """Apply the layer; a token attends less to tokens that are farther away in space.
 
         Args:
             tokens: of every row.
@@ -294,7 +294,7 @@ class LabelNetwork(nn.Module):
         neighbours: Int[Tensor, "moments steps"],
         known: Bool[Tensor, "moments steps"],
     ) -> RawLabels:
-        """Raw labels (region, place, noise, on the body) of all points.
+        """Compute raw labels (region, surface position, its noise, on the body) of all points.
 
         Args:
             clouds: of all moments.
@@ -342,7 +342,7 @@ class LabelNetwork(nn.Module):
         return RawLabels(regions, on_body, places, log_std, sides, across)
 
     def _with_neighbours(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
-        """Tokens of frames after attention to the frames around them."""
+        """Replace each frame's first token by one that attends to the frames around it."""
         around = tokens[:, 0][neighbours] + self.step
         unknown = torch.where(known, 0.0, _UNKNOWN)[:, None].expand(-1, STEPS, STEPS)
         seen = self.moments(around, unknown)[:, STEPS // 2]
@@ -352,7 +352,7 @@ class LabelNetwork(nn.Module):
 def _surface_features(
     clouds: SeenClouds, centres: Tensor, near: Patch, wide: Patch
 ) -> tuple[Float[Tensor, "moments centres numbers"], Float[Tensor, "moments centres 3"]]:
-    """Numbers that describe the surface around centres, and its normals towards the sensor."""
+    """Network inputs that describe the surface around centres, and its normals there."""
     view = clouds.view(centres)
     angles = (centres[..., None] * centres.new_tensor(_WAVES)).flatten(-2)
     rows, normals = [centres, view, clouds.flags.expand(*centres.shape[:-1], 2)], []

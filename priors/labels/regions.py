@@ -34,7 +34,7 @@ _REGION_OF = {
 
 
 def _region_of(joint: str) -> int:
-    """Number of the region that a joint moves."""
+    """Index in `REGIONS` of the body region that the joint named `joint` moves."""
     side, _, name = joint.rpartition("_")
     region = _REGION_OF[name]
     return REGIONS.index(f"{side}_{region}" if f"{side}_{region}" in REGIONS else region)
@@ -45,13 +45,13 @@ REGION_OF_JOINT = tuple(_region_of(name) for name in JOINTS)
 
 
 def mirrored_places(places: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-    """Places mirrored to the other side of the body, metres."""
+    """Mirror rest-pose positions (metres) from the left to the right side and vice versa."""
     return places * places.new_tensor([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Regions(TensorStruct):
-    """The region and the place of every vertex of a body."""
+    """The region and the rest-pose position of every vertex of a body."""
 
     of_vertex: Int[Tensor, " vertices"]
     """The region whose joints carry most of the vertex."""
@@ -61,7 +61,7 @@ class Regions(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "Regions":
-        """The regions of a body; computed once per body and cached."""
+        """Return the regions of a body's vertices; cached per body."""
         if body.template not in _KNOWN:
             region = torch.tensor(REGION_OF_JOINT, device=body.template.device)
             belonging = torch.nn.functional.one_hot(region, len(REGIONS)).to(body.weights)

@@ -1,1 +1,1 @@
-"""A network that proposes whole motions from the points of a clip that were seen."""
+"""A network that proposes whole motions of a clip from some points of the body in space."""

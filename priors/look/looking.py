@@ -1,4 +1,4 @@
-"""Motions that the trained network proposes for what was seen of a clip."""
+"""Uses the trained network to propose rotations of limbs that no sensor saw for a while."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ _BENDING = tuple(JOINTS.index(f"{side}_{name}") for side in ("left", "right")
 
 @lru_cache(maxsize=2)
 def load_network(weights: str | Path = "open", device: torch.device | str = "cpu") -> LookNetwork:
-    """The trained network on a device.
+    """Load the trained network onto a device.
 
     Raises:
         FileNotFoundError: when there are no such weights.
@@ -57,7 +57,7 @@ def load_network(weights: str | Path = "open", device: torch.device | str = "cpu
 
 @dataclass(frozen=True)
 class UnseenLimbs(TensorStruct):
-    """Masks of the frames in which no sensor determines the rotation of a joint."""
+    """Masks that say in which frames no sensor determines the rotation of each joint."""
 
     rotations: Bool[Tensor, "clips frames 22"]
     """No sensor saw a point at the joint's child or further down the tree for `_GAP_S` or longer;
@@ -70,7 +70,7 @@ class UnseenLimbs(TensorStruct):
 
     @classmethod
     def of(cls, data: Sequence[Term], body: BodyModel) -> "UnseenLimbs | None":
-        """Masks of the limbs that no sensor of the data sees.
+        """Find the limbs that no sensor of the data terms sees for a while.
 
         None where every limb is seen, or where a sensor does not know which joints it locates. A
         joint at the end of a limb, whose rotation moves no other joint, counts as its parent
@@ -95,13 +95,13 @@ class UnseenLimbs(TensorStruct):
         return cls(rotations, never, first.fps, first.start_time) if rotations.any() else None
 
     def at(self, motion: Motion, clip: int) -> Bool[Tensor, "time 22"]:
-        """Mask of the unseen rotations in the frames of a motion of one clip."""
+        """Mask (frames, 22) of the unseen joint rotations of a clip, in the frames of a motion."""
         found = _at_times(self.rotations[clip], self.fps, self.start_time, motion.times)
         return found & motion.valid[0][:, None]
 
 
 def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape 22"]:
-    """Mask of joints whose descendants are all missing; of the pelvis if all joints are."""
+    """Mask of joints whose rotation moves missing joints only; the pelvis needs all missing."""
     found = torch.zeros_like(missing)
     found[..., 0] = missing.all(-1)
     for joint in range(1, len(JOINTS)):
@@ -111,21 +111,21 @@ def _rotations_below(missing: Bool[Tensor, "*shape 22"]) -> Bool[Tensor, "*shape
 
 
 def _long_runs(mask: Bool[Tensor, "clips time 22"], frames: int) -> Bool[Tensor, "clips time 22"]:
-    """The runs of a mask that last at least `frames` frames."""
+    """Keep of a mask only runs of true values that last at least `frames` frames."""
     whole = mask.unfold(1, frames, 1).all(-1)
     around = torch.nn.functional.pad(whole, (0, 0, frames - 1, frames - 1))
     return around.unfold(1, frames, 1).any(-1)
 
 
 def _at_times(mask: Tensor, fps: float, start_time: float, times: Tensor) -> Tensor:
-    """A mask (..., frames, 22) at the nearest of its frames."""
+    """Sample a mask (..., frames, 22) at given times (seconds) from its nearest frames."""
     frame = ((times - start_time) * fps).round().long().clamp(0, mask.shape[-2] - 1)
     return mask.index_select(-2, frame.to(mask.device))
 
 
 @dataclass(frozen=True, eq=False)
 class LookedLimbs:
-    """Proposes motions where limbs were not seen (`recon.method.stages.Proposals`).
+    """Proposes motions of limbs that were not seen, for a stage (`recon.method.stages.Proposals`).
 
     The network is shown the joints of an estimate whose places are known.
     """
@@ -135,7 +135,7 @@ class LookedLimbs:
 
     @torch.no_grad()
     def __call__(self, estimate: Estimate, clip: int) -> tuple[Motion | None, str]:
-        """Proposed motions of one clip that differ from the estimate where limbs are not seen.
+        """Propose motions of one clip that replace the unseen limbs of the estimate.
 
         None where all is seen, or where what is seen is far from what the network knows.
         """
@@ -172,7 +172,7 @@ class LookedLimbs:
 def mean_squared_deviation(
     away: Float[Tensor, "*batch 3"], std: Float[Tensor, "*batch"], counted: Bool[Tensor, "*batch"]
 ) -> float:
-    """Mean square of vectors in standard deviations of their coordinates; 1 is expected."""
+    """Mean of squared coordinates over their variance, where `counted`; 1 is expected."""
     squared = away.square().mean(-1) / std.square()
     return float(squared[counted].mean().nan_to_num()) if counted.any() else 0.0
 
@@ -184,7 +184,7 @@ def proposed(
     seen: Bool[Tensor, "time 22"],
     body: BodyModel,
 ) -> Proposed:
-    """Motions that the network proposes for joints above the ground z = 0, some of them seen."""
+    """Run the network on the seen joints (world, ground z = 0) and return its proposals."""
     count = len(joints)
     points = SeenPoints(
         positions=joints.float(),
@@ -202,7 +202,7 @@ def with_seen_rotations(
     known: Float[Tensor, "time 22 3 3"],
     seen: Bool[Tensor, "time 22"],
 ) -> Float[Tensor, "hypotheses time 22 3 3"]:
-    """Proposed rotations R, equal to known ones K where seen, and blended to them in between.
+    """Correct proposed rotations R so that they equal the known ones K where those were seen.
 
     The result is R exp(δ), with δ = log(Rᵀ K) where a rotation is seen, and interpolated
     elsewhere; so it is K where that is known.
@@ -213,7 +213,7 @@ def with_seen_rotations(
 def between_seen(
     away: Float[Tensor, "hypotheses time joints n"], seen: Bool[Tensor, "time joints"]
 ) -> Float[Tensor, "hypotheses time joints n"]:
-    """Vectors kept where they are seen, and elsewhere interpolated linearly over time.
+    """Keep vectors of frames marked as seen; interpolate the other frames linearly in time.
 
     They are constant beyond the first and the last, and zero where they are never seen.
     """

@@ -67,7 +67,7 @@ class LookNetwork(nn.Module):
     def __init__(
         self, shape: int, width: int = 224, common: int = 4, own: int = 2, hypotheses: int = 4
     ) -> None:
-        """Untrained networks.
+        """Build an untrained network.
 
         Args:
             shape: coefficients of the body that are found.
@@ -95,7 +95,7 @@ class LookNetwork(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, seen: SeenPoints, body: BodyModel, *, half: bool = False) -> Proposed:
-        """Motions of all clips at 30 Hz; with `half`, layers multiply in bfloat16."""
+        """Propose motions at 30 Hz for all clips; with `half`, layers multiply in bfloat16."""
         frames = WalkingFrames.of(seen, body)
         x = self.first(self._features(seen, frames))
         count = len(self.codes)
@@ -131,7 +131,7 @@ class LookNetwork(nn.Module):
     def _features(
         self, seen: SeenPoints, frames: WalkingFrames
     ) -> Float[Tensor, "clips time features"]:
-        """A vector per frame: sums over seen points, their number and noise, the body's step."""
+        """Input vector per frame: sums over seen points, their number, noise, the body's step."""
         bone = functional.one_hot(seen.bone, len(JOINTS)).to(seen.offset)
         place = self.place(torch.cat((bone, seen.offset / REACH_M), -1))
         inside = frames.in_walking_frames(seen.positions)
@@ -147,7 +147,7 @@ class LookNetwork(nn.Module):
 
 
 class _ConvolutionAndAttention(nn.Module):
-    """x + convolution, x + attention, x + two linear layers, each of the normalised x."""
+    """Transformer layer with a short convolution over time before attention, all residual."""
 
     def __init__(self, width: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The trained network over all of a clip: any length, rate and gaps, several sensors of points."""
+"""Applies the trained network to whole clips of any length and rate, with gaps and sensors."""
 
 import math
 from collections.abc import Sequence
@@ -51,13 +51,13 @@ _NEAR = 4.0
 
 @dataclass(frozen=True, eq=False)
 class LookAtPoints:
-    """The network for named points in space (`recon.method.looks.Look`)."""
+    """Proposes motions from named points in space with the network (`recon.method.looks.Look`)."""
 
     network: LookNetwork
 
     @classmethod
     def load(cls, weights: str | Path = "open", body: BodyModel | None = None) -> "LookAtPoints":
-        """Load the bundled weights, or those of a file by `python -m training look`."""
+        """Load the bundled network, or a file that `python -m training look` has written."""
         del body
         return cls(load_network(weights))
 
@@ -91,7 +91,7 @@ class LookAtPoints:
         )
 
     def _blended_over_windows(self, seen: SeenPoints, body: BodyModel) -> tuple[Tensor, ...]:
-        """Proposals of overlapping windows, blended where they overlap in time.
+        """Run the network on overlapping windows of time and blend its proposals linearly.
 
         Rotations and positions of the pelvis of every hypothesis, one shape, standard deviations
         and logarithms of the weights.
@@ -130,7 +130,7 @@ def _misfit_in_words(far: float) -> str:
 def seen_points(
     observations: Sequence[Sensor], body: BodyModel
 ) -> tuple[SeenPoints, float, float]:
-    """Named points of all sensors in frames at 30 Hz, the time of the first, and their exact rate.
+    """Resample all sensors' points to about 30 Hz; also return start time and exact rate.
 
     Raises:
         ObservationError: when an observation is no named points in space, or nothing is seen.
@@ -169,7 +169,7 @@ def seen_points(
 
 
 def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
-    """Positions and visibility at other times, interpolated between frames that are close."""
+    """Interpolate a sensor's positions and visibility to given times (seconds)."""
     frame = (times - one.start_time) * one.fps
     last = one.moments - 1
     before = frame.floor().long().clamp(0, max(last - 1, 0))
@@ -185,7 +185,7 @@ def _at_times(one: Sensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _cut_windows(seen: SeenPoints, cuts: Sequence[slice]) -> SeenPoints:
-    """Windows of the single clip, as a batch of clips."""
+    """Cut the points of a single clip into windows of time, stacked as a batch of clips."""
     count = len(cuts)
     return SeenPoints(
         torch.cat([seen.positions[:, cut] for cut in cuts]),
@@ -201,7 +201,7 @@ def _interpolated_over_gaps(
     std: Float[Tensor, "hypotheses time 22"],
     filled: Bool[Tensor, " time"],
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The motions, interpolated where nothing is seen for more than a second to either side."""
+    """Interpolate motions over frames that are more than `_REACH_S` from any seen point."""
     reach = round(_REACH_S * REFERENCE_FPS)
     near = functional.max_pool1d(filled.float()[None], 2 * reach + 1, 1, reach)[0] > 0
     if bool(near.all()):
@@ -217,7 +217,7 @@ def _interpolated_over_gaps(
 
 @dataclass(frozen=True, eq=False)
 class _Placement:
-    """Seen points, and where proposed rotations and places of the pelvis carry them."""
+    """Fits shape and pelvis path of a proposed motion to the seen points."""
 
     seen: SeenPoints
     body: BodyModel
@@ -228,7 +228,7 @@ class _Placement:
         pelvis: Float[Tensor, "time 3"],
         rest: Float[Tensor, "bodies 22 3"],
     ) -> Float[Tensor, "bodies time points 3"]:
-        """The points on bodies with these joints at rest."""
+        """Predict the points, world, metres, on posed bodies with given rest joints."""
         bone = self.seen.bone[0]
         many = rotations.expand(len(rest), *rotations.shape)
         turns, joints = forward_kinematics(many, rest)
@@ -278,6 +278,6 @@ class _Placement:
 
 
 def _robust_weights(away: Tensor, visible: Tensor) -> Tensor:
-    """Weights (frames, points, 1) of points, which fall with the distance from prediction."""
+    """Robust weights (frames, points, 1): less the farther a point is from its prediction."""
     near = (1 + (away.norm(dim=-1, keepdim=True) / _ASTRAY_M).square()) ** -2
     return near * visible[..., None]

@@ -63,14 +63,14 @@ class PoseDensity(TensorStruct):
         return steps @ torch.linalg.inv(self.basis).mT
 
     def rotations(self, coordinates: Float[Tensor, "*shape 63"]) -> Float[Tensor, "*shape 21 3 3"]:
-        """The pose at z; the inverse of `coordinates`."""
+        """Return the joint rotations of pose coordinates z; the inverse of `coordinates`."""
         steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
         return self.mean @ so3.exp(steps)
 
     def jacobian_by_rotations(
         self, rotations: Float[Tensor, "*shape 21 3 3"]
     ) -> Float[Tensor, "*shape 63 63"]:
-        """Derivatives of the coordinates by steps R_j Exp(w_j) of the joints, per radian."""
+        """Derivatives of pose coordinates z by steps R_j Exp(w_j) of the joints, per radian."""
         steps = so3.log(self.mean.mT @ rotations)
         slopes = inverse_right_jacobian(steps)
         inverse = torch.linalg.inv(self.basis).unflatten(-1, (ROTATIONS, 3))
@@ -136,7 +136,7 @@ class PoseWeights:
 
 @dataclass(frozen=True)
 class PoseVariables(TensorStruct):
-    """A motion as steps away from a start, in scaled cosines of time.
+    """Variables of a motion: changes of a start motion as coefficients of cosines in time.
 
     Every step is a sum of cosines over the clip, slow ones first, each divided by the square root
     of how strongly the smoothness term holds it; and the directions of pose space are turned and
@@ -161,7 +161,7 @@ class PoseVariables(TensorStruct):
     start_time: float
 
     def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "PoseVariables":
-        """Variables of the same motion after a rigid transform."""
+        """Return the variables of the motion after the rigid transform `T` of the world."""
         turn, pelvis = T[..., None, :3, :3], body.rest_joints(self.shape)[..., 0, :]
         return self.replace(
             translation=self.translation @ T[..., :3, :3].mT,
@@ -172,7 +172,7 @@ class PoseVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class PosePrior(TensorStruct, Prior[PoseVariables]):
-    """Poses are Gaussian, frame by frame; motion is smooth. HuMoR's stages 1 and 2 ("VPoser-t").
+    """Prior with a Gaussian density of single poses and smoothness (HuMoR's stages 1 and 2).
 
     It is an exact change of variables: every motion has variables, `decode(encode(m))` is m.
     """
@@ -208,11 +208,11 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
     @property
     def weighed(self) -> PoseWeights:
-        """The weights given to the constructor, or else those for 4 cm of noise."""
+        """The weights of the energies: as given to the constructor, or those for 4 cm of noise."""
         return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
     def belief(self, noise: float) -> Density:
-        """A Gaussian density in place of this prior, beside data with this noise in metres.
+        """Return the Gaussian density that stands for this prior beside data of a given noise.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share of it is believed, 1 / (1 + rarity /
@@ -237,7 +237,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision, share)
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """Variables of zero steps from the motion; they decode to it exactly."""
+        """Return variables with the motion as start and zero steps; they decode to it exactly."""
         density = self.density.to(dtype=torch.float64, device=motion.translation.device)
         start = density.coordinates(motion.rotations[..., 1:, :, :].double())
         zero = torch.zeros_like(motion.translation)
@@ -278,7 +278,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "*batch time 69"]
     ) -> PoseVariables:
-        """Variables after steps of frames: translation, root R Exp(w), and z of the pose."""
+        """Return variables after adding, per frame, steps of translation, root R Exp(w) and z."""
         x, scales = variables, self._scales.to(dtype=steps.dtype, device=steps.device)
         place, turn, pose = steps.split((3, 3, COORDINATES), -1)
         # columns of the synthesis are orthogonal, so its inverse is the scaled transpose
@@ -313,7 +313,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Root first, from the data alone; then all, under the pose density and smoothness."""
+        """Two stages: root from the data alone; then all, under pose density and smoothness."""
         del method
         fitting = self if self.weights else self.replace(weights=PoseWeights.for_noise(noise))
         fitting = fitting if body is None else fitting.to(device=body.template.device)
@@ -382,7 +382,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
 
 @dataclass(frozen=True)
 class _VariableScales(TensorStruct):
-    """The scale of each kind of variable: radians, metres, ... per unit."""
+    """Metres, radians or coordinates z that one unit of each fit variable stands for."""
 
     translation: Float[Tensor, ""]
     root: Float[Tensor, "3 3"]

@@ -1,1 +1,1 @@
-"""Gait analysis as laboratories do it: events, cycles, joint angles and their report."""
+"""Analyses gait as laboratories do: events, cycles, joint angles, and a report of them."""

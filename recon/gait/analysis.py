@@ -1,4 +1,4 @@
-"""Finds cycles of gait, from strike to strike of one foot, and curves of angles over them."""
+"""Finds gait cycles, from one strike of a foot to its next, and joint angles over each cycle."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +26,7 @@ _SETTLED = (0.1, 0.3)
 
 @dataclass(frozen=True)
 class GaitCycle:
-    """One stride, from a foot's strike to its next; times in seconds of the recording."""
+    """A stride, from one strike of a foot to its next, with the times of its events in seconds."""
 
     side: Side
     strike: float
@@ -77,11 +77,11 @@ class GaitCycle:
 
 
 def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCycle, ...]:
-    """All complete cycles of gait in the order of their foot strikes.
+    """Return all complete gait cycles of a clip, in the order of the strikes that begin them.
 
     Args:
         feet: of one clip.
-        stances: of both its feet, as `find_stances` tells them.
+        stances: of both its feet, as `find_stances` returns them.
     """
     found: list[GaitCycle] = []
     for side, name in enumerate(SIDES):
@@ -99,7 +99,7 @@ def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCyc
 def over_cycle(
     values: Float[np.ndarray, " time"], times: Float[np.ndarray, " time"], cycle: GaitCycle
 ) -> Float[np.ndarray, " percent"]:
-    """A curve resampled at 0 %, 1 %, ... 100 % of one cycle, linearly between frames."""
+    """Resample a curve at 0 %, 1 %, ... 100 % of one gait cycle, linearly between frames."""
     moments = np.linspace(cycle.strike, cycle.next_strike, PERCENT)
     return np.interp(moments, times, values)
 
@@ -152,7 +152,7 @@ def _cycle_of_strikes(
 
 
 def _place_of_heel(feet: Feet, side: int, strike: int, period: int) -> Float[np.ndarray, " 2"]:
-    """Horizontal position of a standing heel: the median over the early stance."""
+    """Return the median horizontal position of a heel over the early stance after a strike."""
     first = strike + round(_SETTLED[0] * period)
     last = max(strike + round(_SETTLED[1] * period), first + 1)
     first = min(first, len(feet.times) - 1)
@@ -203,7 +203,7 @@ def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
 
 @dataclass(frozen=True)
 class GaitCurve:
-    """An angle that a report draws over the cycle, for either side."""
+    """A joint angle that a gait report plots over the gait cycle, one curve per side."""
 
     name: str
     """Its name among the angles; `_l` and `_r` follow where it belongs to a side."""
@@ -219,11 +219,11 @@ class GaitCurve:
     """Joints of the side that must be seen for the angle to be seen."""
 
     def angle(self, side: Side) -> str:
-        """The angle's name for one side."""
+        """Return the name of this angle in `Gait.angles` for one side of the body."""
         return f"{self.name}_{side[0]}" if self.sided else self.name
 
     def seen_joints(self, side: Side) -> list[int]:
-        """Numbers of the joints from which one side's angle is computed."""
+        """Return the indices of the joints that must be seen for this angle of one side."""
         return [joint_index(f"{side}_{name}") for name in self.joints]
 
 
@@ -272,16 +272,16 @@ class Gait:
     """Speed of the treadmill's belt, m/s; None where the ground rests."""
 
     def cycles_of(self, side: Side) -> tuple[GaitCycle, ...]:
-        """The cycles that begin with the strike of one foot."""
+        """Return the gait cycles that begin with a strike of the foot of the given side."""
         return tuple(cycle for cycle in self.cycles if cycle.side == side)
 
     def curves(self, curve: GaitCurve, side: Side) -> Float[np.ndarray, "cycles percent"]:
-        """An angle over every cycle of one side, degrees."""
+        """Return a joint angle at every percent of every gait cycle of one side, degrees."""
         found = [self._over_cycle(curve, cycle) for cycle in self.cycles_of(side)]
         return np.array(found).reshape(len(found), PERCENT)
 
     def _over_cycle(self, curve: GaitCurve, cycle: GaitCycle) -> Float[np.ndarray, " percent"]:
-        """An angle at every percent of one cycle, degrees."""
+        """Return a joint angle at every percent of one gait cycle, degrees."""
         values = self.angles[curve.angle(cycle.side)]
         if curve.from_heading:
             values = values - np.rad2deg(cycle.heading)

@@ -100,9 +100,9 @@ class Feet:
 
 
 def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.ndarray, "time ..."]:
-    """Values after a 12 Hz low-pass (second-order Butterworth, forwards and backwards).
+    """Return values after a 12 Hz low-pass (second-order Butterworth, forwards and backwards).
 
-    Values at too low a rate to hold anything faster, or too few, are returned as they are.
+    Values at 24 Hz or less, and 12 values or fewer, are returned unfiltered.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -187,7 +187,7 @@ def _distance_ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np
 
 
 def _peak_frames(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " peaks"]:
-    """Frames of local maxima; near the ends a rise on one side is enough."""
+    """Return the frames of a signal's local maxima; near the ends, one rising side is enough."""
     from scipy.signal import find_peaks
 
     swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
@@ -199,9 +199,9 @@ def _peak_frames(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarr
 
 
 def _strike_frames(feet: Feet, side: int, step_peaks: Int[np.ndarray, " steps"]) -> list[int]:
-    """Frames at which a foot strikes the ground.
+    """Return the frames at which a foot strikes the ground.
 
-    Near the frame with the heel farthest ahead, where the foot falls fastest.
+    A strike is where the foot falls fastest, near the frame with the heel farthest ahead.
 
     The foot must have swung before: a heel may be farthest ahead while the person still stands.
     """

@@ -164,7 +164,7 @@ class LaboratoryReport:
 
 
 def outputs_of(page: Path) -> tuple[Output, Output]:
-    """The two outputs of a report: the page, and next to it the table with the ending .csv."""
+    """Return the two output files of a report: the page, and beside it the table (.csv)."""
     return Output(page), Output(page.with_suffix(".csv"))
 
 
@@ -306,7 +306,7 @@ Row = tuple[str | int | float | None, ...]
 
 
 def table_of(gait: Gait) -> str:
-    """The table as text: gait parameters, events, then every cycle and its angles."""
+    """Return a report's CSV table: gait parameters, events, then every cycle with its angles."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)

@@ -114,7 +114,7 @@ def plot_residuals(found: PointResiduals) -> str:
 def _panels_of_angles(
     gait: Gait, draw_panel: Callable[[Any, Gait, GaitCurve], None], x_label: str
 ) -> Any:
-    """A figure with a panel for each angle, three in a row."""
+    """Draw a matplotlib figure with one panel for each joint angle, three in a row."""
     figure = _figure(10.0)
     grid = figure.subplots((len(CURVES) + 2) // 3, 3, sharex=True)
     for axes, curve in zip(grid.flat, CURVES, strict=True):
@@ -170,7 +170,7 @@ def _figure(height: float) -> Any:
 
 
 def _svg_text(figure: Any, name: str) -> str:
-    """A figure as an SVG element for a page; equal figures give equal text."""
+    """Return a figure as the text of an SVG element; equal figures give equal text."""
     text = io.StringIO()
     # ids inside the SVGs of one page must differ, which the salt ensures
     with matplotlib().rc_context({"svg.hashsalt": name}):

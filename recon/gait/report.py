@@ -37,7 +37,7 @@ def report(
 
     A recording is converted first, as `recon.convert` does. Of a motion file, the residuals and
     findings are those of the report beside it (FILE.json), of a result those that it has. On a
-    treadmill everything is told in the frame of the belt.
+    treadmill all numbers are in the frame of the belt.
 
     Args:
         source: a recording (.c3d, .trc, .bvh, .amc, .mat), a motion file or its arrays, or what a
@@ -149,7 +149,7 @@ def _residuals_of_report(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """A report that was written, and the lines to print about it."""
+    """A gait report that was written to files, and the lines to print about it."""
 
     place: Path
     """The page."""

@@ -48,7 +48,7 @@ _KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
 
 
 def hands_apart(points: Points3D) -> tuple[Points3D, Points3D | None]:
-    """Split points into the body's and 42 of hands (NaN where missing; None without hands)."""
+    """Split keypoints into the body's and 42 of the hands, which are None if there are none."""
     meant = [_point_of_hand(name) for name in points.names]
     rows = {one: k for k, one in enumerate(meant) if one is not None and one not in meant[:k]}
     if len(rows) < _FEWEST:
@@ -65,7 +65,7 @@ def hands_apart(points: Points3D) -> tuple[Points3D, Points3D | None]:
 
 
 def _point_of_hand(label: str) -> str | None:
-    """The point of a hand that a label means: left_index2, LIndexPIP, RIGHT_HAND_THUMB_CMC, ...
+    """Return the name in `FINGER_POINTS` of a label such as LIndexPIP; None for another label.
 
     Joints of the thumb from the wrist on are cmc, mcp and ip, or metacarpal, proximal and distal
     (OpenXR); those of fingers mcp, pip and dip, or proximal, intermediate and distal.
@@ -105,11 +105,11 @@ _PLACES_OF_THUMB = {
 
 
 def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
-    """The keypoint that each label means; None for an unknown label.
+    """Return recon's name of the keypoint that each label means; None for an unknown label.
 
-    `head`, `neck`, `pelvis` and `foot` are joints in the body where other labels show that the
-    points are a skeleton's joints, and a detector's keypoints elsewhere. Feet without ankles are
-    ankles, as Human3.6M calls them.
+    `head`, `neck`, `pelvis` and `foot` mean joints inside the body if other labels show that the
+    points are a skeleton's joints, else a detector's keypoints. If no label means an ankle, `foot`
+    means the ankle, as in Human3.6M.
     """
     words = [_plain_spelling(label) for label in labels]
     joints = any(word in _JOINTS_ONLY for word in words)
@@ -134,7 +134,7 @@ def are_keypoints(labels: Sequence[str]) -> bool:
 
 
 def _plain_spelling(label: str) -> str:
-    """A label in recon's spelling: LHip, HIP_LEFT, body_left_hip and lhip become left_hip."""
+    """Return a label in recon's spelling: LHip, HIP_LEFT and body_left_hip become left_hip."""
     label = re.sub(r"^K4ABT_JOINT_", "", label.strip().rsplit(":", 1)[-1], flags=re.IGNORECASE)
     lowered = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
     if short := _ABBREVIATED.match(lowered):

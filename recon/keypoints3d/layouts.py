@@ -37,7 +37,7 @@ _PROGRAMS = {18: "OpenPose's COCO model", 38: "ZED's BODY_38", 70: "MHR70"}
 
 
 def with_names(points: Points3D) -> Points3D:
-    """The points, named where their number determines the layout; faces are left out."""
+    """Return keypoints with names if their number determines the layout, without faces."""
     count = points.positions.shape[1]
     if points.names or points.layout:
         return points

@@ -1,7 +1,7 @@
 """Reads 3D keypoints of several people: EasyMocap, OpenPose, MMPose, ZED and NTU.
 
-A reader of one producer takes what a file says of a frame and gives everybody in it, or None where
-another producer wrote it.
+Each program has a function that takes the record of one frame and returns the people in it, or
+None if another program wrote the record.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ def read_people(frames: Frames, name: str, person: int | None = None) -> Points3
     """Read the keypoints of one person; None if none of these programs wrote the frames.
 
     Args:
-        frames: what was written of every frame.
+        frames: numbers and records of the frames.
         name: of the file or folder.
         person: whom to take of several, from 0 on; None takes who is seen longest.
 
@@ -54,7 +54,7 @@ def points_of_one_person(
     names: tuple[str, ...] = (),
     **known: Any,
 ) -> Points3D:
-    """The points of one person in all frames, followed by number or, without numbers, by place.
+    """Return one person's keypoints in all frames, tracked by number or else by position.
 
     Args:
         frames: numbers of frames, increasing, and everybody in them.
@@ -95,10 +95,10 @@ def points_of_one_person(
 
 
 def listed_in_time(value: Any, name: str) -> Frames:
-    """The records of a file by frame number; ZED's frames are ordered by their times.
+    """Return a file's records with their frame numbers, which for ZED follow from the times.
 
     Raises:
-        ValueError: when only some state a number, or two the same.
+        ValueError: when only some records state a frame number, or two state the same.
     """
     if isinstance(value, dict):
         inside = list(value.values())
@@ -163,7 +163,7 @@ def _people_under_keys(entry: Any, people_key: str, points_key: str, place: str)
 
 
 def _points_with_nan(value: Any, place: str) -> np.ndarray:
-    """Rows x, y, z; NaN where a fourth number, a confidence, is not positive."""
+    """Return an array of rows x, y, z; NaN where the confidence in column four is not positive."""
     numbers = as_floats(value, place)
     if numbers.ndim == 1:
         numbers = numbers.reshape(-1, 4) if numbers.size % 4 == 0 else numbers[:, None]

@@ -35,7 +35,7 @@ _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
 
 def body_file(folder: Path) -> Path | None:
-    """The file with the body's keypoints of a FreeMoCap session; None for other folders."""
+    """Return the file with the body keypoints of a FreeMoCap session; None for other folders."""
     places = (folder / "output_data", folder)
     endings = [(stem, ending) for stem in _BODY for ending in (".npy", ".csv")]
     found = (sorted(place.glob(stem + ending)) for place in places for stem, ending in endings)
@@ -43,7 +43,7 @@ def body_file(folder: Path) -> Path | None:
 
 
 def time_stamps(folder: Path) -> Path | None:
-    """The table with the time stamps of a session's frames, if there is one."""
+    """Return the file with the time stamps of a FreeMoCap session's frames, or None."""
     places = (folder, folder / "output_data", folder.parent)
     return next((one for place in places for one in sorted(place.glob("*_by_frame.csv"))), None)
 
@@ -132,7 +132,7 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
 
 
 def holds_markers(path: Path) -> bool:
-    """Whether a file is a recording of labelled points, which may be keypoints."""
+    """Return whether a file is a recording of labelled points, as markers or keypoints."""
     found = producer_of(path)
     return found is not None and found.holds == MARKERS
 
@@ -194,7 +194,7 @@ def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecor
 
 
 def from_recording(recording: MarkerRecording) -> Points3D:
-    """The points of a recording as keypoints, by their labels.
+    """Convert a recording of labelled points to 3D keypoints.
 
     Raises:
         ValueError: when the labels are those of markers.
@@ -238,10 +238,10 @@ def opencap_markers(recording: MarkerRecording) -> PositionsFile | None:
 
 
 def with_rate(points: Points3D, fps: float | None) -> Points3D:
-    """The points with the frame rate that the caller gave, else the file's.
+    """Return the points with the frame rate that the caller gave, or else the file's.
 
     Raises:
-        ValueError: when neither he nor the file tells one.
+        ValueError: when neither the caller nor the file states one.
     """
     if fps is not None:
         return replace(points, fps=fps)

@@ -48,8 +48,8 @@ class Points3D:
     ) -> "Points3D":
         """The points with the frame rate that follows from a column of times, if there is one.
 
-        It tells none where it is a single time, or times that do not rise evenly. Times are
-        milli-, micro- or nanoseconds where that makes a usual rate and seconds do not.
+        A single time, or times that do not rise evenly, determine no rate. Times are taken as
+        milli-, micro- or nanoseconds if that makes a usual rate and seconds do not.
 
         Args:
             times: one for every frame; None where there are none.
@@ -83,9 +83,9 @@ class Points3D:
     def checked(self) -> "Points3D":
         """The points with NaN for missing ones; an error if none is seen at all.
 
-        Exact zeros in all three coordinates and infinity are missing points too, unless they are
-        the same point in all frames: the origin of what is relative to it. So is another number
-        in all three coordinates (-9999) that comes again.
+        Infinity and exact zeros in all three coordinates mean a missing point, too, unless the
+        same point is zero in all frames, as the origin of relative coordinates is. A repeated
+        number that fills all three coordinates (-9999) also means a missing point.
 
         Raises:
             ValueError: when there are too many, or none at all is seen.
@@ -124,11 +124,11 @@ _APART = 0.35
 
 
 def tracks_of_people(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]:
-    """For every person a mapping from frame to their index in that frame's list.
+    """Return, for every person, a mapping from frame to the person's index in that frame's list.
 
-    A person goes on in that pose of the next frame which is nearest, all people together. Poses
-    that are given about the hips say nothing of where somebody is; with what they are seen at in
-    the image beside them, people who move alike are told apart, too.
+    People are matched from frame to frame so that the sum of the distances of their poses is
+    least. Poses relative to the hips do not say where a person is. If positions in the image are
+    given too, people who move alike are distinguished as well.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -151,7 +151,7 @@ def tracks_of_people(frames: Sequence[Sequence[Person]]) -> list[dict[int, int]]
 def chosen_person(
     counts: Sequence[int], frames: int, person: int | None, name: str
 ) -> tuple[int, tuple[str, ...]]:
-    """Number of the chosen one of several people, and a note about the choice.
+    """Return the index of the person to read, and a note about the choice if there are several.
 
     Args:
         counts: frames in which each of them is seen.
@@ -160,7 +160,7 @@ def chosen_person(
         name: of the file, for messages.
 
     Raises:
-        ValueError: when there is nobody of that number.
+        ValueError: when there is no person of that index.
     """
     listed = ", ".join(f"person {k} in {count}" for k, count in enumerate(counts))
     if person is not None and not 0 <= person < len(counts):

@@ -104,13 +104,13 @@ def _depth_of_hips(points: np.ndarray) -> float:
 
 
 def _matching_coordinates(points: np.ndarray, middle: float) -> np.ndarray:
-    """Coordinates for matching people: metres in a plane of one depth, and a reduced depth."""
+    """Return points projected to depth `middle`, and their scaled depths, for matching people."""
     rays = points[:, :2] / points[:, 2:]
     return np.concatenate((rays * middle, points[:, 2:] * _DEPTH_COUNTS), -1)
 
 
 def _checked_person(person: object, path: Path) -> Person:
-    """The arrays of a person that recon uses, after a check of their shapes."""
+    """Return the arrays that recon needs of a person's record, after a check of their shapes."""
     if not isinstance(person, dict) or _POINTS not in person:
         raise FormatError(f"{path}: expected people with {_POINTS}, got {person!r:.80}")
     out = {}
@@ -131,7 +131,7 @@ def _checked_person(person: object, path: Path) -> Person:
 
 
 def _in_camera_frame(person: Person, path: Path, within: bool) -> np.ndarray:
-    """The points plus the person's position, metres, in the camera's frame."""
+    """Return a person's keypoints in the frame of the camera, metres."""
     if not within and _PLACE not in person:
         raise FormatError(f"{path}: expected the person's place, {_PLACE}, beside {_POINTS}")
     points = person[_POINTS] if within else person[_POINTS] + person[_PLACE]
@@ -143,7 +143,7 @@ def _in_camera_frame(person: Person, path: Path, within: bool) -> np.ndarray:
 def _focal_and_centre(
     person: Person, points: np.ndarray, path: Path
 ) -> tuple[float, float, float] | None:
-    """Focal length and centre of the image, pixels; NaN for an unknown centre."""
+    """Return focal length and centre of the image, pixels; the centre is NaN if unknown."""
     stated = person.get(_FOCAL)
     if _PIXELS not in person:
         return None if stated is None else (float(stated), np.nan, np.nan)
@@ -189,9 +189,9 @@ def _at_common_focal_length(
 def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Points scaled to one body size, without jitter of the body in depth, and notes.
 
-    A body told too large is told too far away, as its image is what is seen: then a scale about
-    the camera mends both. Where this makes depths less even, it is one about the hips. Jitter is
-    what lines through the frames around each do not go on with.
+    An image determines only the ratio of size and distance, so a body that is estimated too large
+    is too far away as well. A scale about the camera corrects both; if it makes the depths less
+    smooth, the body is scaled about the hips. Jitter is the deviation from a local line in time.
     """
     sizes = np.linalg.norm(points[:, _BONES[:, 0]] - points[:, _BONES[:, 1]], axis=-1).sum(-1)
     scale = np.median(sizes) / sizes
@@ -212,8 +212,8 @@ def _without_jitter(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, l
 def _smoothed_over_time(values: np.ndarray) -> np.ndarray:
     """Values smoothed over time by local linear regression with Gaussian weights.
 
-    It is the widest that tells frames from the others as well as any, within one standard error
-    of squared errors. At the ends, too, a line goes on.
+    The width is the largest whose error in predicting frames from the others is within one
+    standard error of the least error. At the ends, lines are extrapolated.
     """
     from scipy.ndimage import convolve1d
 

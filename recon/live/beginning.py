@@ -1,4 +1,4 @@
-"""The first motion of a stream, proposed by a network or fitted to the first moments."""
+"""Finds the first motion of a stream by a network, or by a fit to the first frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ _ITERATIONS = 30
 
 
 class _FirstPoses(PosePrior):
-    """The pose prior with few iterations."""
+    """The pose prior with few iterations per stage, for the first fit of a stream."""
 
     def stages(
         self,
@@ -42,7 +42,7 @@ class _FirstPoses(PosePrior):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages that move the root first, then all variables."""
+        """Return the pose prior's stages, each with at most `_ITERATIONS` iterations."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
             for stage in super().stages(data, noise, body, method)
@@ -54,9 +54,9 @@ class KnownShape:
     """The person's shape as known before tracking begins."""
 
     shape: Float[Tensor, " shape"] | None = None
-    """Shape coefficients; None is anybody."""
+    """Shape coefficients; None where nothing is known of them."""
     knowledge: ShapeKnowledge | None = None
-    """What frames have told of the shape; None where it is held."""
+    """Information about the shape from past frames; None where the shape is held."""
 
 
 def first_window(
@@ -67,10 +67,10 @@ def first_window(
     poses: PosePrior,
     prior: Prior[Any] | None,
 ) -> SmoothedWindow:
-    """The first window of a stream, whose motion a network proposes or a fit finds.
+    """Return the first window of a stream, whose motion a network proposes or a fit finds.
 
     Raises:
-        ReconError: when nothing can be fitted to them.
+        ReconError: when no motion can be fitted to the moments.
     """
     seen = list(moments[0].seen)
     for moment in moments[1:]:
@@ -118,9 +118,9 @@ def _first_look(
     shape: Float[Tensor, " shape"] | None,
     body: BodyModel,
 ) -> _FirstMotion | None:
-    """The motion that a network proposes; None for data that it cannot use.
+    """Return a first motion that a network proposes; None for data that it cannot use.
 
-    It takes a tenth of the time of a fit.
+    The network takes a tenth of the time of a fit.
     """
     if any(one.named is None for one in seen):
         return None
@@ -143,7 +143,7 @@ def _first_fit(
     body: BodyModel,
     poses: PosePrior,
 ) -> _FirstMotion:
-    """Fit a first motion to the first moments under the pose prior."""
+    """Fit a first motion to the first frames of a stream, under the pose prior."""
     first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=shape)
     batch: Any = [one[None] for one in seen]

@@ -23,17 +23,17 @@ def stream_lines(
     complain: Callable[[str], None],
     links: Sequence[Link] = (),
 ) -> Iterator[str]:
-    """A line for every estimate, as soon as it is final.
+    """Yield a line of JSON for every estimate of a stream, as soon as it is final.
 
-    A line that is no moment is told and passed over.
+    An input line that does not hold a moment is reported and skipped.
 
     Args:
         lines: one JSON object each: `points`, a row of three numbers per point, null where it was
             not seen (of several sensors, a list of such rows); and `time`, seconds, unless each
-            moment is one frame after the last. Blank lines are passed over.
+            moment is one frame after the last. Blank lines are skipped.
         stream: with a template.
-        complain: is told about lines that are no moments.
-        links: where every estimate is sent, too.
+        complain: called with a message for every line that does not hold a moment.
+        links: every estimate is sent to them, too.
     """
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -57,10 +57,10 @@ def stream_lines(
 
 
 def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
-    """The points and the time of a line.
+    """Return the points, and the time in seconds if stated, of one line of JSON.
 
     Raises:
-        ReconError: when it is no moment.
+        ReconError: when the line does not hold a moment.
     """
     try:
         moment = json.loads(line)
@@ -76,14 +76,14 @@ def _parsed_line(line: str) -> tuple[MomentLike, float | None]:
 
 
 def _is_sensor(value: Any) -> bool:
-    """Whether a JSON value is a list of rows, of one of several sensors, rather than a row."""
+    """Return whether a JSON value holds all points of one sensor, not a single point."""
     return isinstance(value, list) and any(
         isinstance(one, list) or (one is None and len(value) > 3) for one in value
     )
 
 
 def _points_array(rows: Any) -> np.ndarray:
-    """Rows of three numbers; null, or a row with null in it, becomes NaN."""
+    """Return an array (points, 3) of JSON rows; null, or a row with null in it, becomes NaN."""
     return np.array(
         [
             [np.nan] * 3 if row is None or (isinstance(row, list) and None in row) else row

@@ -33,7 +33,7 @@ _LONGEST_SUBJECT = 100
 
 @dataclass(frozen=True)
 class _ProgramAxes:
-    """Another program's axes."""
+    """The coordinate axes of another program, of its world and of its rest pose."""
 
     world: Float[np.ndarray, "3 3"]
     """From our world to theirs, without scale."""
@@ -43,7 +43,7 @@ class _ProgramAxes:
     def bones(
         self, estimate: LiveEstimate
     ) -> tuple[Float[np.ndarray, "22 3"], Float[np.ndarray, "22 4"]]:
-        """Positions (m) and quaternions (x, y, z, w) of bones in parents, root in the world."""
+        """Return each bone's position (m) and quaternion (x, y, z, w) in its parent's frame."""
         local = estimate.rotations.double().numpy()
         joints = estimate.joints.double().numpy()
         turned = local.copy()
@@ -69,7 +69,7 @@ _UNREAL = _ProgramAxes(
 
 
 class Link(AbstractContextManager[Any]):
-    """Sends estimates by UDP; reports each cause of lost packets once, and goes on."""
+    """Base class that sends estimates by UDP and reports each cause of lost packets once."""
 
     def __init__(self, address: str, complain: Callable[[str], Any]) -> None:
         host, port = _host_and_port(address)
@@ -91,7 +91,7 @@ class Link(AbstractContextManager[Any]):
 
     @abstractmethod
     def send(self, estimate: LiveEstimate | None) -> None:
-        """Send an estimate, with those before it that became final with it; None is none yet."""
+        """Send an estimate and its `earlier` ones; None says that there is no estimate yet."""
 
     def close(self) -> None:
         """Close the socket; nothing can be sent afterwards."""
@@ -127,28 +127,28 @@ class VmcLink(Link):
 
     An estimate is `/VMC/Ext/OK`, `/VMC/Ext/T` with its time, `/VMC/Ext/Root/Pos`, which stays at
     the origin, and `/VMC/Ext/Bone/Pos` for 22 of Unity's HumanBodyBones, in bundles (OSC) that fit
-    into a packet of a network. Where no joint was observed, or there is no estimate, OK says that
-    nothing is tracked.
+    into one UDP packet. OK says that nothing is tracked if no joint was observed or there is no
+    estimate.
     """
 
     def __init__(
         self, address: str = "127.0.0.1:39539", complain: Callable[[str], Any] = warnings.warn
     ) -> None:
-        """A link that has sent nothing yet.
+        """Open a UDP socket that sends to programs for avatars by VMC.
 
         Args:
             address: HOST:PORT; a PORT alone is one of this machine.
-            complain: is told, once each, why packets are not delivered.
+            complain: called once with each reason for which packets are not delivered.
 
         Raises:
-            ReconError: when the address is none, or python-osc is not installed.
+            ReconError: when the address is not valid, or python-osc is not installed.
         """
         builder = optional_module(
             "pythonosc.osc_message_builder", "python-osc", "sending VMC", "live"
         ).OscMessageBuilder
 
         def head(address: str, *values: str | int | float) -> bytes:
-            """The bytes of a message without those of its floats, 4 each at its end."""
+            """Return the bytes of an OSC message without its floats, 4 bytes each at the end."""
             message = builder(f"/VMC/Ext/{address}")
             for value in values:
                 message.add_arg(value)
@@ -165,7 +165,7 @@ class VmcLink(Link):
         self._bones = [head("Bone/Pos", bone[0].upper() + bone[1:], *pose) for bone in vrm]
 
     def send(self, estimate: LiveEstimate | None) -> None:
-        """Send an estimate, with those before it that became final with it; None is none yet."""
+        """Send an estimate and its `earlier` ones; None says that there is no estimate yet."""
         if estimate is None:
             self._send_bundles(self._tracked[:1])
             return
@@ -199,8 +199,8 @@ class LiveLink(Link):
 
     A packet is one estimate: an object with the subject, a list of bones, each with Name, Parent
     (its number), Location (cm), Rotation (x, y, z, w) and Scale, relative to the parent. The names
-    are those of the UE5 mannequin, the first is `root` at the origin. That one also has Time, the
-    estimate's seconds, which the plugin passes over.
+    are those of the UE5 mannequin; the first is `root` at the origin. `root` also has Time, the
+    estimate's time in seconds, which the plugin ignores.
     """
 
     def __init__(
@@ -209,15 +209,15 @@ class LiveLink(Link):
         subject: str = "recon",
         complain: Callable[[str], Any] = warnings.warn,
     ) -> None:
-        """A link that has sent nothing yet.
+        """Open a UDP socket that sends to Unreal's Live Link.
 
         Args:
             address: HOST:PORT; a PORT alone is one of this machine.
             subject: name that Unreal lists.
-            complain: is told, once each, why packets are not delivered.
+            complain: called once with each reason for which packets are not delivered.
 
         Raises:
-            ReconError: when the address is none, or the subject no name.
+            ReconError: when the address is not valid, or the subject no name.
         """
         if not (subject.isascii() and subject.isprintable() and subject.strip()) or (
             len(subject) > _LONGEST_SUBJECT
@@ -231,7 +231,7 @@ class LiveLink(Link):
         super().__init__(address, complain)
 
     def send(self, estimate: LiveEstimate | None) -> None:
-        """Send an estimate, with those before it that became final with it; None sends nothing."""
+        """Send an estimate and its `earlier` ones; None sends nothing."""
         for one in () if estimate is None else estimate.every:
             offsets, turns = _UNREAL.bones(one)
             bones = [
@@ -258,10 +258,10 @@ def _bone_record(
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    """The parts of HOST:PORT, [IPv6]:PORT, or PORT on this machine.
+    """Split an address, HOST:PORT, [IPv6]:PORT or PORT on this machine, into host and port.
 
     Raises:
-        ReconError: when it is none of these.
+        ReconError: when the address has none of these forms.
     """
     text = f"127.0.0.1:{address}" if address.isdecimal() else address
     try:

@@ -1,4 +1,4 @@
-"""Frames pushed into a stream: one frame of each sensor, always with the same points."""
+"""Checks the frames pushed into a stream: one frame per sensor, always with the same points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,26 +24,26 @@ of points in space, or u, v and confidence of keypoints, NaN where nothing was s
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment of all sensors, without axes of clips."""
+    """The data of all sensors of a stream at one time, without an axis of clips."""
 
     time: float
     seen: tuple[Tracker, ...]
 
     @property
     def empty(self) -> bool:
-        """Whether no point was seen."""
+        """Whether no sensor saw any point."""
         return not any(bool(one.shown.any()) for one in self.seen)
 
 
 @dataclass(frozen=True)
 class StreamSensors:
-    """The sensors of a stream, each with one moment of data; later moments must be like it."""
+    """The sensors of a stream, each with one frame that later frames must match in form."""
 
     trackers: tuple[Tracker, ...]
 
     @classmethod
     def of(cls, given: Any) -> "StreamSensors":
-        """The sensors of observations of any length.
+        """Return the sensors of a stream, made from one observation per sensor, of any length.
 
         Raises:
             ObservationError: when there is none, one is no named points or no calibrated camera,
@@ -67,19 +67,19 @@ class StreamSensors:
 
     @property
     def empty_moment(self) -> tuple[Tracker, ...]:
-        """A moment at which nothing was seen."""
+        """One frame per sensor in which no point is visible."""
         return tuple(with_points_hidden(one) for one in self.trackers)
 
     def moment(self, given: Any, time: float | None, next_time: float) -> Moment:
-        """The pushed data as one moment of all sensors.
+        """Check the data of one push and return them as one moment of all sensors.
 
         Args:
             given: a `MomentLike`.
             time: seconds; None takes the observation's, or `next_time` if that is zero.
-            next_time: when the moment is if nobody says.
+            next_time: seconds, used if neither `time` nor the data state a time.
 
         Raises:
-            ObservationError: when the moment is not like those before.
+            ObservationError: when the data do not match the sensors.
         """
         arrays = isinstance(given, Tensor) or not (
             isinstance(given, TensorStruct)
@@ -118,7 +118,7 @@ def _one_or_more(given: Any) -> tuple[Any, ...]:
 
 
 def _checked_like(sensor: Tracker, given: Any) -> Tracker:
-    """A moment, checked to be of this sensor."""
+    """Return one frame of data after checking that its kind, rate and points are the sensor's."""
     if type(given) is not type(sensor):
         raise ObservationError(
             f"expected {type(sensor).__name__} as before, got {type(given).__name__}"

@@ -1,8 +1,8 @@
-"""The energies of a window, and their Gauss-Newton equations.
+"""The objective of a stream's window of frames, and its Gauss-Newton equations.
 
-They are those of `priors.pose.prior.PosePrior` as a method: data, the density of poses, small
-second differences of the joints' paths. Another prior's energies of steps between frames are
-added (`StepEnergies`).
+The energies are those of fits under `priors.pose.prior.PosePrior`: data, the density of poses,
+and second differences of the joints' paths. A prior of motion adds its energies of the steps
+between frames (`StepEnergies`).
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class Window(TensorStruct):
         rotations: Float[Tensor, "time 22 3 3"],
         density: PoseDensity,
     ) -> "Window":
-        """The variables that encode a motion exactly."""
+        """Return the variables that represent the given motion exactly."""
         return cls(translation, rotations[:, 0], density.coordinates(rotations[:, 1:]))
 
     @property
@@ -59,7 +59,7 @@ class Window(TensorStruct):
         return torch.cat((self.root[:, None], density.rotations(self.pose)), 1)
 
     def moved(self, steps: Float[Tensor, "active 69"]) -> "Window":
-        """The window with its last frames moved, the root by R Exp(step)."""
+        """Return the window after steps of its last frames' variables; the root is R Exp(step)."""
         place, turn, pose = steps.split((3, 3, VARIABLES - 6), -1)
         held = self.frames - len(steps)
         return Window(
@@ -69,7 +69,7 @@ class Window(TensorStruct):
         )
 
     def extended(self, damping: float) -> "Window":
-        """The window with one more frame, extrapolated from the last two with damped velocity."""
+        """Return the window plus one frame, extrapolated from the last two at damped velocity."""
         before, last = self[-2:-1], self[-1:]
         turn = so3.log(before.root.mT @ last.root)
         return Window(
@@ -85,18 +85,18 @@ _BEND = (1.0, -2.0, 1.0)
 
 @runtime_checkable
 class StepEnergies(Protocol):
-    """The interface of a prior's energies of steps, as its `live(noise)` returns them."""
+    """The interface of what a prior's `live(noise)` returns: energies of steps between frames."""
 
     reach: ClassVar[int]
-    """Frames so far apart are in one energy."""
+    """Largest distance, in frames, between two frames of one energy."""
 
     @property
     def poses(self) -> PoseWeights:
-        """Weights of the density of poses and of smoothness."""
+        """Weights of the density of poses and of the joints' accelerations."""
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """Evaluate the steps: a record whose `energy` is differentiable in the motion."""
+        """Return a record whose `energy`, that of the motion's steps, is differentiable."""
         ...
 
     def add_curvature(
@@ -106,13 +106,13 @@ class StepEnergies(Protocol):
         hessian: Banded,
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
-        """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
+        """Add this energy's Hessian to `hessian` (by variables) and `of_joints` (by positions)."""
         ...
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Second-order model of a window's energies about its present variables.
+    """A quadratic model of a window's energy about its current variables.
 
     E + gᵀ dx + hᵀ db + ½ (dxᵀ A dx + 2 dxᵀ G db + dbᵀ C db), with dx the steps of the active
     frames and db that of the shape.
@@ -123,7 +123,7 @@ class Equations:
     inner: Float[Tensor, "active reach_and_one 69 69"]
     """Blocks of A: [t, k] couples the frames t and t + k; those of `alone` are included."""
     alone: Float[Tensor, "active 69 69"]
-    """What data and pose of every frame alone give to A."""
+    """Hessian of the terms that depend on one frame alone (data, pose); a part of A."""
     gradient_alone: Float[Tensor, "active 69"]
     border: Float[Tensor, "active 69 shape"]
     """G."""
@@ -135,7 +135,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective of a window of motion: the body, weights and priors that stay the same."""
+    """The energy of a window as a function of its variables, with body, weights and priors."""
 
     body: BodyModel
     density: PoseDensity
@@ -156,7 +156,7 @@ class Objective:
 
     @property
     def reach(self) -> int:
-        """Largest distance in frames within one energy, and frames held before a window."""
+        """Number of earlier frames that any energy of a frame depends on; they are held fixed."""
         return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property
@@ -166,17 +166,17 @@ class Objective:
 
     @property
     def stiffness(self) -> float:
-        """Weight of ½ |second difference|² at the rate of the window."""
+        """Weight of ½ |second difference of a joint|² at the window's frame rate."""
         return self.weights.acceleration / self.rate**3
 
     def posed(self, window: Window) -> tuple[Tensor, Tensor, Tensor]:
-        """Rotations, orientations and joints of all frames."""
+        """Return the joints' local rotations, world orientations and world positions (metres)."""
         rotations = window.rotations(self.density)
         orientations, joints = forward_kinematics(rotations, self.rest)
         return rotations, orientations, joints + window.translation[:, None]
 
     def value(self, window: Window, seen: Sequence[Tracker]) -> float:
-        """The energy of a window whose last frames have data."""
+        """Return a window's energy; `seen` holds the data of its last frames."""
         rotations, orientations, joints = self.posed(window)
         held = window.frames - seen[0].moments
         total = self.weights.pose * self.rate * window.pose[held:].square().sum()
@@ -191,11 +191,11 @@ class Objective:
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
-        """The motion of a window with these rotations of its joints, a batch of one."""
+        """Return a motion of the window's translations and the given rotations, a batch of one."""
         return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
 
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
-        """The second-order model over the last frames, which have data; earlier ones are held."""
+        """Return the quadratic model in the last frames, which `seen` covers; others are held."""
         rotations, orientations, joints = self.posed(window)
         held, active = window.frames - seen[0].moments, seen[0].moments
         pose = window.pose[held:]
@@ -258,7 +258,7 @@ class Objective:
     def _prior_energy_and_gradient(
         self, window: Window, held: int
     ) -> tuple[Any, Float[Tensor, "active 69"]]:
-        """The prior's energy of the steps, and its gradient by the active frames' variables."""
+        """Return the prior's energy of steps, and its gradient by the active frames' variables."""
         assert self.steps is not None
         with torch.enable_grad():
             zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
@@ -272,7 +272,7 @@ class Objective:
 def _by_variables(
     jacobian: Float[Tensor, "time points 3 66"], turns: Float[Tensor, "time 63 63"]
 ) -> Float[Tensor, "time points 3 69"]:
-    """Derivatives by the variables of a window from those by steps of the joints' rotations."""
+    """Convert derivatives by rotation steps of the joints to derivatives by `Window` variables."""
     moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
     posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
     return torch.cat((moved, jacobian[..., :3], posed), -1)

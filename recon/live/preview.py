@@ -1,4 +1,4 @@
-"""Tracking by a network that proposes motions: every moment from a window that ends soon after."""
+"""Tracks a person by a network alone, which proposes the motion of the latest frames anew."""
 
 from dataclasses import dataclass, field
 
@@ -32,8 +32,8 @@ _LEARNED = 300
 class PreviewTracking(TrackedPerson):
     """The state of a stream while a person is visible, as `recon.live.tracking.Tracking`.
 
-    Nothing is fitted: each moment is what the network proposes for it when `lag` moments after it
-    have been seen.
+    Nothing is fitted. The estimate of a moment is the network's proposal made from the window
+    that ends `lag` moments later.
     """
 
     look: Look
@@ -42,7 +42,7 @@ class PreviewTracking(TrackedPerson):
     times: list[float] = field(default_factory=list)
     """Seconds of every moment of the window."""
     final: int = 0
-    """Moments of the window, from the first on, that were given out."""
+    """Number of leading moments of the window whose estimates were returned."""
     unseen: int = 0
     """Moments since points were seen."""
     windows: int = 0
@@ -53,10 +53,10 @@ class PreviewTracking(TrackedPerson):
     """Whether the last window was far from what the network knows; None before the first."""
 
     def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
-        """Add consecutive moments; returns the estimates that become final.
+        """Add consecutive moments; return the estimates that become final.
 
         Raises:
-            ObservationError: when the network cannot see such sensors.
+            ObservationError: when the network cannot use such sensors.
         """
         for moment in moments:
             new = [with_points_hidden(o) if collapsed(o) else o for o in moment.seen]
@@ -67,7 +67,7 @@ class PreviewTracking(TrackedPerson):
         return self._final_estimates(self.lag, findings)
 
     def insert(self, moment: Moment, back: int) -> bool:
-        """Put a late moment in the place of an empty one, `back` frames before the last."""
+        """Store late data `back` frames before the last; return False if that frame has data."""
         row = len(self.times) - 1 - back
         if row < self.final or any(bool(one.shown[row].any()) for one in self.seen):
             return False
@@ -77,14 +77,14 @@ class PreviewTracking(TrackedPerson):
         return True
 
     def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """The remaining estimates, up to the last moment with points."""
+        """Return the estimates that are not final yet, up to the last moment with points."""
         stop = len(self.times) - self.unseen
         self.times = self.times[:stop]
         self.seen = tuple(frames_between(one, 0, stop) for one in self.seen)
         return self._final_estimates(0, findings)
 
     def known(self) -> KnownShape:
-        """The person's shape, as far as it is known by now."""
+        """Return the shape of the person as estimated so far."""
         held = self.person.shape if self.shape is None else self.shape
         return KnownShape(held)
 
@@ -133,7 +133,7 @@ class PreviewTracking(TrackedPerson):
         self.doubted = doubt is not None
 
     def _mean_shape(self, proposed: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
-        """The shape that is held, or the mean of those that were proposed so far."""
+        """Return the shape that the caller gave, or the mean of the shapes proposed so far."""
         if self.person.shape is not None:
             return self.person.shape
         if self.windows < _LEARNED:
@@ -144,7 +144,7 @@ class PreviewTracking(TrackedPerson):
         return self.shape
 
     def _drop_oldest(self, count: int) -> None:
-        """Drop moments that the network is no longer shown."""
+        """Remove the oldest `count` frames from the network's input window."""
         if count > 0:
             self.seen = tuple(frames_between(one, count, one.moments) for one in self.seen)
             self.times, self.final = self.times[count:], self.final - count

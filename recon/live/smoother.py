@@ -27,11 +27,11 @@ class ShapeKnowledge:
 
     @classmethod
     def none(cls, shape: Float[Tensor, " shape"]) -> "ShapeKnowledge":
-        """Before any frame."""
+        """Return knowledge from no frames at all."""
         return cls(shape.new_zeros(len(shape), len(shape)), torch.zeros_like(shape), 0)
 
     def gradient(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
-        """Gradient of the energy by the shape."""
+        """Return Λ b - η, the gradient of the energy by the shape."""
         return self.information @ shape - self.pull
 
     def value(self, shape: Float[Tensor, " shape"]) -> float:
@@ -41,13 +41,13 @@ class ShapeKnowledge:
     def learned(
         self, equations: Equations, shape: Float[Tensor, " shape"], weight: float
     ) -> "ShapeKnowledge":
-        """Knowledge that includes a window's first frame, its pose eliminated (Schur complement).
+        """Add what a window's first frame says about the shape, its pose marginalised (Schur).
 
-        Ties of the frame to its neighbours are left out, which makes it tell a little less.
+        Energies between this frame and others are left out, which loses a little information.
 
         Args:
-            equations: of the window about this shape.
-            shape: about which they are.
+            equations: of the window, about `shape`.
+            shape: shape coefficients of the linearisation.
             weight: of |b|² per frame, the density of shapes.
         """
         border, gradient = equations.border[0], equations.gradient_alone[0]
@@ -73,7 +73,7 @@ _SLOWED = 0.9
 
 @dataclass(frozen=True)
 class SmoothedWindow:
-    """The state after a push: the window, and the knowledge of the person's shape."""
+    """A window of frames after a push: motion, data, and what is known of the shape."""
 
     window: Window
     objective: Objective
@@ -93,12 +93,12 @@ class SmoothedWindow:
         return self.seen[0].moments
 
     def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "SmoothedWindow":
-        """A window that has one frame more, and the oldest one less if there are more than `most`.
+        """Return the window with a new frame; the oldest active frame goes beyond `most` frames.
 
         Args:
             seen: data of the new frame.
-            most: active frames.
-            learn_until: frames after which the shape is held.
+            most: largest number of active frames.
+            learn_until: number of frames after which the shape is held.
         """
         data = tuple(joined_in_time(a, b) for a, b in zip(self.seen, seen, strict=True))
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
@@ -116,18 +116,18 @@ class SmoothedWindow:
         )
 
     def refined(self, steps: int) -> "SmoothedWindow":
-        """The window after at most `steps` damped Gauss-Newton steps."""
+        """Return the window after at most `steps` damped Gauss-Newton steps."""
         refinement = _WindowProblem()
         options = replace(_OPTIONS, max_iterations=steps)
         found, _ = minimise(refinement, self, options)
         return replace(found, equations=refinement.equations)
 
     def stepped(self) -> "SmoothedWindow":
-        """The window after one Gauss-Newton step, taken without a check of its energy.
+        """Return the window after one Gauss-Newton step, without checking that the energy falls.
 
-        An evaluation of it would take a quarter of a push more, and a search for a shorter step
-        where it rises twice as much as the push. The next push, which computes the energy anyway,
-        damps its own step where the energy of a frame has risen.
+        The check would make a push a quarter longer, and a search for a shorter step where the
+        energy rises three times as long. The next push, which computes the energy anyway, damps
+        its own step where the energy of a frame has risen.
         """
         refinement, row = _WindowProblem(), torch.zeros(1, dtype=torch.long)
         model = refinement.model(self, row)
@@ -140,7 +140,7 @@ class SmoothedWindow:
         return replace(moved, equations=refinement.equations, energy=energy)
 
     def value_of_shape(self) -> float:
-        """Energy of the shape while it is learned."""
+        """Return the energy of the shape while the shape is learned, else zero."""
         shape = self.objective.shape
         if not self.learning:
             return 0.0
@@ -153,13 +153,13 @@ class SmoothedWindow:
 
 
 class _WindowProblem(Problem[SmoothedWindow]):
-    """The energy of one window, in steps of its active frames and of the shape that is learned."""
+    """The minimisation of a window's energy by steps of its active frames and of the shape."""
 
     equations: Equations | None = None
     """Those of the last model."""
 
     def model(self, x: SmoothedWindow, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """The energy to second order about the window."""
+        """Return the quadratic model of the energy about the window `x`."""
         found = self.equations = x.objective.equations(x.window, x.seen, x.learning)
         slope, corner = found.gradient_shape.sum(0), found.corner.sum(0)
         if x.learning:
@@ -175,7 +175,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
     def moved(
         self, x: SmoothedWindow, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> SmoothedWindow:
-        """The window and the body after a step."""
+        """Return the window, with its objective's shape, after a step of the unknowns."""
         del rows
         frames, shape = steps[0].tensor_split([x.active * VARIABLES])
         window = x.window.moved(frames.view(x.active, VARIABLES))
@@ -193,7 +193,7 @@ class _WindowProblem(Problem[SmoothedWindow]):
 def objective_of_shape(
     objective: Objective, shape: Float[Tensor, " shape"], seen: Sequence[Tracker]
 ) -> Objective:
-    """The objective for a body of another shape."""
+    """Return the objective with the body's shape replaced by the given one."""
     body = objective.body
     return replace(
         objective,

@@ -33,16 +33,16 @@ _RATE_TOLERANCE = 0.1
 
 
 class Stream:
-    """Fixed-lag smoothing of a person while being recorded.
+    """Estimates the motion of a person live, by fixed-lag smoothing of pushed frames.
 
     Every push moves the newest frames a little towards the likeliest motion, given the frames
     that are final. An estimate is final when `lag` moments after it have been seen; it is never
-    changed, and motion goes on from it without a seam.
+    changed, and later estimates continue the motion smoothly.
 
     A stream survives bad input. What cannot be used raises `ObservationError` and changes nothing:
     push the next moment as if the bad one had been dropped. What can be used with a caveat (late
     and dropped moments, jumps of the clock, points in impossible places, the person leaving and
-    returning) is told in `LiveEstimate.findings`.
+    returning) is reported in `LiveEstimate.findings`.
     """
 
     def __init__(
@@ -55,16 +55,16 @@ class Stream:
         shape: ShapeLike | None = None,
         body: BodyLike = None,
     ) -> None:
-        """A stream that has seen nothing yet.
+        """Create a stream without data.
 
         Args:
             prior: `pose`, or `humor`, which needs 30 moments a second, takes two to three times as
-                long and is nearer to the truth but in the fastest motions; or a loaded prior. Or
-                `look`, or a `recon.method.Look`: nothing is fitted, a network's first look is
-                given, for named points in space and calibrated views at any rate.
+                long and is more accurate except for the fastest motions; or a loaded prior. With
+                `look`, or a `recon.method.Look`, nothing is fitted: estimates are a network's
+                proposals, for named points in space and calibrated views at any rate.
             lag: frames after which an estimate is final; 0 gives the newest.
-            template: an observation, or one per sensor, of any moments: what arrays that are
-                pushed mean. None where observations are pushed.
+            template: an observation, or one per sensor, that says what pushed arrays mean; its
+                data are not used. None where observations are pushed.
             noise: standard deviation of every coordinate, metres or, of keypoints, pixels; None
                 estimates it from the first moments.
             shape: shape coefficients that are held, or a motion that has them; None learns them
@@ -96,7 +96,7 @@ class Stream:
         self._findings: list[Finding] = []
 
     def _set_prior(self, prior: str | Prior[Any] | Look) -> None:
-        """Load the prior, or the network whose proposals are the estimates."""
+        """Load the prior of the fit, or the network whose proposals are the estimates."""
         self._look: Look | None = None
         self._prior: Prior[Any] | None = None
         named = prior in registered_places(LOOKS) if isinstance(prior, str) else callable(prior)
@@ -120,7 +120,7 @@ class Stream:
         return self._lag
 
     def push(self, seen: MomentLike, time: float | None = None) -> LiveEstimate | None:
-        """Add a moment; returns the newest final estimate, or None while there is none.
+        """Add a moment; return the newest estimate that is now final, or None if there is none.
 
         Args:
             seen: one moment: an observation, or one per sensor; or arrays, where the stream has a
@@ -129,14 +129,14 @@ class Stream:
                 frame after the last moment.
 
         Raises:
-            ObservationError: when this is no moment of the sensors of before. Nothing of it was
-                used, and the stream goes on with the next.
+            ObservationError: when the data do not match the sensors of earlier moments. They are
+                not used, and the next moment can be pushed.
         """
         with torch.no_grad():
             return self._push_moment(seen, time)
 
     def finish(self) -> tuple[LiveEstimate, ...]:
-        """The estimates of the last moments; the stream then starts over."""
+        """Return the estimates that are not final yet, and reset the stream for new data."""
         with torch.no_grad():
             newest = self._newest_with_findings(self._end_tracking())
             self._given = None
@@ -190,7 +190,7 @@ class Stream:
     def _push_in_sequence(
         self, moments: list[Moment], sensors: StreamSensors
     ) -> LiveEstimate | None:
-        """The estimates that become final when consecutive moments follow the last one."""
+        """Add moments that follow the last; return the newest estimate that becomes final."""
         self._follows_one = self._last is None
         self._last = moments[-1].time
         tracking = self._tracking
@@ -208,7 +208,7 @@ class Stream:
         return self._newest_with_findings(done)
 
     def _insert_late(self, moment: Moment, frames_back: int) -> None:
-        """Put a moment at or before the last one in its place, if that is still empty."""
+        """Store a late moment `frames_back` frames before the last, unless that has data."""
         put_in = self._tracking is not None and self._tracking.insert(moment, frames_back)
         late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
         self._add_finding("frame order", f"the moment {moment.time:.3f} s came {late}")
@@ -216,7 +216,7 @@ class Stream:
     def _after_clock_jump(
         self, moment: Moment, last: float, sensors: StreamSensors
     ) -> LiveEstimate | None:
-        """Handle a moment far from the last; a single one is taken for an error of its clock."""
+        """Handle a jump of the clock: skip one such moment, start anew if the next confirms it."""
         other = self._other_clock
         self._other_clock = moment.time
         if other is None or abs(moment.time - other) > GONE_S:
@@ -234,10 +234,10 @@ class Stream:
         return newest
 
     def _checked_sensors(self, sensors: StreamSensors) -> StreamSensors:
-        """The sensors, checked to suit the prior and the given noise.
+        """Return the sensors after checking that their rate and number suit prior and noise.
 
         Raises:
-            ObservationError: when they have another rate or another number.
+            ObservationError: when the prior needs another rate, or `noise` another number.
         """
         if self._prior is not None and abs(sensors.fps / REFERENCE_FPS - 1) > _RATE_TOLERANCE:
             raise ObservationError(
@@ -271,7 +271,7 @@ class Stream:
         return done
 
     def _newest_with_findings(self, done: list[LiveEstimate]) -> LiveEstimate | None:
-        """The newest of the estimates, with the earlier ones and the findings attached."""
+        """Return the newest estimate, with the earlier ones and the findings in its fields."""
         given = self._given
         done = [one for one in done if given is None or one.time > given]
         if not done:
@@ -285,6 +285,6 @@ class Stream:
 
 
 def _is_observation(given: Any) -> bool:
-    """Whether a push is of records rather than arrays."""
+    """Return whether pushed data are observations rather than arrays."""
     first = given[0] if isinstance(given, list | tuple) and given else given
     return hasattr(first, "start_time")

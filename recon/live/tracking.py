@@ -29,7 +29,7 @@ from recon.method.priors import Prior
 
 @dataclass(frozen=True)
 class LiveEstimate:
-    """The body at one moment, final: later pushes do not change it."""
+    """The estimated body at one moment, which later pushes do not change."""
 
     time: float
     """Time of the moment, seconds on the clock of the observations."""
@@ -76,7 +76,7 @@ _LEARNED = 300
 
 @dataclass
 class TrackedPerson:
-    """What a stream knows of a person before the first window is fitted."""
+    """The settings of a stream's tracking: sensors, lag, noise, body, and known shape."""
 
     sensors: StreamSensors
     lag: int
@@ -89,7 +89,7 @@ class TrackedPerson:
         return [one.located_joints(self.body) for one in self.sensors.trackers]
 
     def joints_seen(self, seen: Sequence[Tracker], row: int) -> Bool[np.ndarray, " 22"]:
-        """Joints that an observation locates in a frame of the window."""
+        """Return a mask of the joints that the data of one frame locate."""
         found = np.zeros(22, dtype=bool)
         for one, shown in zip(seen, self._located_joints, strict=True):
             found |= one.shown[row].numpy() @ shown
@@ -98,29 +98,29 @@ class TrackedPerson:
 
 @dataclass
 class Tracking(TrackedPerson):
-    """The state of a stream while a person is visible."""
+    """Tracks the visible person of a stream: collects frames, fits a first motion, smooths it."""
 
     poses: PosePrior
     prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
-    """Moments before the first motion, or those that lie astray."""
+    """Moments before the first motion, later those whose points were outliers."""
     smoothed: SmoothedWindow | None = None
     times: list[float] = field(default_factory=list)
     """Seconds of every frame of the window."""
     final: int = 0
-    """Frames of the window, from the first on, that were given out."""
+    """Number of leading frames of the window whose estimates were returned."""
     since_seen: int = 0
     """Moments since points were seen, once there is a motion."""
 
     @property
     def _current_window(self) -> SmoothedWindow:
-        """The current window; only valid after the first motion was fitted."""
+        """The smoothed window; asserts that the first motion was fitted."""
         assert self.smoothed is not None
         return self.smoothed
 
     def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
-        """Add consecutive moments; returns the estimates that become final."""
+        """Add consecutive moments; return the estimates that become final."""
         if self.smoothed is None:
             self.gathered += moments
             while self.gathered and self.gathered[0].empty:
@@ -141,7 +141,7 @@ class Tracking(TrackedPerson):
         return self._final_estimates(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
-        """Put a late moment in the place of an empty one, `back` frames before the last."""
+        """Store late data `back` frames before the last; return False if that frame has data."""
         if self.smoothed is None:
             row = len(self.gathered) - 1 - back
             if row < 0 or not self.gathered[row].empty:
@@ -167,7 +167,7 @@ class Tracking(TrackedPerson):
         return empty.index(False) if False in empty else 0
 
     def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """The remaining estimates, up to the last frame with points."""
+        """Return the estimates that are not final yet, up to the last frame with points."""
         if self.smoothed is None:
             several = sum(not moment.empty for moment in self.gathered) >= _MIN_MOMENTS
             if not several or not self._fit_first_motion(findings):
@@ -178,14 +178,14 @@ class Tracking(TrackedPerson):
         return self._final_estimates(0)
 
     def known(self) -> KnownShape:
-        """The person's shape, as far as it is known by now."""
+        """Return what is known of the person's shape so far."""
         now = self.smoothed
         if now is None:
             return self.person
         return KnownShape(now.objective.shape, now.knowledge if now.learning else None)
 
     def _fit_first_motion(self, findings: list[Finding]) -> bool:
-        """Fit a first motion to the collected moments; returns whether there is one."""
+        """Fit a first motion to the collected moments; return whether that succeeded."""
         self.since_seen = self.unseen
         try:
             first = first_window(
@@ -232,7 +232,7 @@ class Tracking(TrackedPerson):
     def _without_outliers(
         self, predicted: SmoothedWindow, moment: Moment
     ) -> tuple[tuple[Tracker, ...], float]:
-        """The frame without outliers, and the share of outliers."""
+        """Return a moment with outliers hidden, and the share of its points that are outliers."""
         if moment.empty:
             return moment.seen, 0.0
         _, orientations, joints = predicted.objective.posed(predicted.window[-1:])
@@ -248,7 +248,7 @@ class Tracking(TrackedPerson):
         return (self.sensors.empty_moment if share > 0.5 else tuple(kept)), share
 
     def _restart_at_rejected(self, findings: list[Finding]) -> list[LiveEstimate]:
-        """Restart tracking at the points that were outliers for a while."""
+        """End this motion and restart tracking from points that were outliers for 0.3 s."""
         there = self.gathered
         self.since_seen = len(there)
         done = self.finish(findings)

@@ -303,7 +303,7 @@ def test_cameras_without_a_pose_are_refused():
 
 
 def test_lines_of_json(seen, truth):
-    """What `recon stream` does; lines that are no moments are told and passed over."""
+    """What `recon stream` does; lines that are hold no moment are reported and skipped."""
     lines = [
         json.dumps({"time": k / FPS, "points": [row.tolist() for row in moment]}) + "\n"
         for k, moment in enumerate(seen[:24])
