@@ -313,7 +313,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
 
 
 def signed_axis(axis: int, sign: float) -> Up:
-    """Return the name of an axis direction, such as "z" or "-z", from its number and sign."""
+    """Return an axis direction as text, such as "z" or "z-down", from axis number and sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
 

@@ -1,4 +1,4 @@
-"""The camera that saw several people: one ground and lens, from fits of each alone."""
+"""Finds one camera pose, lens and ground for several people, from a fit of each alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,19 +34,19 @@ _PLACES = 20
 
 @dataclass(frozen=True)
 class SharedCamera:
-    """A camera in a world whose ground is z = 0."""
+    """The camera that filmed several people: intrinsics, pose above z = 0, and first guesses."""
 
     matrix: Float[Tensor, "3 3"]
     T_camera_world: Float[Tensor, "4 4"]
     starts: tuple[Motion, ...]
-    """Everybody's first motion in that world, as much larger as it is farther away than alone."""
+    """First guess of everybody's motion in that world; size and distance scale together."""
     described: str
     """What was found, in a sentence."""
 
 
 @dataclass(frozen=True)
 class _SingleFit:
-    """The result of the fit of one person alone, in the camera's frame."""
+    """One person's separate fit, with what is compared: lens, depth, up axis, sole points."""
 
     result: Result
     focal: float
@@ -59,7 +59,7 @@ class _SingleFit:
 
     @classmethod
     def of(cls, result: Result) -> "_SingleFit":
-        """The result of one person's fit with a camera of unknown pose."""
+        """Extract focal length, depth, up axis and sole points (camera frame) from a result."""
         (view,) = views_of(result.examined.fit.observations)
         T = result.T_world_camera
         assert T is not None
@@ -79,12 +79,12 @@ class _SingleFit:
         )
 
     def zoomed(self, focal: float) -> Float[np.ndarray, "places 3"]:
-        """The places for another focal length: a longer one moves them along the viewing axis."""
+        """Return the sole points (m) for another focal length, which moves them in depth."""
         return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
 
 
 def shared_camera(results: Sequence[Result]) -> SharedCamera:
-    """The camera that agrees best with the separate fits of all people.
+    """Find the camera that agrees best with the separate fits of several people.
 
     Focal lengths are averaged. The ground is fitted to the lowest points of all people and to the
     upward direction of each posture; every person's distance and size may be scaled together
@@ -130,7 +130,7 @@ def _common_ground(
     ups: Sequence[Float[np.ndarray, "3"]],
     upright: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
-    """Ground normal, height of the camera above the ground, and a distance factor per person.
+    """Fit ground normal, height of the camera above it (m), and each person's distance factor.
 
     Args:
         places: lowest points of everybody's soles, metres.
@@ -168,7 +168,7 @@ def _common_ground(
 
 
 def _pseudo_huber_residual(residual: Any) -> Any:
-    """Residuals whose half squares are the pseudo-Huber loss, linear beyond one."""
+    """Transform residuals so that half their squares are the pseudo-Huber loss (scale 1)."""
     return np.sqrt(2 * (np.sqrt(1 + np.square(residual)) - 1))
 
 
@@ -179,7 +179,7 @@ def _motion_in_shared_world(
     factor: float,
     places: Float[np.ndarray, "places 3"],
 ) -> Motion:
-    """A person's first motion in the world of the shared camera."""
+    """Transform a person's motion to the world of the shared camera, scaled by `factor`."""
     assert fit.result.T_world_camera is not None
     shift = np.eye(4)
     shift[:3, 3] = (0.0, 0.0, (focal / fit.focal - 1) * fit.depth)

@@ -1,4 +1,4 @@
-"""Everybody in detections of one or several views: an observation of each person."""
+"""Splits 2D keypoints of one or several views into one observation per person."""
 
 import math
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class SeenPerson:
 
 @dataclass(frozen=True)
 class Everyone:
-    """Everybody who was seen for long enough to be fitted."""
+    """All people who were seen for long enough to be fitted, and notes on the others."""
 
     people: tuple[SeenPerson, ...]
     decisions: tuple[str, ...]
@@ -57,7 +57,7 @@ class PersonClip:
 def people_in(
     paths: Sequence[Path], settings: FitSettings, body: BodyModel
 ) -> tuple[tuple[PersonClip, ...], tuple[str, ...]]:
-    """Everybody in 2D detections, and notes on who was left out and why.
+    """Read 2D keypoints; return a clip per person, and notes on people who were left out.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -99,7 +99,7 @@ def people_in(
 
 
 def everyone(seen: SeenViews) -> Everyone:
-    """Every person's observation.
+    """Group the tracks of all views by person; return the keypoints of each person.
 
     Raises:
         ValueError: when a view shows nobody, or nobody is seen for half a second.

@@ -1,4 +1,4 @@
-"""Several people of one recording, as `recon.fit_people` returns them."""
+"""The result of `recon.fit_people`: the fits of several people in one recording."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from recon.formats.writing import writing
 
 @dataclass(frozen=True, repr=False)
 class People:
-    """Results for all people, as a sequence."""
+    """A sequence of fit results, one per person in a recording."""
 
     results: tuple[Result, ...]
     numbers: tuple[int, ...]
@@ -45,7 +45,7 @@ class People:
 
     @property
     def failed(self) -> bool:
-        """Whether a fit met NaN or infinity."""
+        """Whether the fit of at least one person met NaN or infinity."""
         return any(one.failed for one in self.results)
 
     @property

@@ -1,4 +1,4 @@
-"""`load_people` and `recon.fit_people`: everybody in a recording, in one world."""
+"""`load_people` and `recon.fit_people`: fits all people in a recording, in one world."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ _ALONE = (
 def load_people(
     path: Path | str | Sequence[Path | str], *, body: BodyModel | None = None, **reading: Any
 ) -> list[PersonClip]:
-    """Everybody in 2D detections of one or several views, as `recon.fit_people` takes them.
+    """Read 2D keypoints of one or several views; return a clip for each person in them.
 
     People are followed past each other by where and how they move. Where who is who cannot be
     told, a person ends and another one begins. Who is seen for less than half a second, or a
@@ -66,7 +66,7 @@ def fit_people(
     notes: Sequence[str] = (),
     **arguments: Any,
 ) -> People:
-    """The motions of several people, in one world.
+    """Fit the motions of several people in a recording, placed in one world.
 
     Where all were seen by one fixed camera of unknown pose, each is fitted alone first. These fits
     locate the ground below the camera and find its focal length; the best for all of them is
@@ -158,7 +158,7 @@ def fit_files(
 
 
 def _on_one_floor(result: Result) -> Result:
-    """A result whose warning about the floor says that the floor was estimated, not given."""
+    """Replace a result's warning about the ground by one for a ground that people share."""
     return replace(
         result,
         warnings=tuple(
@@ -176,7 +176,7 @@ def _on_one_floor(result: Result) -> Result:
 
 
 def _only_view(clip: Clip) -> Keypoints2D | None:
-    """The one fixed camera of unknown pose that saw a clip; None where it is otherwise."""
+    """Return a clip's keypoints if all are of one fixed camera without a pose, else None."""
     views = views_of(clip.observations)
     if len(views) != 1 or len(clip.observations) != 1 or clip.ground_given:
         return None
@@ -186,7 +186,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
 
 
 def _with_shared_camera(clip: Clip, shared: SharedCamera) -> Clip:
-    """The clip with the pose of the shared camera as its known pose."""
+    """Return a person's clip with pose and lens of the shared camera as known values."""
     (view,) = views_of(clip.observations)
     camera = view.camera.derived(
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],

@@ -1,4 +1,4 @@
-"""`recon fit --person all`: everybody in files of 2D detections."""
+"""`recon fit --person all`: fits everybody in files of 2D keypoints."""
 
 from recon.cli.making import Verb, command_function
 from recon.cli.places import Place, folder_output

@@ -22,7 +22,7 @@ SPAN = 1 / 20
 
 @dataclass(frozen=True)
 class Dynamics(TensorStruct):
-    """Motion of a body's mass in all frames that have second differences."""
+    """Mass, centre of mass, its acceleration, and rate of angular momentum, per inner frame."""
 
     mass: Float[Tensor, "*batch"]
     """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""
@@ -35,7 +35,7 @@ class Dynamics(TensorStruct):
 
 
 def difference_step(fps: float) -> int:
-    """Number of frames between the samples of a second difference: 1/20 s, at least one."""
+    """Return the number of frames in 1/20 s, at least one: the step of second differences."""
     return max(1, round(fps * SPAN))
 
 
@@ -57,7 +57,7 @@ def second_differences(
 def inner_frames(
     values: Float[Tensor, "*batch time rows columns"], fps: float
 ) -> Float[Tensor, "*batch inner rows columns"]:
-    """The values in those frames in which second differences exist."""
+    """Cut off first and last frames, in which second differences do not exist."""
     step = difference_step(fps)
     return values[..., step : max(values.shape[-3] - step, step), :, :]
 
@@ -101,7 +101,7 @@ def average_dynamics(posed: PosedBody, fps: float) -> Dynamics:
 
 
 def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: float) -> Dynamics:
-    """Dynamics of a body that is given by the second moments of its mass."""
+    """Compute `Dynamics` from the posed bones and the second moments of the body's mass."""
     bones = posed.bones.flatten(-3, -2).mT.contiguous()
     bends, places = second_differences(bones, fps), inner_frames(bones, fps)
     # in the moments Σ m u uᵀ, every fourth entry of u is a skinning weight; these weights have the
@@ -118,7 +118,7 @@ def _dynamics_of_moments(posed: PosedBody, total: Tensor, moments: Tensor, fps: 
 def _mass_moments(
     body: BodyModel, shape: Float[Tensor, "*batch shape"], masses: Float[Tensor, "*batch vertices"]
 ) -> Float[Tensor, "*batch 88 88"]:
-    """Second moments of mass, S = Σ m u uᵀ over vertices, u = [w_vj (x_v, 1)] for bones j."""
+    """Return second moments of mass, Σ m u uᵀ over vertices, u = [w_vj (x_v, 1)] by bone j."""
     rest = body.rest_vertices(shape)
     pairs, weights = _bone_pairs(body)
     place = torch.cat((rest, torch.ones_like(rest[..., :1])), -1)
@@ -134,7 +134,7 @@ _PAIRS: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def _bone_pairs(body: BodyModel) -> tuple[Int[Tensor, " pairs"], Float[Tensor, "pairs vertices"]]:
-    """Pairs (22 j + k) of bones that move a common vertex, and products of its weights."""
+    """Return pairs 22 j + k of bones with common vertices, and products of their weights."""
     if body.weights not in _PAIRS:
         touching = (body.weights > 0).to(body.weights)
         first, second = (touching.mT @ touching).nonzero(as_tuple=True)

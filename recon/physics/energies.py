@@ -117,7 +117,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def lowest_of_parts(estimate: Estimate) -> Float[Tensor, "*batch time 10"]:
-    """Smooth minimum of the heights of every part of the body, metres."""
+    """Return a smooth minimum of the heights of each of ten body parts, metres."""
     surface = SampledSurface.of(estimate.body.model)
     heights = _surface_points(estimate.body)[..., 2]
     parts = [heights[..., surface.rows_of(part)] for part in range(len(PARTS))]
@@ -130,7 +130,7 @@ def _floating_height(estimate: Estimate) -> Float[Tensor, "*batch time"]:
 
 
 def lowest_point(heights: Float[Tensor, "*batch points"]) -> Float[Tensor, "*batch"]:
-    """Smooth minimum of heights, Σ h softmax(-h / 2 mm); exact for a flat sole."""
+    """Return a smooth minimum of points' heights, Σ h softmax(-h / 2 mm), metres."""
     return (heights * (-heights / SOFTNESS).softmax(-1)).sum(-1)
 
 
@@ -151,7 +151,7 @@ def _surface_points(posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
 
 
 def dynamics_of(estimate: Estimate) -> Dynamics:
-    """The motion of the body's mass, computed once for all energies of an estimate."""
+    """Return acceleration and angular momentum of an estimate's body; cached per estimate."""
     posed = estimate.body
     if posed not in _DYNAMICS:
         masses = vertex_masses(posed.model, posed.shape)
@@ -169,7 +169,7 @@ def _sum_over_frames(
 def _for_all_frames(
     values: Float[Tensor, "*batch inner"], estimate: Estimate
 ) -> Float[Tensor, "*batch time"]:
-    """Extend values of inner frames to all frames by the nearest; one if there are none."""
+    """Extend values of inner frames to first and last frames; ones if no frame is inner."""
     motion = estimate.motion
     if values.shape[-1] == 0:
         return motion.translation.new_ones(motion.valid.shape)
@@ -193,7 +193,7 @@ distance from the centre of pressure to the zero moment point. Chosen on validat
 
 
 def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
-    """The four energies as terms, weighted for data with this noise.
+    """Return the four energies as weighted terms for data with the given noise.
 
     Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
 

@@ -64,7 +64,7 @@ DRIFT_S = 0.3
 
 @dataclass(frozen=True)
 class GroundForces:
-    """Forces of the ground on the left and the right foot in every frame; world, z up."""
+    """Estimated ground reaction force of each foot in every frame; world coordinates, z up."""
 
     force: Float[Tensor, "time 2 3"]
     """On the body, newtons; zero for a foot in the air."""
@@ -85,7 +85,7 @@ class GroundForces:
 
 
 def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = None) -> GroundForces:
-    """Forces of level ground on both feet of one clip, F = M (a + g) by its centre of mass.
+    """Estimate ground reaction forces of both feet, whose sum is F = M (a + g) of the body.
 
     Segments have de Leva's masses. Accelerations are second differences over 1/20 s, which pass
     6.4 Hz at -3 dB: impacts of heels are smoothed away. Where both feet stand, they share the
@@ -168,7 +168,7 @@ def ground_forces(file: MotionFile, body: BodyModel, *, mass: float | None = Non
 
 
 def standing_feet(points: Float[Tensor, "time 2 points 3"], fps: float) -> Bool[Tensor, "time 2"]:
-    """Whether a point of each sole is low and slow, without changes shorter than 0.08 s."""
+    """Return a mask of feet that stand: a sole point is low and slow, for 0.08 s or longer."""
     from scipy.ndimage import median_filter
 
     speed = torch.gradient(points, spacing=1 / fps, dim=0)[0].norm(dim=-1)
@@ -179,7 +179,7 @@ def standing_feet(points: Float[Tensor, "time 2 points 3"], fps: float) -> Bool[
 
 
 def _level_of_ground(file: MotionFile) -> float:
-    """Height of the ground of a motion file, metres.
+    """Return the height of the level ground in a motion file, metres (0 if it has none).
 
     Raises:
         ReconError: when it is tilted.
@@ -195,7 +195,7 @@ def _level_of_ground(file: MotionFile) -> float:
 
 
 def _load_shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tensor, "time 2"]:
-    """Shares of the vertical force: all on one foot, or by the lever rule about the ZMP."""
+    """Return each foot's share of the vertical force: 0 or 1, or by the lever rule about ZMP."""
     line = centre[:, 1] - centre[:, 0]
     along = ((target - centre[:, 0]) * line).sum(-1) / line.square().sum(-1).clamp(min=1e-6)
     right = along.clamp(0, 1)
@@ -206,7 +206,7 @@ def _load_shares(centre: Tensor, contact: Tensor, target: Tensor) -> Float[Tenso
 def _forces_by_foot(
     moving: Dynamics, centre: Tensor, share: Tensor, step: int
 ) -> Float[Tensor, "time 2 3"]:
-    """Forces of both feet: the vertical by given shares, the horizontal by `ground_forces`."""
+    """Split the total force between the feet: vertical by share, horizontal to the mass centre."""
     acceleration, mass_centre = (
         held_at_ends(moving.acceleration, step),
         held_at_ends(moving.centre, step),
@@ -222,9 +222,9 @@ def _forces_by_foot(
 def _pressure_centres(
     pressed: Tensor, points: Tensor, target: Tensor, trusted: Tensor, misfit: float
 ) -> Float[Tensor, "time 2 2"]:
-    """Centres of pressure of single feet, moved towards the ZMP within the sole's bounds.
+    """Move the centres of pressure of a foot that stands alone towards the ZMP, in the sole.
 
-    By inverse variances, of which both are together the square of their distance, the misfit.
+    The weights are inverse variances; the two variances add up to the square of the misfit.
     """
     inside = target[:, None].maximum(points.amin(-2)).minimum(points.amax(-2))
     part = min(0.5, (PRESSED_STD_M / max(misfit, 1e-6)) ** 2)
@@ -234,7 +234,7 @@ def _pressure_centres(
 def _smoothed_within_stances(
     centre: Float[Tensor, "time 2 2"], contact: Bool[Tensor, "time 2"], fps: float
 ) -> Float[Tensor, "time 2 2"]:
-    """Centres of pressure, low-passed within every stance."""
+    """Smooth each foot's centre of pressure over time, separately within every stance."""
     from scipy.ndimage import gaussian_filter1d
 
     found = centre.numpy().copy()
@@ -248,10 +248,10 @@ def _smoothed_within_stances(
 def _force_std(
     contact: Bool[Tensor, "time 2"], misfit: float, apart: Float[Tensor, " time"], fps: float
 ) -> Float[Tensor, "time 2 3"]:
-    """Standard deviations of the feet's forces, as shares of the body's weight.
+    """Return standard deviations of the feet's forces, as shares of the body's weight.
 
-    Two feet share it as well as the zero-moment point and the moment of the step are known: the
-    first by the misfit over their distance, the second by the time of double support.
+    In double support the error of the shares comes from the zero-moment point (misfit over the
+    distance of the feet) and from the time of the step (over the time of double support).
     """
     found = contact.new_zeros(*contact.shape, 3, dtype=torch.float64)
     across = [math.hypot(one, TILT_STD * misfit) for one in ACROSS_STD]
@@ -268,13 +268,13 @@ def _force_std(
 
 
 def held_at_ends(values: Tensor, step: int) -> Tensor:
-    """Extend values of inner frames to all frames, repeating the first and the last."""
+    """Repeat the first and the last row `step` times, to extend inner frames to all frames."""
     ends = [values[:1].expand(step, *values.shape[1:]), values]
     return torch.cat((*ends, values[-1:].expand(step, *values.shape[1:])))
 
 
 def _support_warnings(explained: Bool[np.ndarray, " time"], contact: Tensor) -> list[str]:
-    """Warnings about frames in which the feet do not carry the body."""
+    """Return warnings about frames in which something else than the feet carries the body."""
     if not bool(contact.any()):
         return ["no foot ever stands on the ground: there is no contact, and all forces are zero"]
     if explained.all():

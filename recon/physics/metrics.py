@@ -49,7 +49,7 @@ _CHUNK_FRAMES = 64
 
 @dataclass(frozen=True)
 class PhysicsSamples(TensorStruct):
-    """Measurements of every frame, from which the metrics are averaged."""
+    """Per-frame measurements of contact and balance, from which metrics are averaged."""
 
     lowest: Float[Tensor, " frames"]
     """Height of the lowest vertex, metres."""
@@ -77,7 +77,7 @@ class PhysicsSamples(TensorStruct):
 def physics_samples(
     motion: Motion, body: BodyModel, contacts: Bool[Tensor, "time 2"] | None = None
 ) -> PhysicsSamples:
-    """Measure all frames of one clip.
+    """Measure contact, slip and balance in every frame of one clip.
 
     Args:
         motion: One clip; the ground is z = 0.
@@ -128,7 +128,7 @@ def physics_samples(
 
 
 def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor]:
-    """HUMOS's and the corrected ZMP of every frame, and a mask of supported frames.
+    """Return the ZMP by HUMOS's code and the corrected one, and a mask of supported frames.
 
     The first and last frames take their neighbour's acceleration and spin (released code).
     """
@@ -162,7 +162,7 @@ def _surface_samples(
     contacts: Tensor | None,
     points: Tensor,
 ) -> PhysicsSamples:
-    """Measure frames start to stop - 1, whose speeds need the frames around them."""
+    """Measure frames start, ..., stop - 1; those from `before` on give speeds."""
     posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
     skin, own = posed.vertices, slice(start - before, stop - before)
     step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
@@ -198,7 +198,7 @@ def _surface_samples(
 def _slip_of_feet(
     body: BodyModel, skin: Tensor, own: slice, following: Tensor, steps: Tensor, fps: float
 ):
-    """Mask of feet whose lowest vertex stays low, and the horizontal speed of this vertex."""
+    """Return a mask of feet on the ground, and the speed (m/s) of each lowest foot vertex."""
     owner = body.weights.argmax(-1)
     touch, slip = [], []
     for side in _SIDES:
@@ -215,7 +215,7 @@ SLIPPING = 0.1
 
 
 def physics_metrics(samples: PhysicsSamples) -> dict[str, float | None]:
-    """All metrics in SI units; None where there is nothing to average. See docs/physics.md."""
+    """Average samples to all physics metrics, SI units; None without samples (docs/physics.md)."""
     return {
         **humos_metrics(samples),
         **physdiff_metrics(samples),

@@ -1,4 +1,4 @@
-"""Forces that plates measured, brought to the feet that stood on them."""
+"""Assigns the forces that force plates measured to the feet that stood on them."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +23,7 @@ PRESSED = 0.1
 
 @dataclass(frozen=True)
 class MeasuredForces:
-    """Forces that plates measured under the left and the right foot, at a motion's frames."""
+    """Forces that force plates measured under each foot, resampled at a motion's frames."""
 
     force: Float[np.ndarray, "time 2 3"]
     """On the person, newtons; zero where it is not known."""
@@ -36,7 +36,7 @@ class MeasuredForces:
     warnings: tuple[str, ...]
 
     def compared(self, found: GroundForces) -> dict[str, dict[str, Any]]:
-        """Differences of estimated from measured forces, by foot.
+        """Return the errors of estimated forces against the measured ones, by foot.
 
         Root mean square of the vertical force in % of the weight, error of its impulse in %, and
         mean distance of the centres of pressure in cm where a tenth of the weight presses.
@@ -61,7 +61,7 @@ class MeasuredForces:
 
 
 def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) -> MeasuredForces:
-    """The plates' forces by foot, at the frames of a motion of the same recording.
+    """Assign plate forces to the feet, resampled at the frames of the recording's motion.
 
     Every stretch in which a plate is loaded belongs to the foot whose estimated centre of pressure
     is nearest. A plate under both feet is left out.
@@ -128,7 +128,7 @@ def forces_under_feet(plates: ForcePlates, found: GroundForces, motion: Motion) 
 
 
 def _stands_within(corners: np.ndarray, centre: np.ndarray, contact: np.ndarray) -> bool:
-    """Whether a foot stands within a rectangle in more than a fifth of the given frames."""
+    """Whether a foot in contact is in a plate's rectangle in over a fifth of the frames."""
     origin, sides = corners[0, :2], (corners[[1, 3]] - corners[0])[:, :2]
     along = (centre - origin) @ sides.T / (sides**2).sum(-1)
     inside = ((along > 0) & (along < 1)).all(-1) & contact

@@ -49,7 +49,7 @@ _FIRST, _SECOND = zip(*combinations_with_replacement(range(len(FEET)), 2), stric
 
 @dataclass(frozen=True)
 class SupportEnergy(TensorStruct):
-    """Energy of unobserved feet, one of which must support the body."""
+    """An energy for clips with unseen legs, low if a resting foot supports the body."""
 
     unseen: Bool[Tensor, "*batch"]
     """Clips whose legs nobody saw; the others have an energy of zero."""
@@ -116,7 +116,7 @@ class SupportEnergy(TensorStruct):
 
 
 def carried_share(acceleration: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """Share of its weight that a body puts on the ground, by its vertical acceleration, m/s²."""
+    """Return which share (0 to 1) of the weight the ground carries, by vertical acceleration."""
     return (1 + acceleration / GRAVITY).clamp(0, 1)
 
 
@@ -138,18 +138,18 @@ def _unrest_of(height: Tensor, squared_speed: Tensor) -> Tensor:
 
 
 def heavy_tailed(nats: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """ρ(x) = s log(1 + x / s), about x if x is small, and logarithmic if it is large."""
+    """Robust kernel of an energy in nats: s log(1 + x / s), near x for small x."""
     return FAR * torch.log1p(nats / FAR)
 
 
 def _carried_weight(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
-    """Share of the body's weight on the ground, by the acceleration of its pelvis."""
+    """Return which share of the weight the ground carries, by the pelvis' acceleration."""
     pelvis = second_differences(estimate.body.joints[..., :1, :], estimate.motion.fps)
     return carried_share(pelvis[..., 0, 2])
 
 
 def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
-    """½ (h² / σ_h² + v² / σ_v²) of height h and speed v of ankles and toes; nats."""
+    """Return ½ (h² / σ_h² + v² / σ_v²) for height and speed of ankles and toes; nats."""
     posed, fps, span = estimate.body, estimate.motion.fps, _difference_step(estimate)
     places = cached_constant(FEET, posed.joints.device)
     feet = posed.joints[..., places, :]
@@ -164,7 +164,7 @@ def _squared_unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
 def _energies_of_pairs(
     estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
 ) -> Float[Tensor, "*batch inner 10"]:
-    """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of foot joints; nats."""
+    """Return the energy max(u_j, u_k) + ½ d_jk² / σ_d² of each pair of foot joints; nats."""
     one, other = (cached_constant(side, unrest.device) for side in (_FIRST, _SECOND))
     joints = estimate.body.joints[..., cached_constant(FEET, unrest.device), :2]
     feet = inner_frames(joints, estimate.motion.fps)

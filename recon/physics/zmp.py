@@ -32,7 +32,7 @@ def normal_force(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
 
 
 def zmp(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
-    """The point of the ground z = 0 about which its force has no horizontal moment, metres.
+    """Return the zero-moment point on the ground z = 0 in every inner frame, metres.
 
     Z = C + [n × Ḣ - M h a_xy] / N with n up, C the centre of mass on the ground, h its height and
     N no less than 0.1 M g. The sign is that of Newton and Euler; HUMOS equation 3 has it reversed.
@@ -42,7 +42,7 @@ def zmp(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
 
 
 def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
-    """The ZMP as HUMOS's code computes it for its published metrics; metres.
+    """Return the zero-moment point as HUMOS's released code computes it, metres.
 
     Its gravity points up and its sign is reversed: the two cancel but in the denominator, which
     is M (g - a_z): Z' - C = (Z - C) (g + a_z) / (g - a_z), singular in a push-off of 1 g.
@@ -52,7 +52,7 @@ def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
 
 
 def share_carried(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
-    """How far the ground carries the body: 0 below 0.1 of its weight, 1 above 0.3."""
+    """Return a smooth weight: 0 if the ground carries under 0.1 of the body weight, 1 over 0.3."""
     return smoothstep(relative_load(dynamics), LEAST_LOAD, FULL_LOAD)
 
 
@@ -118,7 +118,7 @@ def distances_to_support(
     vertices: Float[Tensor, "time vertices 3"],
     standing: Bool[Tensor, "time vertices"],
 ) -> tuple[Float[Tensor, "time kinds"], Bool[Tensor, " time"]]:
-    """Signed distances of points to their frame's base of support, and a mask of frames with one.
+    """Return signed distances of points to the base of support, and a mask where it exists.
 
     Frames without a base have distance 0, as in HUMOS's released code.
     """

@@ -25,7 +25,7 @@ POINTS = 4096
 
 @dataclass(frozen=True)
 class WatchedSurface:
-    """The moving surface that a sensor watches, metres."""
+    """A moving triangle mesh with its 22 joints, in metres, that a simulated sensor sees."""
 
     vertices: Float[torch.Tensor, "time vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -33,7 +33,7 @@ class WatchedSurface:
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel) -> "WatchedSurface":
-        """The surface of our body during a motion of one clip."""
+        """Pose the body model by a motion of one clip; return its vertices, faces and joints."""
         posed = body.pose(motion)
         return cls(posed.vertices, body.faces.cpu().numpy(), posed.joints)
 
@@ -156,7 +156,7 @@ def depth_points(
 
 
 def without_pose(file: PointsFile) -> PointsFile:
-    """The same points, given in the frame of a fixed sensor whose pose is unknown.
+    """Transform points to the frame of their fixed sensor, and remove the sensor's pose.
 
     Raises:
         ValueError: when it has no pose, or moves.
@@ -176,7 +176,7 @@ def depth_image(
     box: tuple[Corner, Corner] | None,
     furniture: FurnitureMesh | None = None,
 ) -> tuple[Float[np.ndarray, "height width"], Int[np.ndarray, "height width"]]:
-    """True depth of every pixel, metres (0: nothing), and the `PixelSurface` that it shows."""
+    """Render the true depth of every pixel, metres (0: nothing), and its `PixelSurface`."""
     width, height = camera.image_size
     layers = [np.full((height, width), np.inf), _depth_of_mesh(vertices, faces, camera)]
     # world points at a depth of one metre on every pixel's ray
@@ -199,7 +199,7 @@ def depth_image(
 def _depth_of_mesh(
     vertices: torch.Tensor, faces: Int[np.ndarray, "faces 3"], camera: Camera
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of a mesh at every pixel, infinity beside it; ignores faces behind the camera."""
+    """Render the depth of a mesh at every pixel, metres; infinity where it is not seen."""
     projected = camera.project(vertices)
     drawn = faces[projected.in_front.numpy()[faces].all(1)]
     pixels, depth = projected.pixels.double().numpy(), projected.depth.double().numpy()
@@ -209,7 +209,7 @@ def _depth_of_mesh(
 def heights(
     depth: Float[np.ndarray, "height width"], camera: Camera
 ) -> Float[np.ndarray, "height width"]:
-    """Height above z = 0 of the point that every pixel shows, metres."""
+    """Return the height above z = 0 of the surface point at every pixel, metres."""
     v, u = np.indices(depth.shape)
     pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2) + 0.5)
     sensor = camera.to(dtype=torch.float64)
@@ -248,7 +248,7 @@ def _world_points(
     count: int,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "points 3"]:
-    """Points in the world of at most `count` of the kept pixels."""
+    """Convert at most `count` of the kept pixels to world points, some missing or outliers."""
     row, column = np.nonzero(kept)
     some = random.random(len(row)) >= corruption.missing_points
     row, column = row[some], column[some]
@@ -267,7 +267,7 @@ def _depth_of_box(
     ray: Float[np.ndarray, "rays 3"],
     box: tuple[Corner, Corner] | None,
 ) -> Float[np.ndarray, " rays"]:
-    """Depth at which every ray meets a box; infinity if it misses (slab test)."""
+    """Return where rays enter an axis-aligned box, as multiples of `ray`; infinity if not."""
     if box is None:
         return np.full(len(ray), np.inf)
     a, b = (np.asarray(box[0]) - origin) / ray, (np.asarray(box[1]) - origin) / ray

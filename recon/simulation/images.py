@@ -35,7 +35,7 @@ def dome(
     height: float = 1.6,
     first: float = 0.0,
 ) -> tuple[Camera, ...]:
-    """Fixed cameras evenly around one clip, at distances from which it fills the image.
+    """Place fixed cameras evenly around a motion, so that the person fills each image.
 
     Args:
         motion: of one clip, no batch axis.
@@ -68,7 +68,7 @@ def dome(
 def orbiting(
     camera: Camera, target: Float[Tensor, "3"], frames: int, angle: float, sway: float = 0.05
 ) -> Camera:
-    """A camera carried around a target by an angle (radians), with a walker's sway (metres)."""
+    """Return a hand-held camera that orbits a target by `angle` radians, swaying by `sway` m."""
     start = camera.T_world_camera[:3, 3] - target
     poses = []
     for k in range(frames):
@@ -88,7 +88,7 @@ def keypoints2d(
     seed: int,
     layout: str = "openpose25",
 ) -> KeypointsFile:
-    """Keypoints that a detector finds of one clip (no batch axis); noise in pixels.
+    """Simulate a detector's 2D keypoints of one clip (no batch axis); noise in pixels.
 
     A box hides what lies behind it. Confidence falls with the error, as detectors know a little
     of their errors; what is hidden or outside the image has none.
@@ -128,7 +128,7 @@ def keypoints2d(
 
 
 def camera_arrays(camera: Camera) -> CameraArrays:
-    """The arrays of a camera, as files hold them."""
+    """Convert a camera to the NumPy arrays that observation files store."""
     poses = camera.T_camera_world
     return CameraArrays(
         camera.camera_matrix.double().numpy(),
@@ -145,7 +145,7 @@ def in_sight(
     motion: Motion,
     generator: torch.Generator,
 ) -> Bool[Tensor, "time points"]:
-    """Mask of points that lie in the camera's image and are not hidden."""
+    """Return a mask of the points inside the image that the corruption does not hide."""
     projected = camera.project(points)
     seen = projected.in_front & camera.in_image(projected.pixels)
     boxless = replace(corruption, hide_box=None)
@@ -177,7 +177,7 @@ _PRESETS = {"front": 0.0, "side": math.tau / 4}
 def cameras_around(
     truth: Motion, body: BodyModel, film: FilmSettings, lens: Camera | None = None
 ) -> dict[str, Camera]:
-    """The cameras of a preset or of a calibration, keyed by name.
+    """Return simulated cameras by name, from a preset (front, side) or a calibration.
 
     Args:
         truth: one clip (no batch axis).
@@ -237,7 +237,7 @@ def _cameras_of_calibration(
 
 
 def _camera_of_arrays(arrays: CameraArrays, truth: Motion) -> Camera:
-    """A camera as tensors; a fixed camera's pose has no time axis."""
+    """Convert a camera's NumPy arrays to a `Camera` in the precision of the motion."""
     poses = arrays.T_camera_world
     if poses is not None and len(poses) == 1:
         poses = poses[0]

@@ -49,7 +49,7 @@ class Corruption:
             raise ReconError(f"during must be two times A < B in seconds, got {self.during}")
 
     def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
-        """Mask of the times at which points are hidden."""
+        """Return a mask of the times at which `hide_below` and `hide_box` are in effect."""
         first, last = (-math.inf, math.inf) if self.during is None else self.during
         return (times >= first) & (times < last)
 
@@ -59,7 +59,7 @@ class Corruption:
         generator: Generator,
         times: Float[Tensor, " time"],
     ) -> Bool[Tensor, "time points"]:
-        """Mask of the true points that the sensor sees."""
+        """Draw a mask of the points that are neither missing at random nor hidden."""
         active = self.active(times)[:, None]
         time, count = points.shape[:2]
         seen = torch.rand(time, count, generator=generator) >= self.missing_points
@@ -74,7 +74,7 @@ class Corruption:
     def with_noise(
         self, points: Float[Tensor, "time points 3"], generator: Generator
     ) -> Float[Tensor, "time points 3"]:
-        """The points with noise and outliers."""
+        """Add Gaussian noise to points, and move some at random as outliers."""
         noise = torch.randn(points.shape, generator=generator, dtype=torch.float64)
         wild = torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5
         hit = torch.rand(points.shape[:2], generator=generator) < self.outliers
@@ -135,7 +135,7 @@ def landmarks3d(
 def visible_joints(
     motion: Motion, body: BodyModel, corruption: Corruption, seed: int
 ) -> Bool[Tensor, "time 22"]:
-    """Mask of the joints that the sensor could see, by which `evaluate` splits errors."""
+    """Return a mask of the joints that are not hidden or missing, for `recon.evaluate`."""
     generator = torch.Generator().manual_seed(seed)
     return corruption.visible(body.pose(motion).joints, generator, motion.times)
 

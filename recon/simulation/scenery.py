@@ -34,7 +34,7 @@ _WAVES = 128
 
 @dataclass(frozen=True)
 class Clothing:
-    """Settings of clothes: how far they stand off the skin, metres."""
+    """Settings of simulated clothes: their distances from the skin and wavelengths, metres."""
 
     loose: float = 0.007
     """Median distance from the skin of what hangs."""
@@ -49,7 +49,7 @@ class Clothing:
 
 
 def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> BodyModel:
-    """A body with clothes on its surface; they do not depend on its shape."""
+    """Return a body model whose surface is offset by random clothes, equal for all shapes."""
     offset = clothing_offsets(body, seed, clothing)
     normals = tensor_normals(body.template, body.faces)
     return body.replace(
@@ -60,7 +60,7 @@ def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> Bod
 def clothing_offsets(
     body: BodyModel, seed: int, clothing: Clothing | None = None
 ) -> Float[Tensor, " vertices"]:
-    """Distance between clothes and skin at every vertex, metres.
+    """Draw the distance between clothes and skin at every vertex, metres.
 
     cover (loose exp(spread f) + folds g) with independent random fields f and g: what hangs never
     lies inside the skin, folds may press into it a little.
@@ -78,7 +78,7 @@ def clothing_offsets(
 def random_field(
     points: Float[Tensor, "points 3"], length: float, generator: Generator
 ) -> Float[Tensor, " points"]:
-    """Values of a smooth random function at points, about N(0, 1) at each.
+    """Draw a smooth random function of space; return its values at points, about N(0, 1).
 
     sqrt(2 / n) Σ cos(w·x + b) with w ~ N(0, I / length²): a Gaussian process whose correlation is
     exp(-d² / (2 length²)), by random Fourier features (Rahimi & Recht 2007).
@@ -117,7 +117,7 @@ class FurnitureMesh:
 
 
 def joined_meshes(meshes: Sequence[FurnitureMesh]) -> FurnitureMesh:
-    """Join several meshes to one."""
+    """Join several furniture meshes to one mesh."""
     if len(meshes) == 0:
         return FurnitureMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])

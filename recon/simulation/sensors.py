@@ -84,7 +84,7 @@ def seen_by(
 def check_apply(
     kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
 ) -> None:
-    """Refuse options that would have no effect."""
+    """Raise an error for options that do not apply to this kind of sensor."""
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
     bare = {"furniture": (), "left_over": ()}
@@ -124,7 +124,7 @@ def _simulated_positions(
     *,
     ground_known: bool,
 ) -> PositionsFile:
-    """Simulate a file of joints or markers."""
+    """Simulate joints, markers or landmarks; return the contents of an observation file."""
     if kind == "joints3d":
         seen, names = joints3d(truth, body, corruption, seed), JOINTS
     else:
@@ -191,7 +191,7 @@ _LEFT = {"ground": PixelSurface.GROUND, "furniture": PixelSurface.FURNITURE}
 def _furniture_around(
     truth: Motion, body: BodyModel, surface: SurfaceSettings
 ) -> FurnitureMesh | None:
-    """Furniture around the middle of a motion, turned to its mean heading."""
+    """Place the chosen furniture around a motion's mean position, turned to its mean heading."""
     if len(surface.furniture) == 0:
         return None
     middle = body.pose(truth).joints.flatten(0, -2).mean(0).double().numpy()
@@ -199,7 +199,7 @@ def _furniture_around(
 
 
 def _without_camera_pose(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
-    """The observation with its camera's pose unknown, and kept only as the truth.
+    """Remove the camera's pose from an observation, and store it as the true pose.
 
     Raises:
         ValueError: when the camera moves.

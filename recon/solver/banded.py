@@ -21,7 +21,7 @@ _ROUNDING = 8.0
 
 @dataclass(frozen=True)
 class Banded:
-    """The blocks of a matrix, to which parts are added in place."""
+    """A symmetric block-banded matrix with a border, as its blocks; `add_*` works in place."""
 
     inner: Float[Tensor, "time reach_and_one n n"]
     """[t, k]: the block A_(t, t + k)."""
@@ -32,14 +32,14 @@ class Banded:
 
     @classmethod
     def zero(cls, time: int, reach: int, n: int, m: int, like: Tensor) -> "Banded":
-        """A matrix of zeros."""
+        """Make a matrix of zeros: frames, band width, variables per frame, border variables."""
         return cls(
             like.new_zeros(time, reach + 1, n, n), like.new_zeros(time, n, m), like.new_zeros(m, m)
         )
 
     @classmethod
     def dense(cls, matrix: Float[Tensor, "m m"]) -> "Banded":
-        """A matrix without frames, which consists of the corner C alone."""
+        """Wrap a dense matrix as the border's block C, without any frames."""
         empty = matrix.new_zeros(0, 1, 0, 0)
         return cls(empty, matrix.new_zeros(0, 0, len(matrix)), matrix)
 
@@ -51,7 +51,7 @@ class Banded:
     def add_frames(
         self, frame: Int[Tensor, " some"], curvature: Float[Tensor, "some n_and_m n_and_m"]
     ) -> None:
-        """Add Hessians by the variables of single frames and of the border."""
+        """Add, for given frames, Hessians by the variables of that frame and of the border."""
         n = self.inner.shape[-1]
         self.inner[:, 0].index_add_(0, frame, curvature[:, :n, :n])
         self.border.index_add_(0, frame, curvature[:, :n, n:])
@@ -91,7 +91,7 @@ def add_differences(
     stencil: tuple[float, ...],
     weight: Float[Tensor, "steps some_or_all_rows"],
 ) -> None:
-    """Add ½ Σ_t weight_t (Σ_s stencil_s r_(t + s))² to coefficients of `add_products`."""
+    """Add the energy ½ Σ_t weight_t (Σ_s stencil_s r_(t + s))² to `add_products`' c, in place."""
     steps = len(coefficients) - len(stencil) + 1
     if steps <= 0:
         return
@@ -102,7 +102,7 @@ def add_differences(
 
 @dataclass(frozen=True)
 class Inverse:
-    """The parts of H⁻¹ that marginal covariances need.
+    """Blocks of H⁻¹ that give the marginal covariances of every frame and of the border.
 
     With S = C - Bᵀ A⁻¹ B, the covariance of the border is S⁻¹ and that of frame t is
     (A⁻¹)_tt + X_t S⁻¹ X_tᵀ, where X = A⁻¹ B; both covary by -X_t S⁻¹.
@@ -117,7 +117,7 @@ class Inverse:
 
 
 class Factor:
-    """The Cholesky factor of a matrix, H = L Lᵀ.
+    """The Cholesky factor L of a banded matrix with a border, H = L Lᵀ; solves and inverts.
 
     With x = L⁻ᵀ u the quadratic ½ xᵀ H x is ½ |u|²: in the variables u all directions are equally
     stiff. As many frames as the matrix reaches are a block, so that only neighbouring blocks
@@ -230,7 +230,7 @@ class Factor:
         )
 
     def _back_substituted(self, right: list[Tensor]) -> Float[Tensor, "blocks *some columns"]:
-        """Columns x of L_AA ᵀ x = r, scaled, from the last block to the first."""
+        """Solve L_AAᵀ x = r for the frames' (scaled) variables by back-substitution."""
         found = [_upper_solution(self._within[-1], right[-1])]
         for i in range(len(self._across) - 1, -1, -1):
             here = torch.addmm(right[i], self._across[i], found[-1], alpha=-1)
@@ -267,7 +267,7 @@ def _upper_solution(
 
 
 def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n"]:
-    """1 / sqrt of the diagonal, a scale for each variable; 1 where the diagonal is zero."""
+    """Return 1 / sqrt of the diagonals, with 1 where a diagonal element is not positive."""
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     return torch.where(diagonal > 0, diagonal, 1.0).rsqrt()
 
@@ -275,7 +275,7 @@ def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch
 def _scaled_blocks(
     matrix: Banded, scale: Float[Tensor, "time n"]
 ) -> tuple[Float[Tensor, "blocks *some size size"], Float[Tensor, "between size size"]]:
-    """Scaled diagonal blocks of several frames each, and the blocks that couple neighbours."""
+    """Return the scaled matrix as diagonal blocks of `reach` frames, and their couplings."""
     inner, reach = matrix.inner, matrix.reach
     time, _, n, _ = inner.shape
     if reach == 0:

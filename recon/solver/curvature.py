@@ -39,7 +39,7 @@ class Curvature:
     def empty(
         cls, active: int, n: int, slots: int, device: torch.device, scaled: bool = False
     ) -> "Curvature":
-        """The state before the first step, without any pair: directions are steepest descent."""
+        """Make an empty history for `active` elements of n variables: steepest descent."""
 
         def zeros(*shape: int) -> Float64[Tensor, "..."]:
             return torch.zeros(*shape, dtype=torch.float64, device=device)
@@ -57,12 +57,12 @@ class Curvature:
         )
 
     def keep(self, rows: Int64[Tensor, " kept"]) -> None:
-        """Keep only these elements of the batch."""
+        """Remove the data of all other elements (problems) of the batch."""
         for name in ("pairs", "sy", "yy", "products", "live", "scale", "count"):
             setattr(self, name, getattr(self, name)[rows])
 
     def forget(self, rows: Int64[Tensor, " rows"]) -> None:
-        """Forget the pairs of these elements, which return to steepest descent."""
+        """Discard the stored pairs of the given elements, so that they use steepest descent."""
         self.live[rows] = False
 
     def add(
@@ -71,7 +71,7 @@ class Curvature:
         step: Float64[Tensor, "rows n"],
         change: Float64[Tensor, "rows n"],
     ) -> None:
-        """Remember a pair for each of these elements, in place of their oldest."""
+        """Store a pair (step, change of gradient) per given element, replacing the oldest."""
         slots = self.live.shape[1]
         self.used = min(slots, self.used + 1)
         slot = self.count[rows] % slots
@@ -82,7 +82,7 @@ class Curvature:
     def direction(
         self, gradient: Float64[Tensor, "active n"], added: Int64[Tensor, " added"]
     ) -> Float64[Tensor, "active n"]:
-        """The quasi-Newton direction -H g, or steepest descent where that does not descend.
+        """Return the quasi-Newton direction -H g; steepest descent where -H g does not descend.
 
         `added` are the elements whose newest pair has not taken part yet. An element without
         pairs goes by min(1, 1 / |g|_1) times its gradient, or by all of it where it is `scaled`.
@@ -109,7 +109,7 @@ class Curvature:
     def _accept_or_drop_pair(
         self, rows: Int64[Tensor, " rows"], products: Float64[Tensor, "rows used 2"]
     ) -> None:
-        """Enter the products of the newest y with every s and y, and accept or drop the new pair.
+        """Store inner products of the newest pair; drop the pair if its curvature is too small.
 
         The newest y is the change of the gradient since `self.products`, so its products are the
         change of those: the pairs need not be read again.
@@ -135,7 +135,7 @@ class Curvature:
         products: Float64[Tensor, "active used 2"],
         cautious: Float64[Tensor, " active"],
     ) -> tuple[Float64[Tensor, "active twice_used"], Float64[Tensor, " active"]]:
-        """Coefficients of the pairs (s, y, s, y, ... by slot) in H g, and that of g itself.
+        """Return coefficients with which H g is a sum of the pairs s and y, and that of g itself.
 
         With p = S'g, q = Y'g, R the upper triangle of S'Y (oldest pair first), D its diagonal:
         u = R^-1 p,  H g = gamma g + S R^-T (D u + gamma (Y'Y u - q)) - gamma Y u.

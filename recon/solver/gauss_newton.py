@@ -33,7 +33,7 @@ _MIN_DAMPING = 1e-6
 
 @dataclass(frozen=True)
 class Quadratic:
-    """The objectives of some problems about a state, to second order in a step."""
+    """Second-order models of several objectives at a state: value, gradient, Hessian."""
 
     value: Float[Tensor, "rows terms"]
     """Weighted terms, E is their sum; no columns where there is no objective."""
@@ -48,14 +48,14 @@ class Problem(ABC, Generic[X]):
 
     @abstractmethod
     def model(self, x: X, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Quadratic models of some problems' objectives about a state."""
+        """Return quadratic models of the objectives of the problems `rows` at state x."""
 
     @abstractmethod
     def moved(self, x: X, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> X:
-        """The whole state after some problems' steps, cut where their models stop being good."""
+        """Return the state after the problems `rows` take `steps`, shortened to be valid."""
 
     def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
-        """The terms of some problems' objectives at a state.
+        """Return the objective's terms of the problems `rows` at state x.
 
         No columns, as without an answer of its own, say that there is no objective: kernels shrink
         or correspondences are found anew from step to step. Then every step is taken, and what
@@ -129,7 +129,7 @@ def _step_all(
     runs: Sequence["_ProblemRun"],
     options: GaussNewton,
 ) -> X:
-    """The state after a step of every active problem, more damped where one is refused."""
+    """Take one step of every active problem, raising the damping until it is accepted."""
     steps, taken = torch.zeros_like(model.gradient), list[int]()
     waiting = [k for k, run in enumerate(runs) if run.end is None]
     while waiting:
@@ -151,7 +151,7 @@ def _step_all(
 
 @dataclass
 class _ProblemRun:
-    """The progress of one problem of a batch."""
+    """Progress of one problem in a batch: damping, terms per iteration, reason to end."""
 
     damping: float
     trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
@@ -170,7 +170,7 @@ class _ProblemRun:
     def step(
         self, hessian: Banded, gradient: Float[Tensor, " n"], options: GaussNewton
     ) -> Float[Tensor, " n"]:
-        """The damped step, with a damping for which the matrix is positive definite."""
+        """Return the damped step; raises the damping until the matrix is positive definite."""
         while self.end is None:
             factor = Factor(hessian, self.damping)
             if factor.definite:
@@ -181,7 +181,7 @@ class _ProblemRun:
     def accepts(
         self, terms: Float[Tensor, " terms"], promise: float, options: GaussNewton
     ) -> bool:
-        """Whether a step is taken: the objective does not rise."""
+        """Accept a step if the objective does not rise; adapt damping, check convergence."""
         if self.end is not None:
             return False
         self.evaluations += 1

@@ -61,7 +61,7 @@ class LBFGS:
     """Evaluations one line search may take."""
 
     def __post_init__(self) -> None:
-        """Refuse settings under which no step could ever be taken."""
+        """Raise an error for settings under which no step could ever be taken."""
         if not 0 < self.c1 < self.c2 < 1:
             raise ValueError(f"expected 0 < c1 < c2 < 1, got c1={self.c1}, c2={self.c2}")
         for name, least in (
@@ -178,7 +178,7 @@ def _reasons_to_end_at_start(
     value: Float64[np.ndarray, " batch"],
     largest: Float64[np.ndarray, " batch"],
 ) -> Int64[np.ndarray, " batch"]:
-    """For every element the reason to end before its first step, or GOES_ON."""
+    """Return, per element, the reason to end before a first step as its index, or GOES_ON."""
     return _first_reason(
         (~np.isfinite(value) | ~np.isfinite(largest), Termination.NONFINITE),
         (largest <= settings.tolerance_gradient, Termination.GRADIENT),

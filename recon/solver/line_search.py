@@ -26,7 +26,7 @@ RETREAT = 0.25
 
 @dataclass(frozen=True)
 class WolfeConditions:
-    """The conditions of a good step, and the limits of the search for one."""
+    """Strong Wolfe conditions for accepting a step, and the limits of a line search."""
 
     c1: float
     """Sufficient decrease: phi(t) <= phi(0) + c1 t phi'(0)."""
@@ -41,7 +41,7 @@ class WolfeConditions:
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """The outcome of one trial for every element."""
+    """What one trial step of the line searches led to: four masks over the elements."""
 
     improved: Bool[np.ndarray, " active"]
     """The trial decreases sufficiently and is the lowest point so far."""
@@ -73,7 +73,7 @@ class LineSearches:
 
     @classmethod
     def create(cls, value: Float64[np.ndarray, " active"]) -> "LineSearches":
-        """Searches about to try the full step from points with these objective values."""
+        """Start line searches at step 1, given the objective at every element's start."""
         count = len(value)
         searches = cls(
             step=np.empty(count),
@@ -88,14 +88,14 @@ class LineSearches:
         return searches
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Keep only these elements of the batch."""
+        """Remove the line searches of all other elements of the batch."""
         for field in fields(self):
             setattr(self, field.name, getattr(self, field.name)[..., rows])
 
     def begin(
         self, rows: Bool[np.ndarray, " active"], value: Float64[np.ndarray, " active"]
     ) -> None:
-        """Restart the searches of the rows in `rows` at the full step."""
+        """Restart the line searches of the elements in mask `rows` at step 1."""
         self.step[rows] = 1.0
         self.origin[rows] = value[rows]
         self.low[0, rows] = 0.0
@@ -145,7 +145,7 @@ class LineSearches:
     def _trial_in_bracket(
         self, width: Float64[np.ndarray, " active"]
     ) -> Float64[np.ndarray, " active"]:
-        """The next trial between `low` and `high`, at the cubic's minimiser if that serves."""
+        """Return next steps inside the bracket: the cubic's minimum, or a fixed fraction."""
         with np.errstate(all="ignore"):  # the cubic is undefined when an end is not finite
             gap = self.high[0] - self.low[0]
             fraction = (cubic_minimiser(self.low, self.high) - self.low[0]) / gap
@@ -159,7 +159,7 @@ class LineSearches:
     def _trial_farther_out(
         self, before: Float64[np.ndarray, "3 active"]
     ) -> Float64[np.ndarray, " active"]:
-        """The next trial farther out, after a step from `before` to `low` that still descends."""
+        """Return next, longer steps for searches whose objective still falls at `low`."""
         with np.errstate(all="ignore"):  # bracketed rows give values that are not used
             advance = self.low[0] - before[0]
             reach = (cubic_minimiser(self.low, before) - self.low[0]) / advance
@@ -171,7 +171,7 @@ class LineSearches:
 def cubic_minimiser(
     a: Float64[np.ndarray, "3 active"], b: Float64[np.ndarray, "3 active"]
 ) -> Float64[np.ndarray, " active"]:
-    """The minimum of the cubic with the values and slopes of `a` and `b`; nan where there is none.
+    """Return the minimum of the cubic through two points with given slopes; nan if none.
 
     a and b hold t, phi(t) and phi'(t). Nocedal & Wright, equation 3.59.
     """

@@ -64,7 +64,7 @@ class Solution:
     last."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "Solution":
-        """The solution of some elements of the batch."""
+        """Return the solution of the batch elements with the given indices."""
         return replace(
             self,
             x=self.x[index],
@@ -77,7 +77,7 @@ class Solution:
 
 
 def joined_in_turn(solutions: Sequence[Solution]) -> Solution:
-    """Several minimisations of the same variables, one after the other, as one."""
+    """Join solutions of successive minimisations to one: sums of counts, joined traces."""
     last = solutions[-1]
     return replace(
         last,

@@ -51,7 +51,7 @@ class ActiveElements:
         history: int,
         scaled: bool,
     ) -> "ActiveElements":
-        """All elements, evaluated at their starts, with no direction chosen yet."""
+        """Make the state of all elements at their starts, before a direction is chosen."""
         count = len(start)
         return cls(
             element=torch.arange(count, device=start.device),
@@ -77,14 +77,14 @@ class ActiveElements:
         terms: Float64[Tensor, "active terms"],
         largest: Float64[np.ndarray, " active"],
     ) -> None:
-        """Make the current trial the best point of these elements."""
+        """Store the current trial as the best point of the elements in mask `rows`."""
         self.best_x = _rows_replaced(rows, x, self.best_x)
         self.best_gradient = _rows_replaced(rows, gradient, self.best_gradient)
         self.best_terms = _rows_replaced(rows, terms, self.best_terms)
         self.largest = np.where(rows, largest, self.largest)
 
     def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
-        """Keep only these elements of the batch."""
+        """Remove the elements that are not in mask `rows` from all tensors."""
         if rows.all():
             return
         index = self.indices(rows)
@@ -100,7 +100,7 @@ class ActiveElements:
     def count_stalls(
         self, moved: Bool[np.ndarray, " active"], tolerance: float, scale: float
     ) -> None:
-        """Count the steps in a row whose relative decrease was within the tolerance."""
+        """Update each element's count of successive steps that decreased too little."""
         old, new = self.searches.origin, self.searches.low[1]
         size = np.maximum(np.maximum(np.abs(old), np.abs(new)), scale)
         small = old - new <= tolerance * size
@@ -109,9 +109,9 @@ class ActiveElements:
     def restart_searches(
         self, finished: Bool[np.ndarray, " active"], moved: Bool[np.ndarray, " active"]
     ) -> None:
-        """Begin new line searches where one has finished.
+        """Start new line searches for the elements whose search has finished.
 
-        An element that moved learns from its step; one that could not forgets its history.
+        If the element moved, its step enters the history; if not, its history is cleared.
         """
         rows = self.indices(moved)
         self.curvature.forget(self.indices(finished & ~moved))
@@ -126,7 +126,7 @@ class ActiveElements:
         self.searches.begin(finished, self.searches.low[1].copy())
 
     def indices(self, rows: Bool[np.ndarray, " active"]) -> Int64[Tensor, " rows"]:
-        """Numbers of the rows in which a mask is true, on the device of the tensors."""
+        """Convert a mask on the host to indices on the device of the tensors."""
         return torch.from_numpy(rows.nonzero()[0]).to(self.element.device)
 
 
@@ -147,7 +147,7 @@ class BatchState:
         start: Float[Tensor, "batch n"],
         terms: Float64[Tensor, "batch terms"],
     ) -> "BatchState":
-        """The state when every element is at its start and was evaluated once."""
+        """Make the state of a batch at its start, after one evaluation."""
         batch = len(start)
         return cls(
             x=start.clone(),
@@ -159,7 +159,7 @@ class BatchState:
         )
 
     def step(self, active: ActiveElements, moved: Bool[np.ndarray, " active"]) -> None:
-        """Record the new iterates of the elements that moved."""
+        """Count an iteration and store the terms of the elements that moved."""
         if not moved.any():
             return
         number, rows = active.number[moved], active.indices(moved)
@@ -172,7 +172,7 @@ class BatchState:
         self.trace[active.element[rows], iteration] = active.best_terms[rows]
 
     def close(self, active: ActiveElements, reason: Int64[np.ndarray, " active"]) -> None:
-        """Record the results of elements that have a reason to end."""
+        """Store the final variables and the reason of elements that have ended."""
         done = reason != GOES_ON
         if not done.any():
             return
@@ -188,7 +188,7 @@ class BatchState:
         )
 
     def solution(self) -> Solution:
-        """The result, once every element has ended; all of it but `x` on the processor."""
+        """Return the solution after all elements have ended; all but `x` is on the CPU."""
         iterations, trace = torch.from_numpy(self.iterations), self.trace.cpu()
         longest = int(self.iterations.max(initial=0)) + 1
         row = torch.arange(longest).minimum(iterations[:, None])
@@ -207,7 +207,7 @@ def _rows_replaced(
     new: Float[Tensor, "active columns"],
     old: Float[Tensor, "active columns"],
 ) -> Float[Tensor, "active columns"]:
-    """`new` in these rows, `old` in the others; a copy only where both occur."""
+    """Return `new` where mask `rows` is true, else `old`; copies only if both are needed."""
     if rows.all():
         return new
     if not rows.any():

@@ -1,4 +1,4 @@
-"""The cheapest path through states over time."""
+"""Finds the cheapest sequence of states over time (Viterbi's algorithm)."""
 
 import torch
 from jaxtyping import Float, Int
@@ -9,7 +9,7 @@ def cheapest_path(
     cost: Float[Tensor, "batch time states"],
     change: Float[Tensor, "*#batch between states states"],
 ) -> Int[Tensor, "batch time"]:
-    """The state of every frame that costs least in all (Viterbi's algorithm).
+    """Return the states over time whose summed cost is least (Viterbi's algorithm).
 
     Args:
         cost: of every state in every frame.
