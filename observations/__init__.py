@@ -1,4 +1,4 @@
-"""Observations: a class for each kind of sensor, which holds data and computes their energy."""
+"""Sensor classes: each holds the data of one kind of sensor and computes their energy."""
 
 from typing import TYPE_CHECKING
 

@@ -34,7 +34,7 @@ _MIN_EXTENT = 1e-6
 def with_path_in_metres(
     view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]
 ) -> Keypoints2D:
-    """The view with its path scaled so that feet stand still most of the time.
+    """Scale the path of a view's camera to metres, so that feet mostly stand still.
 
     Its first pose stays.
 
@@ -48,7 +48,7 @@ def with_path_in_metres(
 
 
 def with_scaled_path(view: Keypoints2D, scale: Float[Tensor, " batch"]) -> Keypoints2D:
-    """The view with its camera's path scaled by a factor; its first pose stays."""
+    """Scale the path of a view's moving camera by a factor about its first position."""
     T = view.camera.T_world_camera.clone()
     first = T[:, :1, :3, 3]
     T[..., :3, 3] = first + scale.to(T)[:, None, None] * (T[..., :3, 3] - first)
@@ -61,7 +61,7 @@ def path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres per unit of the path for which one foot stands still most of the time.
+    """Metres per unit of a camera's path, such that mostly one foot stands still.
 
     1 where the camera only turns.
 
@@ -96,7 +96,7 @@ def path_unit(
 
 
 def keypoint_feet(view: Keypoints2D, body: BodyModel) -> Float[np.ndarray, "batch moments feet 3"]:
-    """Ankles in the camera's frame, at the distance that the size of bones implies, metres."""
+    """Feet in the camera's frame, metres, at the distance that the length of bones implies."""
     names = list(view.points.names)
     rows = [names.index(name) for name in _FEET if name in names] or list(range(len(names)))
     rest = view.points.at_rest(body, body.template.new_zeros(body.shape_size)).to(view.pixels)
@@ -117,7 +117,7 @@ _LEAST_ANGLE = 0.03
 def triangulate(
     views: Sequence[Keypoints2D],
 ) -> tuple[Float[Tensor, "batch moments points 3"], Bool[Tensor, "batch moments points"]]:
-    """Triangulate points: those nearest to their rays, weighted by confidence, and a mask.
+    """Triangulate keypoints of several views; return positions, metres, and a mask.
 
     The point with least Σ c² |(I - d dᵀ)(x - o)|² over rays from o along the unit vector d: three
     linear equations per point, any number of views at once (OpenCV's triangulation takes two).
@@ -155,7 +155,7 @@ def triangulate(
 
 
 def on_first_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
-    """The views that share the clock of the first one."""
+    """Return the views with the first one's frame rate, start time and number of frames."""
 
     def clock(view: Keypoints2D) -> tuple[object, ...]:
         return (view.fps, view.start_time, *view.pixels.shape[:-1])
@@ -173,7 +173,7 @@ def can_triangulate(views: Sequence[Keypoints2D]) -> bool:
 
 
 def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
-    """The rest pose aligned with the triangulated torso, limbs turned towards their points."""
+    """First guess from several views: rest body at the triangulated torso, limbs turned."""
     first = views[0]
     positions, visible = triangulate(views)
     rest, bones = first.at_rest(body).to(positions), first.bones(body)

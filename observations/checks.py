@@ -39,7 +39,7 @@ _MOMENTS, _POINTS = 64, 256
 def checked_positions(
     kind: str, name: str, positions: Any, mask_name: str, mask: Any
 ) -> tuple[Float[Tensor, "*batch moments points 3"], Bool[Tensor, "*batch moments points"]]:
-    """Positions in metres (zero where not visible) and the mask of visible points.
+    """Check a sensor's positions and mask; return them as tensors, zero where not visible.
 
     Args:
         kind: the observation's class, for messages.
@@ -66,7 +66,7 @@ def checked_positions(
 def checked_std(
     kind: str, std: Any, visible: Bool[Tensor, "*batch moments points"], like: Tensor
 ) -> tuple[Float[Tensor, "*batch moments points"] | None, float | None]:
-    """Standard deviations of points, zero where not visible, and their root mean square.
+    """Check standard deviations of points; return them and their root mean square.
 
     Args:
         kind: the observation's class, for messages.
@@ -99,14 +99,14 @@ def checked_std(
 
 
 def numpy_mask(values: Any) -> Tensor:
-    """Mask of points with a coordinate that `numpy.ma` masks; a single False for other arrays."""
+    """Mask of points that a `numpy.ma` masked array masks; a single False for other arrays."""
     if not isinstance(values, np.ma.MaskedArray):
         return torch.tensor(False)
     return torch.from_numpy(np.ma.getmaskarray(values).any(-1))
 
 
 def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
-    """The frame rate (Hz) and the time of the first frame (seconds), checked.
+    """Check the frame rate (Hz) and the time of the first frame (seconds); return both.
 
     Raises:
         ValueError: when they are no numbers or out of range.
@@ -121,7 +121,7 @@ def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
 
 
 def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int, ...]:
-    """The place on the body of each point, as whole numbers, checked against the number of points.
+    """Check that there is one joint or vertex index per point; return the indices.
 
     Raises:
         ValueError: when these are no whole numbers, or not as many as there are points.
@@ -135,7 +135,7 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
 
 
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
-    """The camera, given the leading axes of the keypoints if it has none; it is then fixed.
+    """Check a view's camera; give it the keypoints' leading axes if it has none.
 
     Raises:
         ValueError: when it has a distorting lens, or belongs to another number of clips.
@@ -179,7 +179,7 @@ def same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tens
 def seen_and_finite(
     kind: str, name: str, values: Tensor, mask_name: str, visible: Tensor
 ) -> Tensor:
-    """Values, zero where not visible; NaN and infinity elsewhere are refused."""
+    """Return values set to zero where not visible; refuse NaN and infinity elsewhere."""
     bad = visible & ~values.isfinite().all(-1)
     if bool(bad.any()):
         raise ObservationError(
@@ -191,7 +191,7 @@ def seen_and_finite(
 
 
 def _refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor) -> None:
-    """Refuse clips whose points lie farther apart than a person's do in metres."""
+    """Refuse positions that lie farther apart than a person's size in metres allows."""
     moments = slice(None, None, max(1, positions.shape[-3] // _MOMENTS))
     points = slice(None, None, max(1, positions.shape[-2] // _POINTS))
     some, seen = positions[..., moments, points, :], visible[..., moments, points]

@@ -27,7 +27,7 @@ class BodyPlace:
 
 
 def _places_of_both_sides(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
-    """The places on the left and the right side; joints and landmarks get the side as prefix."""
+    """Copy each place to both sides, with "left_" and "right_" before all names."""
     return {
         f"{side}_{name}": BodyPlace(
             tuple(f"{side}_{joint}" for joint in place.joints),
@@ -115,7 +115,7 @@ TRUNK: Mapping[str, int] = {
 
 @dataclass(frozen=True, eq=False)
 class BodyPoints:
-    """Points as means of joints and vertices: p = A joints + B vertices; no batch axis."""
+    """Points of the body as weighted means of joints and vertices: p = A joints + B vertices."""
 
     of_joints: Float[Tensor, "points 22"]
     of_vertices: Float[Tensor, "points vertices"]
@@ -129,7 +129,7 @@ class BodyPoints:
 
     @classmethod
     def of_layout(cls, layout: str, body: BodyModel) -> "BodyPoints":
-        """The keypoints of a layout, in its order.
+        """Make the points on a body that are the keypoints of a layout, in its order.
 
         Raises:
             ValueError: when there is no such layout.
@@ -140,7 +140,7 @@ class BodyPoints:
 
     @classmethod
     def of_names(cls, names: Sequence[str], body: BodyModel) -> "BodyPoints":
-        """Keypoints by name, in any order; `<joint>_joint` is a joint of the body itself.
+        """Make the points on a body of given keypoint names; `<joint>_joint` is a body joint.
 
         Raises:
             ValueError: naming the keypoints that are not known.
@@ -153,7 +153,7 @@ class BodyPoints:
 
     @classmethod
     def of_places(cls, places: Mapping[str, BodyPlace], body: BodyModel) -> "BodyPoints":
-        """Points of any names, at the given places of the body."""
+        """Make points at given places of a body; the mapping's keys name them."""
         return cls._at_places(list(places.values()), tuple(places), body)
 
     @classmethod
@@ -178,7 +178,7 @@ class BodyPoints:
         return cls(of_joints, of_vertices, index, names, bones, torch.tensor(known))
 
     def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...]:
-        """Pairs of points whose distance no pose changes: they keep their place on one bone.
+        """Index pairs of points that lie on the same bone, so that their distance is constant.
 
         A joint does so on the bone that begins and on the one that ends there; a mean of joints
         on a bone that all of them do so on.
@@ -200,7 +200,7 @@ class BodyPoints:
         return frozenset.intersection(*on) - {-1} if on else frozenset()
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The points on a posed body, world, metres; zero where the body has no such point."""
+        """Positions of the points on a posed body, world, metres; zero where it lacks a point."""
         own = self.on(posed.joints.device, posed.joints.dtype)
         points = own.of_joints @ posed.joints
         if len(own.vertices) == 0:
@@ -210,7 +210,7 @@ class BodyPoints:
     def at_rest(
         self, body: BodyModel, shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch points 3"]:
-        """The points on the unposed body, metres."""
+        """Positions of the points on a body of given shape in its rest pose, metres."""
         own = self.on(shape.device, shape.dtype)
         points = own.of_joints @ body.rest_joints(shape)
         if len(own.vertices) == 0:
@@ -218,7 +218,7 @@ class BodyPoints:
         return points + own.of_vertices @ body.rest_vertices(shape, own.vertices)
 
     def on(self, device: torch.device, dtype: torch.dtype) -> "BodyPoints":
-        """The points with their tensors on a device; copied there once and cached."""
+        """Return the points with all tensors on a device and in a precision; cached."""
         return _on_device(self, device, dtype)
 
 

@@ -138,7 +138,7 @@ class PointCloud(Sensor):
 
     @property
     def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Mask of the points that exist, as the rows of shorter clouds are padded."""
+        """Mask of the points that exist; the other rows pad clouds with fewer points."""
         return self.present
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
@@ -150,7 +150,7 @@ class PointCloud(Sensor):
         return Noise(noise * max(typical / CLOUD_WORTH, 1.0) ** 0.5, noise)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-        """Mask of joints of the first clip with points on the skin around them."""
+        """Mask (frames, 22) of the first clip's joints that have points of the cloud near them."""
         joints = estimate.scene.to_recording(estimate.body.joints)
         joints, covered = self.at_own_times(joints, estimate.motion)
         found = np.zeros((self.moments, joints.shape[-2]), dtype=bool)
@@ -189,13 +189,13 @@ class PointCloud(Sensor):
         return self.matched(estimate)(estimate)
 
     def residuals(self, estimate: Estimate) -> Residuals:
-        """Distance of every point from the surface at every moment, metres; one dimension."""
+        """Distances of the cloud's points from the estimate's surface in all frames, metres."""
         return self.matched(estimate).residuals(estimate)
 
     def _relative_variances(
         self, seen: Tensor
     ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
-        """Variances of distances in units of `CLOUD_NOISE`², and the weights of squared distances.
+        """Each frame's variance of a distance, relative to `CLOUD_NOISE`², and its weight.
 
         What a smooth body misses of a person is alike in a patch of the surface, of which a frame
         shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.
@@ -211,7 +211,7 @@ class PointCloud(Sensor):
     def _nearest_discs(
         self, body: BodyModel, middles: Tensor, normals: Tensor, seen: slice
     ) -> Int[Tensor, "*batch seen points"]:
-        """The nearest disc of every point, among those that face the sensor.
+        """Index of the nearest surface disc of every point, among discs that face the sensor.
 
         Labels make discs of other parts of the body farther away. Discs that the estimate itself
         hides stay allowed: a leg that a wrong posture puts behind the other one would never get
@@ -231,7 +231,7 @@ class PointCloud(Sensor):
         return found.unflatten(0, present.shape[:-1])
 
     def _discs_in_recording(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
-        """Middles and normals of the discs in the recording, at the moments that are covered."""
+        """Disc centres and normals in the recording's frame, and the slice of frames covered."""
         (middles, normals), scene = self.surfels.posed(estimate.body), estimate.scene
         middles, seen = self.at_own_times(scene.to_recording(middles), estimate.motion)
         normals = scene.to_recording_directions(normals)
@@ -248,14 +248,14 @@ class PointCloud(Sensor):
         return place.expand(*self.clips, len(moments), 3)
 
     def thinned(self, most: int) -> "PointCloud":
-        """A cloud of at most `most` points in every moment; points come in no order."""
+        """Keep at most `most` points per frame, taken evenly from the unordered points."""
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
         return self._with_points(number)
 
     def _with_points(self, number: Tensor) -> "PointCloud":
-        """The cloud with a subset of its points in every frame, chosen by index."""
+        """Return the cloud with only the points of the given indices in every frame."""
         axis = self.present.ndim - 1
 
         def taken(values: Tensor) -> Tensor:
@@ -265,7 +265,7 @@ class PointCloud(Sensor):
         return self.derived(points=taken(self.points), present=taken(self.present), labels=labels)
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
-        """A cheap version of the cloud to compare hypotheses.
+        """Return a smaller version of the cloud for a quick comparison of hypotheses.
 
         Few points, every `step`-th frame, few discs.
         """
@@ -275,7 +275,7 @@ class PointCloud(Sensor):
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
-        """The average body in the poses that fit the labelled points; see `labelled_start`."""
+        """First guess of the motion from body-part labels of the points; see `labelled_start`."""
         seen = self.labelled()
         assert seen.labels is not None
         return labelled_start(
@@ -284,7 +284,7 @@ class PointCloud(Sensor):
         )  # fmt: skip
 
     def labelled(self) -> "PointCloud":
-        """The cloud with labels by the bundled network, unless it has labels already."""
+        """Return the cloud with body-part labels, from the bundled network if it has none yet."""
         if self.labels is not None:
             return self
         level = self.ground_known or self.ground_seen
@@ -300,7 +300,7 @@ def _bundled_labeller() -> CloudLabeller:
 
 
 def _padded_clouds(given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Clouds of any sizes, one per moment, as an array (moments, points, 3) and its mask.
+    """Pad clouds of different sizes, one per frame, to an array (frames, points, 3) and a mask.
 
     Args:
         given: arrays (N, 3), or clouds and meshes of Open3D, metres.

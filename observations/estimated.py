@@ -29,7 +29,7 @@ _UNSEEN = 10.0
 
 @dataclass(frozen=True)
 class ErrorCovariance:
-    """Covariance of an error over time.
+    """Covariance over time of the error of one coordinate of an estimated point.
 
     White jitter plus a slowly changing part, metres per axis.
     """
@@ -47,7 +47,7 @@ class ErrorCovariance:
         segment: Float[Tensor, "*batch moments"],
         fps: float,
     ) -> Float[Tensor, "*batch moments moments"]:
-        """Inverse of the covariance of an error in time, 1 / metres².
+        """Return the inverse covariance matrix (frames, frames) of an error, 1 / metres².
 
         Args:
             scale: multiplier of the jitter at every moment; infinite where nothing was seen.
@@ -87,12 +87,12 @@ class EstimatedPoints(Markers3D):
     ground_known: bool = False
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
-        """The usual noise as a placeholder, since the energy has covariances of its own."""
+        """Return a constant noise; the energy uses its own covariances instead."""
         del guess, body, given
         return Noise(_SCALE, _SCALE)
 
     def robust_beyond(self, distance: float) -> "EstimatedPoints":
-        """The sensor itself, as its untrusted points were marked when it was made."""
+        """Return the sensor unchanged; its unreliable points are already hidden."""
         del distance
         return self
 
@@ -115,7 +115,7 @@ class EstimatedPoints(Markers3D):
     ) -> tuple[
         Float[Tensor, "*batch moments moments"], Float[Tensor, "*batch points moments moments"]
     ]:
-        """Inverse covariances of the path and of every point."""
+        """Inverse covariances over time: of the points' mean, and of each point about the mean."""
         seen = self.visible.to(self.positions)
         unseen = torch.inf
         anything = torch.where(self.visible.any(-1), 1.0, unseen).to(seen)
@@ -127,7 +127,7 @@ class EstimatedPoints(Markers3D):
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":
-        """Points after a rigid transform of the frame that they are given in, metres."""
+        """Return the sensor with its points moved to another frame of coordinates, metres."""
         if not np.isfinite(T_new_old).all():
             raise ObservationError("expected a rigid transform, got numbers that are not finite")
         return super().transformed(T_new_old)

@@ -1,4 +1,4 @@
-"""Splits points of hands from those of a body, and checks them."""
+"""Separates a sensor's points of the hands from its points of the body, and checks them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,14 +19,14 @@ begin with the palm and give every other finger a metacarpal (XrHandJointEXT).""
 
 
 def body_points_only(names: Sequence[str]) -> bool:
-    """Whether no name is one of `FINGER_POINTS`."""
+    """Whether none of the keypoint names is a point of a hand (`FINGER_POINTS`)."""
     return not set(FINGER_POINTS) & set(names)
 
 
 def fingers_apart(
     points: Any, positions: Any, visible: Any, std: Any
 ) -> tuple[Any, Any, Any, Any, Float[Tensor, "*batch moments 42 4"]]:
-    """Split a sensor's arguments into those of body points, and hand points with visibility.
+    """Split a sensor's points into body points and hand points with their visibility.
 
     Args:
         points: a layout with the ending `+hands`, or names.
@@ -60,7 +60,7 @@ def fingers_apart(
 
 
 def checked_fingers(fingers: Any, like: Any, numbers: int) -> Float[Tensor, "*batch moments 42 n"]:
-    """Points of hands with a confidence from 0 on as their last number; zero where it is 0.
+    """Check points of hands, whose last number is a confidence; zero where that is 0.
 
     Args:
         fingers: (..., moments, 42, numbers), NaN where not seen; or 52 points, 26 of each hand in

@@ -31,7 +31,7 @@ class FirstGuess:
 
 
 def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
-    """The rest body placed by the most informative of the observations.
+    """Make a first motion from the most informative of a clip's observations.
 
     Points that are known by name come first, then what several cameras see, then what one camera
     sees, at the distance and in the posture of the depth where there is depth, and depth alone
@@ -58,7 +58,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
 
 
 def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
-    """A motion with the poses and translations of another one, which may have another frame rate.
+    """Give motion `placed` the poses and translations of `posed`, at its own frame rate.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
     point is near them, so none pulls them back. Before the other motion begins and after it has
@@ -76,7 +76,7 @@ def _with_poses_of(posed: Motion, placed: Motion) -> Motion:
 
 
 def with_labelled_clouds(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations; clouds get body part labels unless they are fitted beside named points.
+    """Add body-part labels to all clouds, unless a sensor of named points is among the data.
 
     Where another sensor has named 3D points no labels are added: named points determine the
     posture better.
@@ -92,7 +92,7 @@ def guessed(
     start: Motion | None,
     shape: Float[Tensor, " shape"] | None,
 ) -> tuple[tuple[Sensor, ...], FirstGuess]:
-    """The observations, with labels added to clouds, and the motion that the fit starts from.
+    """Return the observations (clouds labelled if needed) and the motion a fit starts from.
 
     Args:
         observations: of one clip.

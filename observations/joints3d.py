@@ -56,28 +56,28 @@ class Joints3D(TrackedPoints):
         self._settle(joints=places)
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The joints of a posed body, world, metres."""
+        """Positions of the measured joints on a posed body, world, metres."""
         return body.joints[..., cached_constant(self.joints, body.joints.device), :]
 
     @property
     def point_ids(self) -> tuple[int, ...]:
-        """Joint numbers of the points."""
+        """SMPL joint indices of the measured points."""
         return self.joints
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The joints as points of a body of a given shape."""
+        """Return the measured joints as points that the bones of a body of given shape move."""
         return CarriedPoints.joints(body, shape).some(self.joints)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """The joints of the average body in its rest pose, metres."""
+        """Positions of the measured joints on the average body in its rest pose, metres."""
         return body.joint_template[list(self.joints)]
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The joint that moves each point: the point itself."""
+        """Joint index of the bone that moves each point, which is the measured joint itself."""
         del body
         return self.joints
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the joints."""
+        """Names of the measured joints, for reports."""
         del body
         return tuple(JOINTS[joint] for joint in self.joints)

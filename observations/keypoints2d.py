@@ -122,7 +122,7 @@ class Keypoints2D(PointsOfBody):
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":
-        """The view with the focal length of the scene, which is then taken as known."""
+        """Return the view with the scene's estimated focal length, then taken as known."""
         if self.focal_std == 0 or scene.lens is None:
             return self
         return self.derived(camera=scene.lens.of(self.camera), focal_std=0.0)
@@ -143,7 +143,7 @@ class Keypoints2D(PointsOfBody):
         return self.confidence
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
+        """Robust energy ½ Σ c² (ρ(Δu) + ρ(Δv)), ρ(e) = σ² e² / (σ² + e²), scaled to 30 Hz.
 
         Twice of it is HuMoR's joints2d (section 6.5).
         """
@@ -154,7 +154,7 @@ class Keypoints2D(PointsOfBody):
         return part.energy(points)
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
-        """The energy of predicted points, frame of the recording, in all frames of the data.
+        """Energy of predicted points (recording's frame, metres) in all frames of the view.
 
         A point behind the camera counts as the farthest error.
         """
@@ -165,20 +165,20 @@ class Keypoints2D(PointsOfBody):
         return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
     def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
-        """Distances of measured from predicted points, metres at the predicted depth."""
+        """Pixel distances of keypoints from predicted points, in metres at the predicted depth."""
         projected = self.camera.project(points)
         focal = self.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
         pixels = (projected.pixels - self.pixels).norm(dim=-1)
         return pixels * projected.depth.clamp(min=NEAREST) / focal
 
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
-        """Pixels of the estimate's keypoints in the frames that it covers, and these frames."""
+        """Project the estimate's keypoints; also return the slice of frames that it covers."""
         points, seen = super().expected(estimate)
         camera = self.settled(estimate.scene).camera
         return camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 2"], slice]:
-        """Predicted pixels in the frames that the estimate covers, and these frames."""
+        """Predicted pixels of the keypoints, and the slice of frames that the estimate covers."""
         projected, seen = self.project(estimate)
         return projected.pixels, seen
 
@@ -206,11 +206,11 @@ class Keypoints2D(PointsOfBody):
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints2D":
-        """The view with its camera's pose expressed in another frame, after a rigid transform."""
+        """Return the view with its camera's pose in another frame of world coordinates."""
         return self.derived(camera=self.camera.moved(T_new_old))
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """The standard deviation of a pixel coordinate: given, or estimated from the paths.
+        """Noise of a pixel coordinate: as given, or estimated from the keypoints' paths.
 
         A detector's error is taken for no smaller than a centimetre at the body, as its idea of a
         knee is not the model's.
@@ -227,7 +227,7 @@ class Keypoints2D(PointsOfBody):
         return distance / float(self.camera.camera_matrix[..., [0, 1], [0, 1]].mean())
 
     def coarse(self, body: BodyModel, step: int = 2) -> "Keypoints2D":
-        """The view itself: views are cheap to evaluate, so no frame is left out."""
+        """Return the view unchanged: its energy is cheap, so no frame is left out."""
         del body, step
         return self
 
@@ -252,7 +252,7 @@ class Keypoints2D(PointsOfBody):
 def _checked_pixels(
     pixels: Numbers, confidence: Numbers
 ) -> tuple[Float[Tensor, "*batch moments points 2"], Float[Tensor, "*batch moments points"]]:
-    """Pixels, zero where the confidence is, and confidences from 0 to 1.
+    """Check pixels and confidences (0 to 1); return them with zeros where not seen.
 
     Raises:
         ValueError: for other shapes, NaN or infinity where the confidence is not zero, and

@@ -86,7 +86,7 @@ class Keypoints3D(TrackedPoints):
         )  # fmt: skip
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints3D":
-        """The data after a rigid transform of the frame that they are given in, metres."""
+        """Return the sensor with its keypoints moved to another frame of coordinates, metres."""
         moved = super().transformed(T_new_old)
         if self.fingers is None:
             return moved
@@ -95,7 +95,7 @@ class Keypoints3D(TrackedPoints):
         return moved.derived(fingers=torch.cat((places, self.fingers[..., 3:]), -1))
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The joint whose bone moves each keypoint.
+        """Joint index of the bone that moves each keypoint.
 
         Means of joints of both sides belong to the trunk.
         """
@@ -119,7 +119,7 @@ class Keypoints3D(TrackedPoints):
         )  # fmt: skip
 
     def _planted_path(self) -> Float[Tensor, "*batch moments 1 3"]:
-        """Translations of all frames with which standing feet do not slide, metres."""
+        """Translations of the keypoints, per frame, metres, so that standing feet do not slide."""
         moments, count = self.visible.shape[-2:]
         every = zip(
             self.positions.detach().double().cpu().reshape(-1, moments, count, 3).numpy(),

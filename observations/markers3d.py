@@ -73,7 +73,7 @@ class Markers3D(TrackedPoints):
         )  # fmt: skip
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The points on a posed body, world, metres."""
+        """Positions of the markers on a posed body, world, metres."""
         points = body.points(cached_constant(self.vertices, body.joints.device))
         if self.offsets is None:
             return points
@@ -85,11 +85,11 @@ class Markers3D(TrackedPoints):
 
     @property
     def point_ids(self) -> tuple[int, ...]:
-        """Numbers of the vertices."""
+        """Indices of the vertices that the markers sit on."""
         return self.vertices
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The points on a body of some shape."""
+        """Return the markers as points that the bones of a body of given shape move."""
         vertices = cached_constant(self.vertices, shape.device)
         identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(vertices), len(JOINTS))
@@ -100,16 +100,16 @@ class Markers3D(TrackedPoints):
         return found.displaced(self.bones(body), offsets)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """The points on the average body in its rest pose, metres."""
+        """Positions of the markers on the average body in its rest pose, metres."""
         rest = body.template[list(self.vertices)]
         return rest if self.offsets is None else rest + rest.new_tensor(self.offsets)
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The bone that moves each marker most."""
+        """Joint index of the bone that moves each marker most, by skinning weight."""
         return _bones_of_vertices(self.vertices, body.weights)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Labels of the recording, or landmarks that points sit on, or numbers of vertices."""
+        """Names of the markers: the recording's labels, else landmarks or vertex indices."""
         del body
         if self.labels is not None:
             return self.labels
@@ -119,12 +119,12 @@ class Markers3D(TrackedPoints):
 
 @lru_cache(maxsize=16)
 def _bones_of_vertices(vertices: tuple[int, ...], weights: Tensor) -> tuple[int, ...]:
-    """The joint of the largest skinning weight of each vertex; a GPU has to wait for it once."""
+    """Joint index of the largest skinning weight of each vertex; cached, as GPUs wait for it."""
     return tuple(weights[list(vertices)].argmax(-1).tolist())
 
 
 def _checked_offsets(offsets: Numbers | None, points: int) -> tuple[Offset, ...] | None:
-    """The offset of each point from its place on the body, metres; None where none are given.
+    """Check offsets of markers from their vertices, metres; None if none are given.
 
     Raises:
         ValueError: when these are no finite vectors, not one for each point, or no offsets of

@@ -1,4 +1,4 @@
-"""Points of a cloud with the disc of the surface that each belongs to, and derivatives by hand.
+"""A cloud whose points have fixed surface discs, with hand-written derivatives of distances.
 
 Between two searches for the nearest discs everything about a pair is constant but the bones that
 carry the disc and the shape of the body. Arrays have their points last, so that sums over three
@@ -48,7 +48,7 @@ class Discs(TensorStruct):
     def of(
         cls, surfels: Surfels, body: BodyModel, pairs: Int[Tensor, "*batch moments points"]
     ) -> "Discs":
-        """The discs whose numbers are in `pairs`."""
+        """Select the surface discs whose indices are in `pairs`, one for each point."""
         like, index = body.template, torch.from_numpy(surfels.vertices).to(pairs.device)
 
         def taken(table: Float[Tensor, "discs rows"]) -> Float[Tensor, "*batch moments rows p"]:
@@ -65,7 +65,7 @@ class Discs(TensorStruct):
     def unposed(
         self, shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch moments 3 points"]:
-        """Middles of the discs of bodies of these shapes, metres."""
+        """Centres of the discs on unposed bodies of given shapes, metres."""
         count = shape.shape[-1]
         away = shape[..., None, None, :] @ self.by_shape[..., :count, :]
         return self.middles + away.unflatten(-1, self.middles.shape[-2:])[..., 0, :, :]
@@ -76,7 +76,7 @@ class Discs(TensorStruct):
         unposed: Float[Tensor, "*batch moments 3 points"],
         shifts: Float[Tensor, "*batch moments 22 3 shape"],
     ) -> Float[Tensor, "*batch moments shape points"]:
-        """Derivatives of the middles by the shape, along unit vectors in the recording.
+        """Derivatives by the shape of the posed disc centres along given unit vectors.
 
         Args:
             along: the unit vectors.
@@ -92,7 +92,7 @@ class Discs(TensorStruct):
 
 @dataclass(frozen=True)
 class _PointsBesideDiscs:
-    """Points beside their posed discs: e from the middle, h along the normal n."""
+    """Offsets of points from their posed discs: e from the centre, h along the normal n."""
 
     unposed: Float[Tensor, "*batch moments 3 points"]
     maps: Float[Tensor, "*batch moments 4 3 points"]
@@ -128,7 +128,7 @@ class _PointsBesideDiscs:
 
     @property
     def pull(self) -> Float[Tensor, "*batch moments 3 points"]:
-        """½ ∂d²/∂e = (1 - q) h n + q e."""
+        """Half the derivative of squared distances d² by offsets e: (1 - q) h n + q e, metres."""
         level = ((1 - self.beyond) * self.height)[..., None, :]
         return level * self.normals + self.beyond[..., None, :] * self.offsets
 
@@ -191,7 +191,7 @@ class MatchedCloud(TensorStruct):
     """Scale of Tukey's kernel, metres; None where `kernel` is another one."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(distance²) over the points present, taken at 30 Hz."""
+        """Energy ½ Σ kernel(distance²) over the points present, scaled to 30 Hz, metres²."""
         squared, covered = self.squared_distances(estimate)
         return covered._energy(squared)
 
@@ -205,7 +205,7 @@ class MatchedCloud(TensorStruct):
         return 0.5 * counted.sum(-1) * (REFERENCE_FPS / self.fps)
 
     def with_tukey_scale(self, estimate: Estimate) -> "MatchedCloud":
-        """The cloud with the scale that Tukey's kernel has at an estimate."""
+        """Return the cloud with the scale of Tukey's kernel fixed to its value at an estimate."""
         squared, covered = self.squared_distances(estimate)
         relative = squared / covered.variance
         return self.derived(scale=tukey_scale(relative.flatten(-2), covered.present.flatten(-2)))
@@ -220,7 +220,7 @@ class MatchedCloud(TensorStruct):
     def squared_distances(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch covered points"], "MatchedCloud"]:
-        """Squared distances at the moments that an estimate covers, metres², and their cloud."""
+        """Squared distances of points, metres², and the part of the cloud that they belong to."""
         covered, bones, unposed = self._carried(estimate)
         squared = _SquaredDistances.apply(bones, unposed, covered.points, covered.discs)
         return squared.where(covered.present, 0.0), covered
@@ -232,7 +232,7 @@ class MatchedCloud(TensorStruct):
         Float[Tensor, "*batch covered 22 4 3"],
         Float[Tensor, "*batch covered 3 points"],
     ]:
-        """The cloud at the moments covered, bones there, and the unposed discs that they carry."""
+        """The cloud in frames that the motion covers, bone transforms there, and unposed discs."""
         bones, covered = self._at_own_times(
             _maps_of_bones(estimate).flatten(-3, -2), estimate.motion
         )
@@ -247,7 +247,7 @@ class MatchedCloud(TensorStruct):
     def _at_own_times(
         self, values: Float[Tensor, "*batch time rows 3"], motion: Motion
     ) -> tuple[Float[Tensor, "*batch covered rows 3"], "MatchedCloud"]:
-        """A motion's values at the moments of the cloud that it covers, and the cloud there."""
+        """Resample a motion's values to the cloud's frames that it covers; return both there."""
         values, seen = at_observation_times(
             values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )
@@ -316,7 +316,7 @@ def _jacobian_by_rotations(
     orientations: Float[Tensor, "moments 22 3 3"],
     joints: Float[Tensor, "moments 22 3"],
 ) -> Float[Tensor, "moments 66 points"]:
-    """Derivatives of u·x by steps d_a of all joints' rotations R_a Exp(d_a), metres per radian.
+    """Derivatives of u·x by rotations R_a Exp(d_a) of all joints a, metres per radian.
 
     A step turns the share s_a of point x that hangs from joint a: s_a O_aᵀ ((x - p_a) × u). All
     bones are taken to carry the point to one place, as they do but where skin bends.
@@ -337,13 +337,13 @@ def _jacobian_by_rotations(
 def _shifts_by_shape(
     orientations: Float[Tensor, "moments 22 3 3"], body: BodyModel, count: int
 ) -> Float[Tensor, "moments 22 3 shape"]:
-    """Derivatives of the last row of `PosedBody.bones` by the shape, world, metres."""
+    """Derivatives of the translation part of `PosedBody.bones` by the shape, world, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
     return joints_by_shape(orientations, body, count) - orientations @ directions
 
 
 def _maps_of_bones(estimate: Estimate) -> Float[Tensor, "*batch time 22 4 3"]:
-    """The maps of an estimate's bones to the frame of the recording, as `PosedBody.bones`."""
+    """The bones' transforms (`PosedBody.bones`) from rest pose to the recording's frame."""
     bones, scene = estimate.body.bones, estimate.scene
     if scene.ground is None:
         return bones

@@ -16,7 +16,7 @@ Tracker = TrackedPoints | Keypoints2D
 
 
 def as_streamed(given: Any) -> Tracker:
-    """The sensor in the form that a stream needs: without a clip axis, in single precision.
+    """Check that a stream can use a sensor; remove its clip axis and make it single precision.
 
     Raises:
         ObservationError: when it has no named points, its camera moves or has no pose, or the
@@ -50,7 +50,7 @@ def as_streamed(given: Any) -> Tracker:
 
 
 def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
-    """One frame of a sensor built from an array, with the checks of a new observation.
+    """Make one new frame of a sensor from an array of points, with all checks of a sensor.
 
     Args:
         sensor: that the points are of.
@@ -74,25 +74,25 @@ def frame_from_array(sensor: Tracker, array: Numbers) -> Tracker:
 
 
 def frames_between(sensor: Tracker, start: int, stop: int) -> Tracker:
-    """Some frames of a sensor, selected by index; `start_time` does not change."""
+    """Return the frames `start` to `stop` - 1 of a sensor; `start_time` does not change."""
     return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 
 def collapsed(moment: Tracker) -> bool:
-    """Whether most of the points that are seen lie in one place, as those of a lost person do."""
+    """Whether most visible points coincide, as when a tracker has lost the person."""
     places = moment.pixels if isinstance(moment, Keypoints2D) else moment.positions
     shown = places[moment.shown]
     return 2 * len(shown.unique(dim=0)) < len(shown)
 
 
 def joined_in_time(before: Tracker, after: Tracker) -> Tracker:
-    """Two stretches of one sensor joined in time."""
+    """Append the frames of `after` to those of `before`, both of one sensor."""
     later = iter(after.by_frame(lambda tensor: tensor).values())
     return before.derived(**before.by_frame(lambda tensor: torch.cat((tensor, next(later)))))
 
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
-    """The sensor with the frame at `row` replaced by a moment, appended if `row` is the end."""
+    """Replace frame `row` of a sensor by a one-frame sensor; append it if `row` is the end."""
     later = frames_between(sensor, row + 1, sensor.moments)
     return joined_in_time(
         joined_in_time(frames_between(sensor, 0, row), frames_between(moment, 0, 1)), later
@@ -102,7 +102,7 @@ def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
 def with_points_hidden(
     sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None
 ) -> Tracker:
-    """The sensor with some of its points hidden; by default, with all of them hidden."""
+    """Return the sensor with points in `bad` marked as not seen; None hides all points."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
 
     def kept(tensor: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ NORMAL_MEDIAN = 0.67449
 
 
 def weights_of(noises: Sequence[Noise]) -> list[float]:
-    """Weights of the energies of several observations, by the inverse of their variances.
+    """Weights of several observations' energies, proportional to their inverse variances.
 
     The least noisy observation weighs one per metre², and an energy in pixels² is brought to
     metres² at the body: weight = (smallest standard deviation in metres / own one in own unit)².
@@ -32,7 +32,7 @@ def estimate_noise(
     visible: Bool[Tensor, "*batch time points"],
     limits: tuple[float, float] = LIMITS,
 ) -> float:
-    """Standard deviation of a coordinate's noise from the data, in their unit, within limits.
+    """Estimate the standard deviation of a coordinate's noise from point paths, in their unit.
 
     Bodies move smoothly and white noise does not: third differences in time hold little but
     noise, and their median does not see outliers. Where no point is visible four frames in a row,

@@ -47,7 +47,7 @@ class PointsOfBody(Sensor):
     """Metres that `Scene.offsets` of these points are in."""
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The points of a posed body, world, metres."""
+        """Predict the sensor's points on a posed body, world, metres."""
         return self.points.of(body)
 
     @property
@@ -56,22 +56,22 @@ class PointsOfBody(Sensor):
         return self.points.names
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
-        """The energy of predicted points, frame of the recording, in all frames of the data."""
+        """Energy of predicted points (recording's frame, metres) in all frames of the data."""
         raise NotImplementedError
 
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The points carried by the bones of a body of a given shape, without offsets."""
+        """Return the points as moved by the bones of a body of given shape, without offsets."""
         points = self.points.on(shape.device, shape.dtype)
         return CarriedPoints.create(
             body, shape, points.of_joints, points.of_vertices, points.vertices
         )
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """The points of the average body in its rest pose, metres."""
+        """Positions of the sensor's points on the average body in its rest pose, metres."""
         return self.points.at_rest(body, body.template.new_zeros(body.shape_size))
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The body joint whose bone carries each point."""
+        """Joint index of the bone that moves each point."""
         del body
         return self.points.bones
 
@@ -81,7 +81,7 @@ class PointsOfBody(Sensor):
         return self.points.names
 
     def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """The points of an estimate, world, metres; `Scene.offsets` turn with their bones."""
+        """Predict the points of an estimate with its offsets `Scene.offsets`, world, metres."""
         points = self.predict(estimate.body)
         if self.offset_rows is None:
             return points
@@ -93,7 +93,7 @@ class PointsOfBody(Sensor):
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
-        """The points on bones of a body of a given shape; offsets as in `Scene.offsets`."""
+        """Return the points as moved by a body's bones, shifted by `offsets` (`Scene.offsets`)."""
         found = self.on_bones(body, shape)
         if self.offset_rows is None:
             return found
@@ -107,11 +107,11 @@ class PointsOfBody(Sensor):
         return (self.shown.to(tells) @ tells) > 0
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
-        """Joints of the first clip that some visible point locates, in every frame."""
+        """Mask (frames, 22) of the first clip's joints that some visible point locates."""
         return self.shown[0].cpu().numpy() @ self.located_joints(estimate.body.model)
 
     def located_joints(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-        """Joints that each point locates, as a mask (points, joints).
+        """Mask (points, joints) of the joints that each point locates.
 
         They lie near it at rest, and its bone ends or begins there.
         """
@@ -199,7 +199,7 @@ class TrackedPoints(PointsOfBody):
         return numbers
 
     def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
-        """Pairs of points whose distance does not depend on the pose.
+        """Index pairs of points whose distance does not depend on the pose.
 
         None to derive them from `bones`.
         """
@@ -230,7 +230,7 @@ class TrackedPoints(PointsOfBody):
         return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
 
     def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 3"], slice]:
-        """The points of an estimate in the recording, at the moments that it covers.
+        """Predicted points in the recording's frame, and the slice of frames that they cover.
 
         Points that are not placed in the world are moved, all of a moment alike, to where they
         explain most of what was measured.
@@ -249,15 +249,15 @@ class TrackedPoints(PointsOfBody):
         )
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; metres²."""
+        """Energy ½ Σ kernel(w² |measured - predicted|²), scaled to 30 Hz; metres²."""
         return self.energy_of(self.positions - points, self.weights.to(points))
 
     def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
-        """Metres between measured and predicted points."""
+        """Distances between measured and predicted points, metres."""
         return (self.positions - points).norm(dim=-1)
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """The standard deviation of a coordinate, metres: given, or estimated from the data.
+        """Noise: the standard deviation of a coordinate, metres, as given or estimated from data.
 
         It is the one that is given, or the root mean square of those of the points, or estimated
         from the points' paths.
@@ -267,7 +267,7 @@ class TrackedPoints(PointsOfBody):
         return Noise(found, found)
 
     def robust_beyond(self: P, distance: float) -> P:
-        """The sensor with Geman and McClure's robust kernel; its scale is a distance in metres.
+        """Return the sensor with Geman and McClure's robust kernel, of scale `distance` in metres.
 
         Where standard deviations are given, it is the distance of a point that has their root
         mean square; a point of twice that deviation may be twice as far away.
@@ -275,7 +275,7 @@ class TrackedPoints(PointsOfBody):
         return self.derived(kernel=partial(geman_mcclure, sigma=distance))
 
     def start(self, body: BodyModel) -> Motion:
-        """A first guess.
+        """First guess of the motion from the data alone.
 
         The rest pose fitted to the torso, with limbs turned towards their points.
         """
@@ -294,7 +294,7 @@ def quadratic_model(
     kernel: Callable[[Tensor], Tensor],
     rate: float,
 ) -> PointModel:
-    """The model of E = rate ½ Σ kernel(w² |p - observed|²); weights w (*batch, frames, points)."""
+    """Second-order model of E = rate ½ Σ kernel(w² |p - observed|²) about points p."""
     away = points - positions
     slope = weights.to(points).square()
     value = slope * away.square().sum(-1)

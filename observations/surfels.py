@@ -24,7 +24,7 @@ LEAST_SCALE = 0.005
 def tukey(
     squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
 ) -> Float[Tensor, "*batch samples"]:
-    """c²/3 (1 - (1 - e²/c²)³) up to the cut-off c = 4.6851 s, constant beyond; s has no gradient.
+    """Tukey's robust kernel c²/3 (1 - (1 - e²/c²)³) of distances e, constant beyond c = 4.6851 s.
 
     The gradient is that of HuMoR's bisquare weights at equal scale. The scale is
     median(e) / 0.67449: of distances, which are zero at best, it is the deviation from zero that
@@ -45,7 +45,7 @@ def tukey_scale(
 def tukey_kernel(
     squared: Float[Tensor, "*batch samples"], scale: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "*batch samples"]:
-    """Tukey's c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
+    """Tukey's robust kernel c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
     cutoff = (TUNING * scale).square()[..., None]
     return cutoff / 3 * (1 - (1 - (squared / cutoff).clamp(max=1)) ** 3)
 
@@ -82,7 +82,7 @@ class Surfels:
 
     @classmethod
     def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
-        """Discs at vertices of the average body, chosen by farthest point sampling."""
+        """Make `count` discs at vertices of the average body (farthest point sampling)."""
         from scipy.spatial import KDTree
 
         template = body.template.detach().cpu().double().numpy()
@@ -94,7 +94,7 @@ class Surfels:
         return cls(chosen, normals[chosen], radii)
 
     def posed(self, body: PosedBody) -> tuple[Tensor, Tensor]:
-        """Middles (metres) and unit normals of the discs in a posed body, world frame."""
+        """Centres (metres) and unit normals of the discs on a posed body, world frame."""
         index = torch.from_numpy(self.vertices).to(body.joints.device)
         weights = body.model.weights[index]
         rest = torch.from_numpy(self.normals).to(body.joints)

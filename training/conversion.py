@@ -36,7 +36,7 @@ from training.sources import (
     HUMANOID,
     HUMANOID_MAP,
     WINDOWS,
-    copied_clips,
+    clips_of_shared_skeleton,
     marker_clips,
     read_humanoid,
     read_markers,
@@ -77,7 +77,7 @@ def convert(
     """
     body = BodyModel.load()
     skeletons, markers = skeleton_clips(data), marker_clips(data)
-    copied = {name: copied_clips(data, name) for name in (HUMANOID, WINDOWS)}
+    copied = {name: clips_of_shared_skeleton(data, name) for name in (HUMANOID, WINDOWS)}
     known = {clips[0].collection for clips in skeletons if clips} | copied.keys()
     known |= {clip.collection for clip in markers}
     if wrong := sorted(set(only) - known):
@@ -98,7 +98,7 @@ def convert_others(
     body: BodyModel,
     convert_clip: _Maker,
 ) -> None:
-    """Convert clips that are not skeletons of a known format, unless done already.
+    """Convert clips with the given function, unless they are converted already.
 
     A clip that cannot be converted is logged and left out.
     """
@@ -140,7 +140,7 @@ def _converted_markers(clip: SourceClip, body: BodyModel) -> tuple[Conversion, b
 
 
 def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Maker:
-    """A function that converts motions of one skeleton, calibrated from all on first use."""
+    """Make a function that converts clips of one skeleton, calibrated from all of them."""
 
     @cache
     def read_and_calibrate() -> tuple[dict[str, SkeletonRecording], SubjectModel]:
@@ -161,7 +161,7 @@ def _converter_of_skeleton(clips: Sequence[SourceClip], body: BodyModel) -> _Mak
 
 
 def _residuals_by_second(found: Conversion) -> list[float]:
-    """Mean distance of the markers from their places in every second, metres."""
+    """Mean distance of markers from their predictions in every second of a clip, metres."""
     return [
         float(one.value)
         for one in found.diagnosis

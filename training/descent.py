@@ -1,4 +1,4 @@
-"""Shared by trainings: draws of latent codes, their divergence, and Muon for matrices."""
+"""Helpers of all trainings: random latent codes, KL divergence, the optimiser Muon."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def drawn_code(mean: Tensor, log_variance: Tensor, random: torch.Generator | None) -> Tensor:
-    """Draw from a normal distribution, differentiably; without random numbers its mean."""
+    """Draw from a normal distribution, differentiably; return the mean if `random` is None."""
     if random is None:
         return mean
     noise = torch.randn(mean.shape, generator=random).to(mean)
@@ -66,7 +66,7 @@ def orthogonalised(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows
 
 
 def _muon_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
-    """Step of a matrix, for a learning rate of one."""
+    """Muon's update of a weight matrix from its gradient, for a learning rate of one."""
     momentum = state.setdefault("momentum", torch.zeros_like(gradient))
     momentum.lerp_(gradient, 1 - _MOMENTUM)
     ahead = gradient.lerp(momentum, _MOMENTUM)
@@ -74,7 +74,7 @@ def _muon_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
 
 
 def _adam_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
-    """Step of Adam, for a learning rate of one."""
+    """Adam's update of a parameter from its gradient, for a learning rate of one."""
     first = state.setdefault("first", torch.zeros_like(gradient))
     second = state.setdefault("second", torch.zeros_like(gradient))
     count = state["count"] = state.get("count", 0) + 1

@@ -1,4 +1,4 @@
-"""Which trainings may use every second of a converted recording: poses, steps, contacts, shapes.
+"""Decides what each second of a recording may teach: poses, steps, contacts, shapes.
 
 A second is judged by what its motion shows: whether the foot that carries stands still, whether a
 joint jumps, whether feet rest on something that is not the ground, whether bodies fall as gravity
@@ -55,7 +55,7 @@ _TRUNK_AND_LIMBS = tuple(
 
 @dataclass(frozen=True)
 class Source:
-    """Metadata of a recording: everything known besides its motion."""
+    """Metadata of a recording: what is known of its person, skeleton and quality."""
 
     own_bones: bool = True
     """Whether the bones are those of the person who moves; if not, the root's path does not fit
@@ -73,7 +73,7 @@ class Source:
 
 
 def lesson_rows(file: MotionFile, source: Source, body: BodyModel) -> list[ManifestRow]:
-    """The stretches of a clip by what they may teach, in whole seconds; the last may be longer.
+    """Split a clip into stretches of whole seconds by what each may teach.
 
     Args:
         file: the converted clip, on the ground z = 0.

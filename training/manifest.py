@@ -85,7 +85,7 @@ def _parsed_row(row: Mapping[str, Any]) -> ManifestRow:
 def stretches_to_teach(
     path: Path, rows: Sequence[ManifestRow] | None, lesson: Lesson, with_contacts: bool = True
 ) -> list[MotionFile]:
-    """The stretches of a clip that are fit for training; contacts only where they are reliable.
+    """Load the stretches of a clip that may teach a lesson, with contacts where reliable.
 
     Args:
         path: of the motion.
@@ -108,7 +108,7 @@ def stretches_to_teach(
 
 
 def _cut_frames(file: MotionFile, first: int, stop: int, contacts: bool) -> MotionFile:
-    """Frames of a file: its motion, joints and, where they are wanted, contacts."""
+    """Cut the frames `first` to `stop` - 1 out of a motion file, with contacts if wanted."""
     joints, touching = file.joints, file.contacts if contacts else None
     return MotionFile(
         file.motion.window(first, stop),

@@ -77,7 +77,7 @@ def frechet_mean(
 def fit_density(
     rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
 ) -> PoseDensity:
-    """The density of the given poses, with equal weights.
+    """Fit the Gaussian pose density to the given poses, all with equal weights.
 
     Args:
         rotations: of the 21 body joints, each relative to its parent.

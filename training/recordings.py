@@ -13,7 +13,7 @@ from recon.core.skeleton import MIRROR
 
 @dataclass(frozen=True)
 class CorpusClip:
-    """One recording on our body."""
+    """One recording, converted to the bundled body."""
 
     name: str
     subject: str
@@ -29,7 +29,7 @@ def mirrored_rotations(
 
 
 def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
-    """Poses of all clips, `rate` of them per second, evenly spaced, each with its mirror image.
+    """Sample `rate` poses per second from all clips; add the mirror image of each.
 
     No subject gives more than about `most` (before mirroring), taken evenly from all its clips:
     whoever was recorded for an hour must not decide alone what a pose is.

@@ -23,7 +23,7 @@ from training.settings import TrainingSettings, identity_of_run, plain_settings,
 
 @contextmanager
 def logged_to(path: Path, mode: Literal["a", "w"]) -> Iterator[None]:
-    """A context in which messages of trainings also go to a file, each line with its time."""
+    """Context manager that also writes log messages to a file, each line with its time."""
     log = logging.FileHandler(path, mode=mode)
     log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
     before = LOG.level
@@ -101,7 +101,7 @@ class Run(Generic[S, N]):
     """Steps over which the learning rate rises at the beginning of every part of a run."""
 
     def __init__(self, settings: S) -> None:
-        """A run before its first step, or the one whose checkpoint is in the folder.
+        """Prepare a new run, or load the checkpoint if the folder has one.
 
         Raises:
             ValueError: when another run wrote it.
@@ -128,11 +128,11 @@ class Run(Generic[S, N]):
             self.resume(state)
 
     def untrained(self, state: Mapping[str, Any] | None) -> N:
-        """Networks before the first step; a checkpoint's weights are loaded later."""
+        """Make the networks as before the first step; a checkpoint's weights are loaded later."""
         raise NotImplementedError
 
     def losses(self) -> dict[str, Tensor]:
-        """Losses of one batch by name; `total` is minimised."""
+        """Compute the losses of a random batch by name; `total` is minimised."""
         raise NotImplementedError
 
     def errors(self) -> dict[str, float]:
@@ -156,7 +156,7 @@ class Run(Generic[S, N]):
         return {}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint of this run."""
+        """Load the networks, optimiser and random state of a checkpoint of this run."""
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -217,7 +217,7 @@ class Run(Generic[S, N]):
         return 0.0
 
     def descend(self, loss: Tensor, rate: float) -> None:
-        """One step against the gradient of a loss; none where the gradient is not finite."""
+        """Take an optimiser step on a loss; skip it where the gradient is not finite."""
         self.optimiser.zero_grad()
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.networks.parameters(), self.settings.clip)
@@ -252,7 +252,7 @@ def cosine(progress: float) -> float:
 
 
 def read_state(path: Path) -> dict[str, Any] | None:
-    """The state stored in a file of a run; None without such a file."""
+    """Read the state stored in a file of a run; None if there is no such file."""
     if not path.is_file():
         return None
     return torch.load(path, weights_only=True, map_location="cpu")

@@ -46,7 +46,7 @@ class CorpusSettings:
     def stretches_that_teach(
         self, part: Part, lesson: Lesson, with_contacts: bool = True
     ) -> Iterator[tuple[str, Path, MotionFile]]:
-        """Name, file and stretches of the clips of one part that may teach a lesson.
+        """Iterate over the clips of one part that may teach a lesson: name, file, stretch.
 
         Without a manifest in the corpus, that is every clip as a whole, but for steps on stairs or
         slopes, where heights mean nothing.
@@ -112,7 +112,7 @@ _CONTENTS = "sha256:"
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
-    """The dictionary of plain values as which a checkpoint holds settings."""
+    """Convert settings to a dictionary of plain values, as checkpoints store them."""
     found = dataclasses.asdict(settings)
     return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
 

@@ -1,4 +1,4 @@
-"""The recordings that priors learn from: where they lie, whose they are, how they are read.
+"""Finds and reads the recordings that priors are trained on.
 
 Skeletons go through the conversion of `recon convert --all`, markers through that of `recon
 convert`. Two sources have readers here, because no other program writes their files: motions of
@@ -45,7 +45,7 @@ MARKERS, HUMANOID, WINDOWS = "ui_prmd", "cmu_deepmimic", "cmu_windows"
 
 
 def skeleton_clips(data: Path) -> list[list[SourceClip]]:
-    """All recordings of skeletons by collection, with the notes of their manifests.
+    """List all recordings of skeletons, one list per collection.
 
     Args:
         data: folder of all real recordings.
@@ -60,7 +60,7 @@ def skeleton_clips(data: Path) -> list[list[SourceClip]]:
 
 
 def _clips_of_manifest(folder: Path) -> list[SourceClip]:
-    """The recordings of a later collection, as its manifest lists them."""
+    """List the recordings of a collection that its manifest names."""
     with (folder / "manifest.csv").open(newline="", encoding="utf-8-sig") as file:
         return [_clip_of_row(folder, row) for row in csv.DictReader(file)]
 
@@ -85,8 +85,8 @@ def marker_clips(data: Path) -> list[SourceClip]:
     return found + _clips_of_manifest(data / "observations" / MARKERS)
 
 
-def copied_clips(data: Path, collection: str) -> list[SourceClip]:
-    """All motions on a skeleton shared by all people, which needs a special reader."""
+def clips_of_shared_skeleton(data: Path, collection: str) -> list[SourceClip]:
+    """List a collection's clips, whose people all have one skeleton that needs its own reader."""
     return _clips_of_manifest(data / MORE / collection)
 
 
@@ -150,7 +150,7 @@ _STOOPS = 12.5
 
 
 def read_windows(clips: Sequence[SourceClip]) -> dict[str, SkeletonRecording]:
-    """Recordings on a skeleton shared by all people (CMU's 31 joints), by name.
+    """Read recordings in which all people have CMU's skeleton of 31 joints; by clip name.
 
     Angles of one skeleton on another turn every bone by what the rest poses differ in, so that
     some of these people bow their heads and draw up their shoulders throughout. Where a person's
@@ -190,7 +190,7 @@ def _direction_of_limb(
 def _with_joints_turned(
     recording: SkeletonRecording, joints: tuple[str, ...], turn: np.ndarray
 ) -> SkeletonRecording:
-    """The recording with joints turned together in the frame of Spine1, about the first of them.
+    """Rotate a chain of joints about its first joint, in the frame of Spine1.
 
     What hangs from the last of them is moved and keeps its orientation.
     """
@@ -297,7 +297,7 @@ def read_humanoid(path: Path) -> SkeletonRecording:
 
 
 def _joint_rotations(frames: np.ndarray) -> dict[str, np.ndarray]:
-    """Rotation of every joint from its parent, frames x 3 x 3; joints without numbers stay."""
+    """Rotation of every joint relative to its parent, frames x 3 x 3, from a motion's numbers."""
     still = np.broadcast_to(np.eye(3), (len(frames), 3, 3))
     turns = dict.fromkeys(_TREE, still)
     turns["root"] = Rotation.from_quat(frames[:, 4:8], scalar_first=True).as_matrix()
@@ -314,7 +314,7 @@ def _joint_rotations(frames: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _arm_lowering(name: str) -> np.ndarray:
-    """The rotation from an arm stretched out sideways to a hanging arm."""
+    """Rotation from a sideways to a hanging arm for an arm's joint; identity for others."""
     if name not in _ARMS:
         return np.eye(3)
     return Rotation.from_euler(

@@ -1,1 +1,1 @@
-"""First guesses from the data of one sensor: the rest body aligned with them."""
+"""First guesses of a motion from the data of one sensor, by aligning the rest body."""

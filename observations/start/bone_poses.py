@@ -31,7 +31,7 @@ _HANGING = BELOW.nonzero(as_tuple=True)
 def gradient_by_turns(
     bones: Float[Tensor, "rows 22 3 4"], force: Float[Tensor, "rows 22 3 4"]
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 22 3"]]:
-    """Derivatives of the energy by the translation and by world turns about the joints."""
+    """Gradient of an energy of bone poses by translation and by joint rotations (world axes)."""
     below = BELOW.to(bones)
     moment = force @ bones.mT
     # M - Mᵀ for M = Σ w r xᵀ, as a vector, is Σ w x × r
@@ -47,7 +47,7 @@ def gradient_by_turns(
 def hessian_by_turns(
     bones: Float[Tensor, "rows 22 3 4"], stiffness: Float[Tensor, "rows 22 4 4"]
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3 66"], Float[Tensor, "rows 66 66"]]:
-    """Blocks of the Gauss-Newton Hessian: translation twice, translation and turns, turns twice.
+    """Gauss-Newton Hessian by translation and joint rotations (world axes), in three blocks.
 
     With the points x that hang from joint b, which is a or hangs from it, weighed by w, and
     U = Σ w (x - p_a) (x - p_b)ᵀ, those by turns about a and b are tr(U) - Uᵀ, as in a body's
@@ -101,7 +101,7 @@ class BoneTargets(TensorStruct):
 
 @dataclass(frozen=True)
 class BonePoses(TensorStruct):
-    """Poses of some frames, and the joint positions and rotations that follow from them."""
+    """Poses of several frames of a body, with the resulting bone orientations and joints."""
 
     translation: Float[Tensor, "rows 3"]
     """The translation of `Motion`, which does not turn the rest pelvis."""
@@ -129,13 +129,13 @@ class BonePoses(TensorStruct):
 
     @property
     def joints(self) -> Float[Tensor, "rows 22 3"]:
-        """Places of the joints, metres."""
+        """Positions of the joints, world, metres."""
         return self.bones[..., 3]
 
 
 @dataclass(frozen=True)
 class PoseSolver(TensorStruct):
-    """Finds poses of a body by damped Gauss-Newton steps under a density of poses."""
+    """Fits poses to points by damped Gauss-Newton steps, under a density of poses."""
 
     rest: Float[Tensor, "22 3"]
     """Joints of the unposed body, metres."""
@@ -165,7 +165,7 @@ class PoseSolver(TensorStruct):
         return minimise(annealed, (state, 0), options)[0][0]
 
     def moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
-        """The poses after steps; a step that would turn a joint or move too far is shortened."""
+        """Apply steps to poses; a step that would rotate or move the body too far is shortened."""
         turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
         long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
@@ -183,7 +183,7 @@ class PoseSolver(TensorStruct):
 
 @dataclass(frozen=True)
 class Springs:
-    """Quadratic ties between neighbouring frames.
+    """Quadratic penalty on changes of pose between neighbouring frames.
 
     Of translations, root rotations and pose coordinates.
     """
@@ -199,7 +199,7 @@ class Springs:
     def pulls(
         self, state: BonePoses
     ) -> tuple[Float[Tensor, "between 69"], Float[Tensor, "between 69"]]:
-        """Stiffness of every spring, and its energy's gradient by its later frame."""
+        """Penalty weights, and the penalties' gradients by the later frame of each pair."""
         like = state.translation
         springs = torch.cat((
             like.new_full((3,), self.place),
@@ -217,7 +217,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
-    """Poses of all rows (frames), and the index of the next kernel scale of the annealing."""
+    """Least-squares problem over the poses of all frames; every step has its own kernel scale."""
 
     solver: PoseSolver
     targets: Callable[[BonePoses], BoneTargets]
@@ -253,7 +253,7 @@ class _AnnealedPoses(Problem[tuple[BonePoses, int]]):
     def moved(
         self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> tuple[BonePoses, int]:
-        """The poses after steps, with the index of the next kernel scale."""
+        """Apply steps to the poses and go on to the next kernel scale."""
         del rows
         state = x[0]
         framed = steps[0].view(len(state.translation), -1)
@@ -266,7 +266,7 @@ def placed_rigidly(
     trunk: Bool[Tensor, "rows points"],
     sigmas: tuple[float, ...],
 ) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
-    """Rigid placement of the rest body on the points of the trunk, with any tilt.
+    """Align the rest body rigidly with the points of the trunk; return translation and root.
 
     Procrustes' problem with the weights of Geman and McClure's kernel, whose scale shrinks.
     Moments with fewer than three such points are laid on all of theirs.
@@ -308,7 +308,7 @@ def _moments_of_bones(
     away: Float[Tensor, "rows points 3"],
     weight: Float[Tensor, "rows points"],
 ) -> tuple[Float[Tensor, "rows 22 3 4"], Float[Tensor, "rows 22 4 4"]]:
-    """Derivatives of the energy by the poses of bones, and second moments of their points."""
+    """Derivatives of the energy by the bones' 3x4 poses, and second moments of their points."""
     column = torch.cat((targets.place, torch.ones_like(targets.place[..., :1])), -1)
     counted = column * weight[..., None]
     products = torch.cat((
@@ -326,7 +326,7 @@ def _by_coordinates(
     stiffness: Float[Tensor, "rows 22 4 4"],
     density: PoseDensity,
 ) -> tuple[Float[Tensor, "rows 69"], Float[Tensor, "rows 69 69"]]:
-    """Gradient and Gauss-Newton Hessian by translation, turn of the root (world) and z."""
+    """Gradient and Gauss-Newton Hessian by translation, root rotation (world axes) and z."""
     bones = state.bones
     pull, turning = gradient_by_turns(bones, force)
     mass, across, between = hessian_by_turns(bones, stiffness)

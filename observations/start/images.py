@@ -54,7 +54,7 @@ def image_start(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The upright rest pose with the place and heading that fit torso and legs best.
+    """First guess from one camera: upright rest body, placed and turned to fit torso and legs.
 
     For every heading of the body, scale and place in the image follow by least squares (weak
     perspective). The headings of all frames are chosen together, as a body does not spin
@@ -95,7 +95,7 @@ def bone_distance(
     confidence: Float[Tensor, "batch time points"],
     camera: Camera,
 ) -> Float[Tensor, "batch time"]:
-    """Distance of an average body by its least foreshortened bones, in each frame, metres.
+    """Distance of an average body from the camera in each frame, by its bones, metres.
 
     Focal length times a high quantile over the visible bones of length in the image over length
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
@@ -112,7 +112,7 @@ def bone_scale(
     pixels: Float[Tensor, "batch time points 2"],
     confidence: Float[Tensor, "batch time points"],
 ) -> Float[Tensor, "batch time"]:
-    """Pixels per metre at the average body, for every frame."""
+    """Image scale at the body in every frame, pixels per metre, from lengths of bones."""
     ends = [
         (names.index(f"{side}_{a}"), names.index(f"{side}_{b}"))
         for side in ("left", "right")
@@ -133,7 +133,7 @@ def _weak_perspective(
     weight: Float[Tensor, "batch time points"],
     seen: Float[Tensor, "batch time headings points 2"],
 ) -> tuple[Float[Tensor, "batch time headings"], Float[Tensor, "batch time headings 2"]]:
-    """Least Σ w |u - c - s q|² over centre c and scale s > 0, relative to Σ w |u - ū|².
+    """Fit body points q to pixels u by centre c and scale s: least Σ w |u - c - s q|².
 
     Returns:
         What remains, 0 to 1, for every frame and heading, and c, the pelvis' pixels.
@@ -153,7 +153,7 @@ def _weak_perspective(
 def smooth_path(
     misfit: Float[Tensor, "batch time headings"], angles: Float[Tensor, " headings"], fps: float
 ) -> Int[Tensor, "batch time"]:
-    """The heading of every frame that minimises residuals and turning together."""
+    """Index of each frame's heading, with least total misfit and turning (Viterbi)."""
     away = (angles[:, None] - angles + math.pi).remainder(math.tau) - math.pi
     turning = 0.1 * (away * fps / _TURNING).square() / fps
     return cheapest_path(misfit, turning.expand(misfit.shape[1] - 1, -1, -1))
@@ -162,7 +162,7 @@ def smooth_path(
 def _running_median(
     values: Float[Tensor, "batch time"], reach: int
 ) -> Float[Tensor, "batch time"]:
-    """Median over `reach` frames to either side, ends repeated."""
+    """Running median over 2 `reach` + 1 frames; first and last values are repeated."""
     reach = min(reach, values.shape[-1] - 1)
     padded = torch.nn.functional.pad(values[:, None], (reach, reach), mode="replicate")[:, 0]
     return padded.unfold(-1, 2 * reach + 1, 1).median(-1).values

@@ -66,7 +66,7 @@ _CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 
 @dataclass(frozen=True)
 class _PosedFrames:
-    """The frames of one clip that get a pose, about ten per second."""
+    """Clouds of the frames of one clip, about ten per second, in which a pose is fitted."""
 
     number: Int[Tensor, " rows"]
     points: Float[Tensor, "rows points 3"]
@@ -135,7 +135,7 @@ def labelled_start(
 
 @dataclass(frozen=True)
 class _PoseTracker:
-    """Constants of the body that the tracker uses, in single precision."""
+    """Fits poses to the labelled clouds of a clip; holds the body's constants for that."""
 
     body: BodyModel
     solver: PoseSolver
@@ -164,7 +164,7 @@ class _PoseTracker:
         eye: Float[Tensor, "moments 3"] | None,
         fps: float,
     ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
-        """Translations and rotations of one clip at every moment."""
+        """Translations (metres) and joint rotations of one clip in every frame of its clouds."""
         count = len(points)
         moments = _frames_to_pose(points, present, labels, eye, fps)
         if moments is None:
@@ -250,7 +250,7 @@ class _PoseTracker:
 def _frames_to_pose(
     points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
 ) -> _PosedFrames | None:
-    """About ten frames per second with enough points, thinned; None where there are none."""
+    """Select about ten frames per second with enough points; None if there are none."""
     enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
     number = enough.nonzero()[:, 0]
     if len(number) == 0:
@@ -284,7 +284,7 @@ def _frames_to_pose(
 
 
 def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
-    """The labels with left and right exchanged where the hypothesis exchanges them."""
+    """Return labels mirrored as the hypothesis says, by a sign for each axis of places."""
     regions = labels.regions
     if signs[0] < 0:
         regions = regions[..., list(MIRRORED_REGIONS)]
@@ -295,7 +295,7 @@ def _labels_of_hypothesis(labels: PointLabels, signs: tuple[int, int, int]) -> P
 def _costs_of_changes(
     posed: BonePoses, readings: int, seconds: Float[Tensor, " between"]
 ) -> Float[Tensor, "between readings readings"]:
-    """Cost of going from each hypothesis of a frame to each one of the next."""
+    """Cost, by speed, of changing from each hypothesis of a frame to each of the next frame."""
     root = posed.root.unflatten(0, (readings, -1)).transpose(0, 1)
     joints = posed.joints.unflatten(0, (readings, -1)).transpose(0, 1)
     joints = joints - joints[..., :1, :]

@@ -27,7 +27,7 @@ def rigid_start(
     fps: float,
     start_time: float,
 ) -> Motion:
-    """The rest pose, aligned with the visible points of the torso by least squares.
+    """First guess: the rest pose aligned with the torso's visible points by least squares.
 
     Where a frame shows fewer than three points of the torso all its points are used; where that
     is not enough either, the placement of the nearest frame that has one.
@@ -81,7 +81,7 @@ def rest_pose_at(
 
 
 def nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
-    """The index of the closest frame with a placement, for every frame."""
+    """For every frame, index of the nearest frame in time for which `placed` is true."""
     frames = placed.shape[-1]
     index = torch.arange(frames, device=placed.device).expand(placed.shape)
     far = 2 * frames
@@ -113,7 +113,7 @@ def limbs_towards(
     positions: Float[Tensor, "*batch time points 3"],
     visible: Bool[Tensor, "*batch time points"],
 ) -> Motion:
-    """A first guess whose thighs, shanks, upper arms and forearms point where their points lie.
+    """Rotate the thighs, shanks, upper arms and forearms of a motion towards their points.
 
     From the trunk outwards, each joint j takes the rotation R that maximises
     Σ_k (p_k - x_j)ᵀ O_p R b_k + c tr R over its points k (Wahba 1965), with c =

@@ -1,4 +1,4 @@
-"""The path of a person whose keypoints are relative to the body.
+"""Finds a person's path from keypoints that are given relative to the body.
 
 Feet on the ground do not slide.
 """
@@ -22,7 +22,7 @@ def planted_path(
     visible: Bool[np.ndarray, "time points"],
     fps: float,
 ) -> Float[np.ndarray, "time 3"]:
-    """Translations, metres, with which the lower foot does not move and is on z = 0.
+    """Translations of the body, metres, that keep the lower foot at one place on z = 0.
 
     It is only where to begin from: a prior that knows how feet touch the ground says more.
 
@@ -62,7 +62,7 @@ def _points_of_foot(
     visible: Bool[np.ndarray, "time points"],
     width: int,
 ) -> Float[np.ndarray, "time parts 3"] | None:
-    """Points of a foot lowered to its sole, gaps filled; None where none is ever seen."""
+    """Smoothed paths of a foot's points at its sole, gaps filled; None if never seen."""
     found: list[np.ndarray] = []
     for part, lift in _PARTS.items():
         if f"{side}_{part}" not in names:
@@ -75,7 +75,7 @@ def _points_of_foot(
 
 
 def _gaps_interpolated(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
-    """The values with gaps interpolated linearly; constant beyond the ends."""
+    """Fill frames with NaN by linear interpolation in time, constant beyond the ends."""
     seen = np.all(np.isfinite(path), axis=-1)
     moments = np.arange(len(path))
     return np.stack([np.interp(moments, moments[seen], path[seen, k]) for k in range(3)], 1)

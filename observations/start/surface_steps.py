@@ -1,4 +1,4 @@
-"""Rough poses from labels, refined to the observed surface by closest points.
+"""Refines rough poses so that the body's surface fits the observed points (closest points).
 
 Labels are off by centimetres to decimetres, and the points themselves by millimetres. So a pose is
 drawn to both: to the places that labels name, as far as they are believed, and to the surface of
@@ -33,7 +33,7 @@ labels do not count, and 5.6 and more where they count six times as much."""
 
 
 def label_costs(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
-    """Costs of matching labelled points with each kind of surfel, up to a constant per point."""
+    """Features of labelled points; times those of surfels they give the cost of a match."""
     sure = labels.on_body[..., None]
     place = -2 * _PLACE_WEIGHT * labels.places
     size = torch.full_like(sure, _PLACE_WEIGHT)
@@ -60,7 +60,7 @@ _ALONG = 0.2
 
 @dataclass(frozen=True)
 class SeenSurface:
-    """Labelled points of some frames, and the sensor's position."""
+    """Labelled points of several frames with the sensor's position, and the body's surface."""
 
     body: BodyModel
     cover: Surfels
@@ -81,14 +81,14 @@ class SeenSurface:
         labels: PointLabels,
         eye: Float[Tensor, "rows 3"] | None,
     ) -> "SeenSurface":
-        """The points, with costs of matching them to body parts other than their labels."""
+        """Collect points, with the cost of matching each with every surface disc by its label."""
         kinds = kinds_of_surfels(cover, body)
         bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
         costs = label_costs(labels)
         return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
-        """The points of some of the frames."""
+        """Return the surface points of the frames with the given indices."""
         eye = None if self.eye is None else self.eye[index]
         return replace(
             self, points=self.points[index], present=self.present[index],
@@ -103,7 +103,7 @@ class SeenSurface:
         sigmas: tuple[float, ...],
         springs: Springs | None,
     ) -> BonePoses:
-        """The poses after one step per kernel scale, with new closest points before each.
+        """Refine poses by a Gauss-Newton step per kernel scale, with new closest points each time.
 
         Args:
             state: where to begin.
@@ -119,7 +119,7 @@ class SeenSurface:
         return solver.minimised(state, targets, sigmas, springs)
 
     def _targets(self, state: BonePoses) -> BoneTargets:
-        """The nearest surfels of the points, on the bones that move them most."""
+        """Match points with their nearest surface discs; return these as targets of bones."""
         middles, normals = self.cover.posed(self.body.pose(_motion_of_poses(state, self.body)))
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if self.eye is not None:
@@ -160,7 +160,7 @@ def misfits_of_frames(
     present: Bool[Tensor, "rows points"],
     eye: Float[Tensor, "rows 3"] | None,
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, " rows"]]:
-    """Two measures of how badly every frame of a motion fits, each from 0 to 1.
+    """Two misfits (0 to 1) per frame: distance of points, and surface the sensor saw through.
 
     Args:
         motion: one clip, whose frames are the rows.

@@ -1,1 +1,1 @@
-"""The public functions: observations or files in, a result out; all are names of `recon`."""
+"""The public functions: observations or files in, a result out. `recon` exports them all."""

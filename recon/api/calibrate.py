@@ -42,7 +42,7 @@ _HEIGHTS = (0.5, 2.5)
 
 @dataclass(frozen=True, repr=False)
 class CameraRig:
-    """Cameras in one world: metres, z up, the ground at z = 0; a single one has no pose."""
+    """Calibrated cameras in one world (metres, z up, ground at z = 0); a lone one has no pose."""
 
     cameras: Mapping[str, CameraArrays]
     """By the names of their films."""
@@ -108,7 +108,7 @@ def calibrate(
     board: str | None = None,
     square: str | None = None,
 ) -> CameraRig:
-    """Find the poses and focal lengths of still cameras from a person or a board that all see.
+    """Find poses and focal lengths of fixed cameras that all film one person or checkerboard.
 
     The person should walk about, so that keypoints fill the space where all cameras look. Films
     may begin up to a second apart. Directions and focal lengths come from the keypoints, the unit
@@ -194,7 +194,7 @@ def _calibrated_by_board(paths: Sequence[Path], board: str, square: str | None) 
 
 
 def _on_one_clock(views: Sequence[Views]) -> dict[str, KeypointsFile]:
-    """Keypoints of every camera on one clock, by its name; unseen before and after its film.
+    """Return 2D keypoints by camera name, padded with unseen frames to span all the films.
 
     Raises:
         ObservationError: when names, layouts or frame rates are not what they should be.
@@ -237,10 +237,10 @@ def _filmed_person(name: str, file: KeypointsFile) -> FilmedPerson:
 def _level_frame(
     rig: Rig, people: Sequence[FilmedPerson], layout: str, body: BodyModel
 ) -> tuple[Float[np.ndarray, "3 3"], float]:
-    """A rotation from the first camera's frame to a level world, and metres per unit of the rig.
+    """Return the rotation from the first camera's frame to z up, and metres per unit of the rig.
 
-    Up is the mean of what the cameras' lines tell, else where shoulders are from ankles; the unit
-    is that with which the person is about as large as an average body.
+    Up is the mean of the cameras' own estimates, else the direction from ankles to shoulders. The
+    unit makes the person's limbs about as long as those of an average body.
     """
     place = {name: rig.points[:, k] for k, name in enumerate(keypoint_names(layout))}
     rest = body.rest_joints(body.template.new_zeros(1)).double().numpy()
@@ -264,12 +264,12 @@ def _level_frame(
 def _poses_above_ground(
     rig: Rig, files: Mapping[str, KeypointsFile], people: Sequence[FilmedPerson], body: BodyModel
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], float]:
-    """T_camera_world of every camera above the ground that a fit finds, and the person's height.
+    """Return T_camera_world of every camera, by a fit that finds the ground, and body height (m).
 
     Args:
         rig: the cameras in the frame of the first.
         files: what each camera saw, without distortion.
-        people: the same, as the rig was found from.
+        people: the tracks of 2D keypoints, per camera, from which the rig was found.
         body: that is fitted.
     """
     first = next(iter(files.values()))
@@ -295,14 +295,14 @@ def _poses_above_ground(
 
 
 def _with_focal_length(camera: CameraArrays, focal: float) -> CameraArrays:
-    """A camera with the same size and distortion, another focal length (pixels) and no pose."""
+    """Return a copy of a camera with the given focal length (pixels) and without a pose."""
     matrix = camera.camera_matrix.copy()
     matrix[[0, 1], [0, 1]] = focal
     return CameraArrays(matrix, camera.image_size, camera.distortion)
 
 
 def _fullest_seconds(files: Mapping[str, KeypointsFile], fps: float) -> tuple[float, float] | None:
-    """Start and stop of the seconds in which all cameras see most; None for a short film."""
+    """Return the span (s) in which all cameras see most keypoints; None for a short film."""
     seen = np.stack([one.confidence.mean(-1) for one in files.values()]).min(0)
     length = round(_LONGEST_FIT * fps)
     if len(seen) <= length:

@@ -26,7 +26,7 @@ def convert(
     body: BodyLike = None,
     keep_frame: bool = False,
 ) -> MadeMotion:
-    """Bring a recording of motion capture onto the body.
+    """Convert a motion capture recording (joints or markers) to a motion of the body model.
 
     Recordings of joints or markers (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER). The
     result stands on z = 0 and keeps the recording's times. Nothing is random, and everything is

@@ -23,7 +23,7 @@ _FEW_MOMENTS = 4
 def cycle_report(
     found: ClipFit, medians: Sequence[float | None]
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Numbers that describe the first clip's gait cycle, and warnings where it is doubtful.
+    """Return numbers that describe a completed gait cycle, and warnings if it may be none.
 
     The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once
@@ -78,7 +78,7 @@ def cycle_report(
 
 
 def swing_difference(motion: Motion) -> float | None:
-    """Distance of the hips' flexion from textbook gait; None if the hips do not return."""
+    """Return how far hip flexion is from textbook gait; None if no cycle fills the motion."""
     least = _COVERED * (motion.frames - 1) / motion.fps
     costs = [one.cost for one in find_cycles(motion, _ANYTHING) if one.duration >= least]
     return min(costs, default=None)

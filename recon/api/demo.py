@@ -39,7 +39,7 @@ Metrics = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Case:
-    """One degradation of the recording: noise or hidden points."""
+    """A case of the demo: the simulated sensor, and the noise or occlusion added to its data."""
 
     title: str
     sensor: str
@@ -63,7 +63,7 @@ SEED = 0
 
 
 class Demo(dict[str, dict[str, Metrics]]):
-    """Metrics by case and method, and where they were written."""
+    """The metrics of the demo, by case and prior, and the path of the page that shows them."""
 
     def __init__(self, metrics: Mapping[str, dict[str, Metrics]], out: Path) -> None:
         super().__init__(metrics)
@@ -72,7 +72,7 @@ class Demo(dict[str, dict[str, Metrics]]):
 
     @property
     def tables(self) -> dict[str, dict[str, dict[str, float | None]]]:
-        """A table with a row per case and method."""
+        """Mean errors in centimetres as a table, with a row per case and prior."""
         return {"mean errors of the reconstruction, centimetres": summary(self)}
 
 
@@ -138,7 +138,7 @@ def _metrics_of_result(
 
 
 def _errors_of_data(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
-    """Errors of the data themselves; None where the data are no joints."""
+    """Return the errors of the noisy observations, before a fit, against the true motion."""
     exact = seen.predict(body.pose(truth))
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}
@@ -172,7 +172,7 @@ COLUMNS = {
 
 
 def summary(table: Mapping[str, Mapping[str, Metrics]]) -> dict[str, dict[str, float | None]]:
-    """One row per case and method, in centimetres."""
+    """Return the printed table: errors in centimetres, a row per case and prior."""
     rows: dict[str, dict[str, float | None]] = {}
     for case, methods in table.items():
         for method, metrics in methods.items():

@@ -19,7 +19,7 @@ from recon.reading.tracks import Track, tracks_of_people
 
 @dataclass(frozen=True, repr=False)
 class DetectedPeople:
-    """The 2D keypoints of everybody in a film, by frame and by person."""
+    """The 2D keypoints that a detector found for everybody in a film, tracked by person."""
 
     detections: Detections
     """2D keypoints; people are numbered as `--person` takes them."""
@@ -28,7 +28,7 @@ class DetectedPeople:
 
     @property
     def tables(self) -> Tables:
-        """Frames, share of keypoints seen and mean confidence of every person."""
+        """A table per person: frame count, share of keypoints seen and mean confidence."""
         rows = {
             f"person {one.number}": {
                 "frames": len(one.frame),
@@ -125,7 +125,7 @@ def detect(
 
 
 def _with_person_numbers(found: Detections, tracks: tuple[Track, ...]) -> Detections:
-    """The detections of all tracks in the order of frames, with the numbers of their people."""
+    """Return the detections of all tracks, sorted by frame, with each row's person number."""
     frame = np.concatenate([one.frame for one in tracks])
     order = np.argsort(frame, kind="stable")
     return replace(

@@ -1,4 +1,4 @@
-"""Motions that another program estimated, as observations."""
+"""Reads a motion that another program estimated, so that a fit can refine it."""
 
 from pathlib import Path
 
@@ -33,10 +33,10 @@ def estimate_given(
     hand: Hand | None,
     person: int | None,
 ) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
-    """Read an estimate onto our body with z up; also the mask of its known frames, and notes.
+    """Read another program's motion onto our body, z up; return it, its known frames and notes.
 
     Args:
-        motion: as of `recon.refine`, and so are the others.
+        motion: as of `recon.refine`, like the other arguments.
         body: that the estimate is brought onto.
         own_body: whether the caller gave the body, so that coefficients of a file are of it.
         shape: that is held; None takes the estimate's or the average.
@@ -110,7 +110,7 @@ def _unmirrored(
 
 
 def _of_this_body(path: Path, body: BodyModel) -> bool:
-    """Whether a file declares that its shape coefficients belong to this body."""
+    """Whether a motion file names this body model as the one of its shape coefficients."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
     arrays = load_arrays(path)
@@ -120,7 +120,7 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
 def _shape_to_hold(
     read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
 ) -> tuple[Tensor, tuple[str, ...]]:
-    """The shape to hold: the given one, the file's on the user's own body, or the average."""
+    """Return the shape coefficients that the fit keeps fixed, and a note if they are a guess."""
     if given is not None:
         return given, ()
     if own_body:

@@ -1,4 +1,4 @@
-"""`recon.evaluate`: a result against the truth."""
+"""`recon.evaluate`: metrics of a reconstructed motion against the true motion."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -40,7 +40,7 @@ _SHOWN = {
 
 
 class Evaluation(dict[str, float | None]):
-    """Metrics by name, in SI units; None where a value cannot be computed.
+    """Metrics of a reconstruction by name, in SI units; None where one cannot be computed.
 
     It is a dictionary; printed, it says the most important ones in at most ten lines.
     """
@@ -53,7 +53,7 @@ class Evaluation(dict[str, float | None]):
     def report(
         self, inputs: Mapping[str, str] | None = None, _: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """The metrics and what they were computed from, in plain values."""
+        """The metrics and the checksums of the input files, as values for JSON."""
         return {**self, **closing_fields(inputs, None)}
 
     def save(
@@ -97,7 +97,7 @@ def evaluate(
     truth_visible: Numbers | None = None,
     observed: ObservedPoints | None = None,
 ) -> Evaluation:
-    """Every metric of a reconstruction, in SI units; None where it cannot be computed.
+    """Compare a reconstruction with the true motion; return every metric, in SI units.
 
     The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
     taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
@@ -172,7 +172,7 @@ def evaluate(
 
 
 def _in_double_precision(file: MotionFile) -> MotionFile:
-    """A record with every array in double precision, as results in files are single."""
+    """Return a motion file's contents with all floating-point tensors in double precision."""
     tensors = {
         key: value.double().cpu()
         for key, value in vars(file).items()
@@ -184,7 +184,7 @@ def _in_double_precision(file: MotionFile) -> MotionFile:
 def _joint_errors(
     motion: Motion, given: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
 ) -> dict[str, float | None]:
-    """Position and acceleration errors of joints with known true positions."""
+    """Return errors of joint positions and accelerations against an array of true joints."""
     truth = float_tensor(given, "truth").double().cpu()
     require_shape(truth, "truth", (motion.frames, 22, 3))
     truth = truth.reshape(motion.frames, 22, 3)
@@ -217,7 +217,7 @@ def _visible_given(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"
 def _read_observation(
     given: ObservationFile | Path | str | None,
 ) -> tuple[ObservationFile | None, Path]:
-    """The observation and its name for messages."""
+    """Return an observation, read from its file if a path is given, and a path for messages."""
     if isinstance(given, Path | str):
         return load_observation(given), Path(given)
     return given, Path("observation")
@@ -252,7 +252,7 @@ def _camera_poses(
 def _visible_joints(
     seen: ObservationFile | None, truth: MotionFile, motion: Motion
 ) -> Tensor | None:
-    """Joints the sensor could see, from the simulated observation or the truth file."""
+    """Return which joints the simulated sensor could see, per frame of the given motion."""
     if seen is not None and seen.truth_visible is not None:
         labels = torch.from_numpy(seen.truth_visible)
         times = seen.start_time + torch.arange(len(labels), dtype=torch.float64) / seen.fps
@@ -267,7 +267,7 @@ def _observed_points(
     path: Path,
     body: BodyModel,
 ) -> ObservedPoints | None:
-    """The observation's points on the result and on the truth, at the result's frames."""
+    """Return where the observed points are on the estimated and on the true body, by frame."""
     if not isinstance(file, PositionsFile):
         return None
     adapter = positions_of(file, path, body.to(dtype=torch.float32))

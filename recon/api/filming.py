@@ -1,4 +1,4 @@
-"""The cameras that filmed a motion, as a fit took or corrected them."""
+"""Describes the cameras of a fit for its result, with poses that the fit found or corrected."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from recon.fitting.records import Clip, start_times
 def filming_cameras(
     examined: ExaminedClip, clip: Clip, T: Float[Tensor, "4 4"], motion: Motion
 ) -> tuple[FilmingCamera, ...]:
-    """The cameras of 2D keypoints in a result's world, with lenses, poses and clocks.
+    """Return the cameras that gave 2D keypoints, with lens, clock and pose in the result's world.
 
     Args:
         examined: the fit.

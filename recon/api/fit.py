@@ -229,7 +229,7 @@ def _is_estimate(paths: Sequence[Path]) -> bool:
 
 
 def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> None:
-    """Refuse options that have no effect on an estimate of a motion."""
+    """Raise an error for options that have no effect when a file of SMPL parameters is refined."""
     heeded = ("frame_rate", "unit", "up", "hand", "person")
     given = [name for name in options.changed_names() if name not in heeded]
     given += [] if start is None else ["start"]
@@ -243,7 +243,7 @@ def _refuse_unused_options(path: Path, options: ReadOptions, start: object) -> N
 def _noise_of_each(
     given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
 ) -> tuple[float | None, ...]:
-    """A standard deviation for every observation; empty where all are estimated."""
+    """Return the user's noise for every observation, None where it is to be estimated."""
     if given is None:
         return ()
     if isinstance(given, Mapping):
@@ -268,7 +268,7 @@ def _noise_of_each(
 def _start_in_fit_frame(
     given: Motion | Result | Path | str | None, sighting: ClipInFitFrame, body: BodyModel
 ) -> Motion | None:
-    """The caller's start with a leading axis, in the frame in which observations are fitted."""
+    """Return the caller's initial motion with a batch axis, in the coordinates of the fit."""
     if given is None:
         return None
     if not isinstance(given, Motion | Result):
@@ -295,7 +295,7 @@ def _stop_finding(stopper: Stopper | None) -> Finding | None:
 
 
 def _options_as_values(options: FitOptions) -> dict[str, Any]:
-    """Options in plain values, for a report."""
+    """Return the options of a fit as values that JSON can hold, for the report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,

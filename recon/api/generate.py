@@ -187,7 +187,7 @@ def _humos_motions(
 
 
 def _motion_results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
-    """Every motion with its joints, contacts and the ground."""
+    """Wrap the motions that a prior generated as results with joints, contacts and ground."""
     joints = body.pose(made.motion).joints
     stays = stays_on_its_feet(joints, rest_heights(body, made.motion.shape), made.motion.fps)
     contacts, here = made.contacts, body.to(device="cpu")

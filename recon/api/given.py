@@ -1,4 +1,4 @@
-"""Reads arguments for a motion, body, shape or prior: a record, result, file or array."""
+"""Converts a caller's argument (object, path or arrays) to a motion, body, shape or prior."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ class GivenMotion:
 
 
 def paths_given(given: Any) -> tuple[Path, ...]:
-    """The files and folders of one clip; empty when the caller gave observations in memory."""
+    """Return the paths in an `observations` argument; empty if it holds objects in memory."""
     if isinstance(given, Path | str):
         return (Path(given),)
     several = given if isinstance(given, list | tuple | set | frozenset) else ()
@@ -56,7 +56,7 @@ def paths_given(given: Any) -> tuple[Path, ...]:
 
 
 def body_given(given: BodyLike) -> BodyModel:
-    """The body model that an argument stands for: itself, a file's, or the bundled one.
+    """Return the body model for an argument: a model, the path of one, or None (bundled).
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -70,7 +70,7 @@ def body_given(given: BodyLike) -> BodyModel:
 def motion_given(
     given: Any, body: BodyModel, name: str = "motion", remedy: str = ""
 ) -> GivenMotion:
-    """The motion that an argument stands for, in the body's precision, with all coefficients.
+    """Return an argument as a motion of this body with all shape coefficients; read files.
 
     Args:
         given: a `MotionLike`; a leading axis of length one is taken off, padding cut off.
@@ -113,7 +113,7 @@ def motion_given(
 
 
 def _one_clip(motion: Motion, name: str) -> Motion:
-    """A motion without a leading axis and padding, and with finite numbers alone."""
+    """Remove batch axis and padding of a single clip; refuse batches, gaps and NaN."""
     batch = tuple(motion.translation.shape[:-2])
     if batch not in ((), (1,)):
         raise ReconError(
@@ -179,7 +179,7 @@ class Shape:
 def shape_known(
     given: "ShapeLike | Shape | float | None", body: BodyModel
 ) -> tuple[Float[Tensor, " shape"] | None, ShapePrior | None]:
-    """Shape coefficients that a fit holds, or a prior over them; one of the two at most.
+    """Return a `shape` argument as fixed shape coefficients, or as a prior over them.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -195,7 +195,7 @@ def shape_known(
 
 
 def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
-    """Shape coefficients of the body; missing trailing ones are zero.
+    """Return a `shape` argument as shape coefficients; missing trailing ones are zero.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -218,12 +218,12 @@ def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
 
 
 def shape_name(given: ShapeLike) -> str:
-    """How a shape was given, for messages."""
+    """Return a text for messages that says how the caller gave the shape."""
     return str(given) if isinstance(given, str | Path) else "shape"
 
 
 def prior_of(given: Any, weights: str, method: Method | None = None) -> str | PriorLike:
-    """The prior that an argument names, checked: a name or place whose class exists, or an object.
+    """Check a `prior` argument: a name, a "package.module:Class" that exists, or an object.
 
     Args:
         given: a registered name (ours are humor, pose, anchor and recording), a place

@@ -1,4 +1,4 @@
-"""Fit fingers after the body, to the points of hands that observations have."""
+"""Fits finger joints to observed hand keypoints, after the body was fitted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ _KNUCKLES, _TIPS = [5, 9, 13, 17], [8, 12, 16, 20]
 
 @dataclass(frozen=True)
 class _SeenHands:
-    """The points of both hands that one sensor saw, in the frames of the motion."""
+    """Keypoints of both hands from one sensor (left 21, right 21), at the motion's frames."""
 
     values: Float[Tensor, "time 42 dims"]
     confidence: Float[Tensor, "time 42"]
@@ -59,7 +59,7 @@ def with_fingers(
     compared: Sequence[Sensor],
     T_world_recording: Float[Tensor, "4 4"],
 ) -> tuple[Motion, Findings]:
-    """The motion with fingers, and what was found about the hands.
+    """Fit both hands; return the motion with finger rotations, and findings about the hands.
 
     Only wrists turn, so that all joints of the body stay where they are.
 
@@ -67,7 +67,7 @@ def with_fingers(
         motion: of the body, one clip without a batch axis.
         body: whose motion it is.
         given: all observations, with one leading axis.
-        compared: the same in the same order as they were fitted, with cameras as they were found.
+        compared: these observations in this order as fitted, with the cameras that were found.
         T_world_recording: from the frame of the observations to that of the motion, metres.
     """
     seen = [
@@ -111,7 +111,7 @@ def with_fingers(
 def _hands_at_frames(
     motion: Motion, body: BodyModel, one: Any, fitted: Any, T: Float[Tensor, "4 4"]
 ) -> _SeenHands:
-    """The points of hands of one sensor, at its moments nearest to the motion's frames.
+    """Return one sensor's hand keypoints, sampled at the times of the motion's frames.
 
     Points that are relative to the body are moved to where the body is.
     """
@@ -138,7 +138,7 @@ def _hands_at_frames(
 
 
 def _hand_noise(points: Float[Tensor, "moments 42 numbers"], limits: tuple[float, ...]) -> float:
-    """Standard deviation of a coordinate; a usual value where there are too few frames."""
+    """Estimate the noise of hand keypoints; return a default if there are too few frames."""
     least, most, usual = limits
     if len(points) < _FRAMES:
         return usual
@@ -148,7 +148,7 @@ def _hand_noise(points: Float[Tensor, "moments 42 numbers"], limits: tuple[float
 def _hands_of_wrists(
     seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
 ) -> tuple[list[int | None], Findings]:
-    """Which hand of the data is at the left and the right wrist; None where none can be.
+    """Return which observed hand (0, 1) belongs to the left and right wrist; None to skip it.
 
     Points in space say where a hand is, and by the side of the palm to which its fingers bend
     whether it is a left or a right one.
@@ -196,7 +196,7 @@ def _hands_of_wrists(
 def _exchanged_in_images(
     seen: Sequence[_SeenHands], places: Float[Tensor, "time 2 3"]
 ) -> tuple[list[_SeenHands], tuple[Finding, ...]]:
-    """Views in which each hand lies at the other wrist, with the hands exchanged back."""
+    """Return all views, with left and right hand swapped where each lies at the other wrist."""
     out, numbers = list(seen), []
     for k, one in enumerate(seen):
         away = [
@@ -222,7 +222,7 @@ def _exchanged_in_images(
 
 
 def _triangulated(views: Sequence[_SeenHands]) -> _SeenHands:
-    """The points of hands that two or more views see, where their rays meet; world, metres."""
+    """Triangulate the hand keypoints that at least two views see; world coordinates, metres."""
     from recon.reading.tracks import nearest_to_rays
 
     rays, poses = [], []
@@ -244,9 +244,9 @@ def _hand_finding(hand: int, what: str) -> Finding:
 def _wrist_distance(
     seen: Sequence[_SeenHands], hand: int, place: Float[Tensor, "time 3"]
 ) -> float:
-    """Median distance of a hand (its wrist, if seen) from a wrist of the body, metres.
+    """Return the median distance of an observed hand from a wrist of the body, metres.
 
-    In an image it is that across the line of sight, at the depth of the wrist.
+    In an image it is the distance across the line of sight, at the depth of the wrist.
     """
     found = []
     for one in seen:
@@ -268,7 +268,7 @@ def _wrist_distance(
 
 
 def _side_by_bending(seen: Sequence[_SeenHands], hand: int) -> int | None:
-    """The side whose palm the fingers bend towards, 0 left or 1 right; None if straight."""
+    """Tell a left (0) from a right hand (1) by how its fingers bend; None if they are straight."""
     found = []
     for one in seen:
         view = one.view(hand)
@@ -286,7 +286,7 @@ def _side_by_bending(seen: Sequence[_SeenHands], hand: int) -> int | None:
 
 
 def _uncertainty_findings(fit: FittedHand, views: Sequence[HandView], side: str) -> list[Finding]:
-    """A finding where the depth of fingertips is uncertain, as from a single view."""
+    """Return a finding if the positions of the fingertips are uncertain, else an empty list."""
     std = float(fit.tip_std.median())
     alone = len(views) == 1 and views[0].camera is not None
     std *= _ONE_VIEW if alone else 1.0
@@ -300,7 +300,7 @@ def _uncertainty_findings(fit: FittedHand, views: Sequence[HandView], side: str)
 
 
 def _empty_view(frames: int) -> HandView:
-    """A view without points; a fit of it alone gives a hand in the rest pose."""
+    """Return a hand observation without visible points; its fit gives the rest pose."""
     return HandView(
         torch.zeros(frames, _POINTS, 3).double(), torch.zeros(frames, _POINTS).double()
     )

@@ -34,7 +34,7 @@ _MANY_OPEN = 0.1
 
 @dataclass(frozen=True, repr=False)
 class LabelledMarkers:
-    """A recording whose markers have names, and those that stayed open."""
+    """A marker recording with the marker names that were found; doubtful markers stay unnamed."""
 
     recording: MarkerRecording
     """Named markers and points without a name (*1, *2, ...); metres, z up."""
@@ -50,7 +50,7 @@ class LabelledMarkers:
 
     @property
     def tables(self) -> Tables:
-        """The share of points with a name."""
+        """A table of how many of the recorded points got a marker name."""
         return {"points": {"named": {"share": round(self.named, 4)}}}
 
     def report(
@@ -138,7 +138,7 @@ def _marked_bodies(
     unit: Unit | None,
     up: Up | None,
 ) -> tuple[list[MarkedBody], str]:
-    """Bodies with named markers, and the trial or set that the names are from."""
+    """Return candidate bodies with named markers, and the trial or set that names them."""
     body = BodyModel.load()
     markers = None if set is None else markers_of_set(set, body)
     if like is None:
@@ -153,7 +153,7 @@ def _marked_bodies(
 
 
 def _model_outputs(names: Sequence[str], markers: Sequence[str]) -> Bool[np.ndarray, " points"]:
-    """Mask of named points that are outputs of a model, no markers; false without any names."""
+    """Return a mask of the named points that are no markers (joint centres, angles, ...)."""
     known = np.isin(names, markers)
     if known.sum() < FEWEST_MARKERS:
         return np.zeros(len(names), bool)
@@ -167,7 +167,7 @@ def _labelled_markers(
     like: str,
     source: Path | None,
 ) -> LabelledMarkers:
-    """The recording with a column for every name, unnamed track and output of a model."""
+    """Return the recording with a column per named marker, unnamed track and model output."""
     names, track = naming.bodies[0].markers.labels, naming.track
     frames, points = np.nonzero(track >= 0)
     column = naming.marker.copy()

@@ -1,4 +1,4 @@
-"""Motions made from other motions, by a prior, or from a recording; one or several."""
+"""Results of functions that make motions otherwise than by a fit (sample, retarget, ...)."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -48,7 +48,7 @@ class MadeMotion(MotionResult):
 
 @dataclass(frozen=True, repr=False)
 class MotionResults:
-    """Several motions, used like a tuple."""
+    """A sequence of generated motions with one report; returned by `sample` and `predict`."""
 
     made: tuple[MadeMotion, ...]
     """Each with its motion, joints, contacts and ground."""
@@ -72,7 +72,7 @@ class MotionResults:
         return len(self.made)
 
     def __getitem__(self, index: int) -> MadeMotion:
-        """One of them."""
+        """Return the motion with this number."""
         return self.made[index]
 
     def __iter__(self) -> Iterator[MadeMotion]:
@@ -147,7 +147,7 @@ class MotionResults:
 
 
 def file_names(out: Path, count: int, noun: str) -> list[str]:
-    """Names of the files to write: one file, or several in a folder.
+    """Return the file names for `count` motions: `out` itself, or numbered files in a folder.
 
     Raises:
         ReconError: when there is no motion, or there are several for one file.

@@ -1,4 +1,4 @@
-"""The caller's observations as one clip: named, one batch axis, one precision, one frame."""
+"""Brings a caller's observations to one clip with names, batch axis and frame of coordinates."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 @dataclass(frozen=True)
 class ClipInFitFrame:
-    """A clip in the frame of coordinates in which it is fitted."""
+    """A clip whose observations are in the coordinates of the fit, and the transform to these."""
 
     clip: Clip
     T_recording_given: Float[np.ndarray, "4 4"] | None = None
@@ -34,7 +34,7 @@ class ClipInFitFrame:
 
 
 def clip_of(given: Any, body: BodyModel) -> Clip:
-    """One clip of the caller's observations, in the precision and on the device of the body.
+    """Combine the caller's observations to one clip with the body's precision and device.
 
     Args:
         given: an observation, several, or a `Clip`; files are read before.
@@ -61,7 +61,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
 
 
 def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
-    """The clip in a frame that agrees with what the caller knows about the ground.
+    """Transform a clip to coordinates that suit the caller's choice of ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
     is searched from that of a level camera, whose frame is kept where there is no ground.
@@ -109,7 +109,7 @@ def on_ground(clip: Clip, ground: Any) -> ClipInFitFrame:
 
 
 def with_robust_kernel(clip: Clip, distance: float) -> Clip:
-    """The clip with Geman and McClure's kernel for named points.
+    """Return the clip with Geman and McClure's robust kernel on joints, markers and keypoints3d.
 
     Args:
         clip: whose keypoints in images and points of surfaces are robust already.
@@ -126,7 +126,7 @@ def with_robust_kernel(clip: Clip, distance: float) -> Clip:
 
 
 def _observation_names(seen: Sequence[Any]) -> tuple[str, ...]:
-    """A name for every observation: its kind, numbered where there are several of one kind."""
+    """Return a name per observation: its kind, with a number if several are of one kind."""
     for one in seen:
         if not isinstance(one, Sensor):
             raise _no_observation_error(one)
@@ -153,7 +153,7 @@ def _no_observation_error(given: object) -> ObservationError:
 
 
 def _with_clip_axis(sensor: Sensor) -> Sensor:
-    """An observation with a leading axis of length one."""
+    """Return a single clip's observation with a batch axis of length one; refuse batches."""
     if sensor.sees is None and type(sensor).predict is not Sensor.predict:
         sensor.check()
     if sensor.clips == ():

@@ -34,7 +34,7 @@ def observations_to_fit(
     between: tuple[float, float] | None = None,
     robust: float | str = "auto",
 ) -> ClipInFitFrame:
-    """Read the observations of one clip into one frame, with what the caller knows of the ground.
+    """Read the observations of one clip and bring them to the coordinates of the fit.
 
     Args:
         given: as `recon.fit` takes it.
@@ -140,7 +140,7 @@ def fit_and_check(
 def _start_at_data_rate(
     seen: Sequence[Sensor], start: Motion | None, found: Motion | None
 ) -> Motion | None:
-    """The motion to start from, at the frame rate of the data: the caller's or that of checks.
+    """Return the initial motion (the caller's, else the checks') at the data's frame rate.
 
     A caller's motion with a lower frame rate than the data keeps its own.
     """

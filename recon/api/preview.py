@@ -37,7 +37,7 @@ _ROOT = 3.7
 def preview(
     clip: CheckedClip, start: Motion | None, checks: Sequence[Check] | None
 ) -> ExaminedClip:
-    """The likeliest motion that a network proposes for one clip, with the findings of checks.
+    """Return a network's likeliest motion for one clip as a fit without stages, and findings.
 
     Args:
         clip: whose options name the network as their method.
@@ -125,9 +125,9 @@ def likeliest_motion(
 def _preview_fit(
     observations: Sequence[Sensor], options: FitOptions, body: BodyModel
 ) -> tuple[ProposedMotions, ClipFit]:
-    """What the network returned, and its likeliest motion as a fit without stages.
+    """Return a network's proposed motions, and the likeliest as a fit without stages.
 
-    An unknown ground is put below the feet of a first guess, then of a first motion.
+    An unknown ground is put below the feet of a first guess, then of the network's first motion.
     """
     assert options.method is not None
     look = loaded_look(options.method, options.weights, body)
@@ -163,9 +163,9 @@ def _carried_to_world(seen: Sequence[Sensor], ground: UnknownGround | None) -> S
 
 
 def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
-    """The observations, with views of calibrated cameras replaced by triangulated points.
+    """Replace 2D keypoints of calibrated cameras by the 3D keypoints triangulated from them.
 
-    What cannot be triangulated stays as it is.
+    If the views cannot be triangulated, all observations are returned unchanged.
     """
     observations = tuple(given)
     views = views_of(observations)
@@ -181,7 +181,7 @@ def with_triangulated_views(given: Iterable[Sensor]) -> tuple[Sensor, ...]:
 
 
 def with_shape(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
-    """The motion of a body of another shape, with its middle where it was."""
+    """Give a motion another shape, shifted to keep the mean of the joints in every frame."""
     found = motion.replace(shape=shape.to(motion.shape).expand_as(motion.shape))
     away = (body.pose(motion).joints - body.pose(found).joints).mean(-2)
     return found.replace(translation=found.translation + away)

@@ -114,7 +114,7 @@ def refine(
 
 
 def _is_keypoints(path: Path) -> bool:
-    """Whether a file holds keypoints, which are fitted; refuse files that cannot be refined."""
+    """Whether an estimate's file holds 3D keypoints; raise an error if it holds no motion."""
     from recon.formats.producers import holds_sam3d_body, refuse_others
 
     refuse_others(path, "refine")

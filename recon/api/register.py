@@ -1,4 +1,4 @@
-"""`recon.register`: depth cameras that filmed one clip, in one world."""
+"""`recon.register`: finds the poses of several depth cameras from what they filmed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -80,7 +80,7 @@ class DepthRig:
         return tuple(Path(out) / f"{name}.npz" for name in self.files)
 
     def __repr__(self) -> str:
-        """The cameras and how much each shares with the others."""
+        """A summary: every camera, and how much of its cloud overlaps with other cameras'."""
         return "Rig: " + ", ".join(f"{name} shares {one:.0%}" for name, one in self.shared.items())
 
 
@@ -167,7 +167,7 @@ def register(
 def _read_points(
     path: Path, camera: str | Path | None, frame_rate: float | None, depth_scale: float
 ) -> PointsFile:
-    """The points that one camera measured; in the camera's frame if its pose is unknown."""
+    """Read one depth camera's point clouds; in its own frame if the file has no pose."""
     if path.is_dir() and any(path.glob("*.png")):
         if camera is None or frame_rate is None:
             raise ObservationError(f"{path}: depth images need --camera and --frame-rate")
@@ -187,14 +187,14 @@ def _read_points(
 
 
 def _in_own_frame(file: PointsFile) -> PointsFile:
-    """The points in the frame of their camera, with its pose removed."""
+    """Transform points from the world to their camera's frame, and drop the camera's pose."""
     T = _camera_pose(file)
     lens = replace(_camera_of(file), T_camera_world=None)
     return replace(file, points=file.points @ T[:3, :3].T + T[:3, 3], camera=lens)
 
 
 def _camera_of(file: PointsFile) -> CameraArrays:
-    """The camera of the cloud; a default one at the origin if the cloud has none."""
+    """Return the camera in a file of points, or a default depth camera if it has none."""
     if file.camera is not None:
         return file.camera
     usual = depth_camera()
@@ -202,7 +202,7 @@ def _camera_of(file: PointsFile) -> CameraArrays:
 
 
 def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
-    """T_camera_world of a fixed camera; the identity where it has none."""
+    """Return T_camera_world of a file's fixed camera; the identity if its pose is unknown."""
     known = None if file.camera is None else file.camera.T_camera_world
     if known is not None and len(known) != 1:
         raise ObservationError("expected cameras that stand still, got one that moves")
@@ -210,7 +210,7 @@ def _camera_pose(file: PointsFile) -> Float[np.ndarray, "4 4"]:
 
 
 def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The nearest pose that keeps z vertical and the ground at z = 0."""
+    """Return the nearest transform that turns about z and shifts horizontally only."""
     turn = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
     out = np.eye(4)
     out[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
@@ -221,7 +221,7 @@ def _levelled_pose(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 def _oriented_clouds(
     files: Sequence[PointsFile], stands: np.ndarray, level: np.ndarray, base: int
 ) -> list[OrientedCloud]:
-    """Points of frames that two cameras saw at once, in level frames, without the ground."""
+    """Return clouds of frames that two cameras saw at once, z up, without ground points."""
     generator, first = np.random.default_rng(0), files[base]
     ticks = [
         (one.start_time - first.start_time + one.frame / one.fps) * first.fps for one in files
@@ -247,7 +247,7 @@ def _oriented_clouds(
 
 
 def _in_world(file: PointsFile, T: Float[np.ndarray, "4 4"], *, bare: bool) -> PointsFile:
-    """Points of a camera in the world, with its pose; without a camera where there was none."""
+    """Transform a camera's points to the world by its pose T; `bare` leaves the camera out."""
     points = file.points @ T[:3, :3].T + T[:3, 3]
     lens = None if bare else replace(_camera_of(file), T_camera_world=np.linalg.inv(T)[None])
     return replace(file, points=points, camera=lens)

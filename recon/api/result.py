@@ -52,7 +52,7 @@ def describe(
 
 
 def _stage_report(report: StageReport) -> dict[str, Any]:
-    """A stage as plain values; over windows, the most iterations and the sum of energies."""
+    """Return a stage's report for JSON: the most iterations and summed energies of all windows."""
     solution = report.solution
     energies = solution.trace[:, -1].sum(0).tolist()
     reasons = [reason for reason in Termination if reason in solution.termination]
@@ -130,7 +130,7 @@ def motion_file_of(
 def in_camera(
     motion: Motion, T_world_camera: Float[Tensor, "4 4"], body: BodyModel
 ) -> Float[Tensor, "time 6"]:
-    """SMPL translation and root rotation vector of the same motion in the camera's frame."""
+    """Return SMPL translation (m) and root rotation vector of a motion in a camera's frame."""
     pelvis = body.rest_joints(motion.shape)[..., 0, :]
     seen = motion.carried(torch.linalg.inv(T_world_camera), pelvis)
     return torch.cat((seen.translation, so3.log(seen.rotations[:, 0].double()).float()), -1)
@@ -285,7 +285,7 @@ def result_of(
     arguments: Mapping[str, Any],
     stopped: Finding | None,
 ) -> Result:
-    """The result of a fit, resampled to the times and moved to the frame of the recording.
+    """Describe a fit as a `Result`, at the frame rate `fps` and in the recording's coordinates.
 
     Args:
         examined: the fit.
@@ -373,13 +373,13 @@ class Stopper:
         """The reason why the fit was stopped; None while it was not."""
 
     def __call__(self, stage: str, progress: Progress) -> bool:
-        """Whether to stop; once true, the callback is not called again."""
+        """Whether the fit should stop; after a first True the user's callback is not called."""
         if self.reason is None:
             self.reason = self._reason_to_stop(stage, progress)
         return self.reason is not None
 
     def _reason_to_stop(self, stage: str, progress: Progress) -> str | None:
-        """Why the fit should stop now; None where it should go on."""
+        """Return why the fit should stop now (callback or time limit); None to go on."""
         if self._callback is not None and self._callback(stage, progress) is True:
             return "the callback"
         if self._deadline is not None and monotonic() > self._deadline:

@@ -42,7 +42,7 @@ def in_ten_lines(first: str, known: Sequence[str], found: Sequence[str]) -> str:
 
 
 def described_motion(motion: Motion, tall: float) -> str:
-    """How long a motion of one clip lasts, and how tall the person is, metres."""
+    """Return a text: frames, duration and rate of a motion, and the body height in metres."""
     seconds = (motion.frames - 1) / motion.fps
     return (
         f"{motion.frames} frames, {seconds:.2f} s at {motion.fps:g} frames per second, "
@@ -51,7 +51,7 @@ def described_motion(motion: Motion, tall: float) -> str:
 
 
 def described_residual(summary: ResidualSummary) -> str:
-    """An observation's noise and median residual in one line."""
+    """Return one line of text with an observation's name, noise and median residual."""
     seen = (
         "nothing seen"
         if summary.median is None
@@ -67,13 +67,13 @@ def _with_unit(value: float, summary: ResidualSummary) -> str:
 
 
 def one_line(text: str) -> str:
-    """The beginning of a message, indented, in one line."""
+    """Return a message as one indented line, cut off if it is too long."""
     text = "  " + " ".join(text.split())
     return text if len(text) <= WIDEST else f"{text[: WIDEST - 3]}..."
 
 
 def first_lines(lines: Sequence[str], count: int, noun: str) -> list[str]:
-    """The first lines, and how many more there are."""
+    """Return the first `count` lines, and if there are more, a line that says how many."""
     if len(lines) <= count:
         return list(lines)
     return [*lines[:count], f"and {len(lines) - count} more {noun}"]
@@ -242,9 +242,9 @@ class MotionResult(ABC):
 def closing_fields(
     inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Versions, inputs and settings: the last fields of every report.
+    """Return the last fields of a report: settings, checksums of inputs, versions.
 
-    Settings, checksums of inputs where they are known, and versions.
+    Checksums are left out where the caller does not know them.
     """
     from recon.formats.reports import versions
 

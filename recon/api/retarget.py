@@ -177,7 +177,7 @@ def raised_motion(motion: Motion, metres: float) -> Motion:
 
 
 def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Finding]:
-    """Warnings about a low frame rate or about impossible speeds."""
+    """Yield warnings if the frame rate is low or a joint moves impossibly fast."""
     if source.fps < RATE:
         yield Finding(
             "rate",
@@ -196,7 +196,7 @@ def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Findi
 
 
 def _ground_warnings(name: str, samples: PhysicsSamples, ground_given: bool) -> Iterator[Finding]:
-    """Warnings about a body that never touches the ground z = 0.
+    """Yield a warning if the body never comes near the ground z = 0.
 
     Raises:
         ReconError: when nobody told where the ground is.
@@ -234,7 +234,7 @@ def _retargeted(
 def _physical_metrics(
     motion: Motion, body: BodyModel, source: PhysicsSamples
 ) -> dict[str, float | None]:
-    """Physical metrics of a motion, with the contacts of the source motion."""
+    """Return contact and balance metrics of a motion, with foot contacts of the source motion."""
     touch = source.soles_touch
     contacts = touch | torch.nn.functional.pad(touch, (0, 0, 1, 0))[:-1]
     return physics_metrics(physics_samples(motion.resample(RATE), body, contacts))
@@ -249,7 +249,7 @@ def _measures_of_body(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[s
 
 
 def _metrics_to_show(row: dict[str, float | None]) -> dict[str, float | None]:
-    """Some metrics, in the units of HUMOS's table."""
+    """Return four metrics of contact and balance in printed units: cm, m/s and percent."""
     columns = {
         "penetrate, cm": ("penetrate", 100),
         "float, cm": ("float", 100),

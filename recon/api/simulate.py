@@ -54,7 +54,7 @@ class Simulated:
 
     @property
     def observations(self) -> tuple[Sensor, ...]:
-        """The observations without their names; each has a leading axis of one clip."""
+        """The simulated observations as sensors, each with a batch axis of length one."""
         return self.clip.observations
 
     def __iter__(self) -> Iterator[Sensor]:

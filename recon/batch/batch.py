@@ -25,7 +25,7 @@ Shape = tuple[float, ...]
 
 @dataclass(frozen=True)
 class FitJob:
-    """The arguments with which a process fits one clip."""
+    """The arguments of `fit_one`: a clip, settings, path of the result and last log record."""
 
     clip: BatchClip
     target: Path
@@ -75,7 +75,7 @@ def fit_one(job: FitJob) -> Record:
 
 
 def is_done(job: FitJob, work_checksum: str) -> bool:
-    """Whether the log lists the same work as done and the result file is unchanged."""
+    """Whether the log records a good fit of unchanged inputs, whose result file is intact."""
     known = job.known
     same = known.get("status") == "ok" and known.get("key") == work_checksum
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
@@ -210,9 +210,9 @@ def large_first(clips: Sequence[BatchClip]) -> list[BatchClip]:
 
 
 def _kind_and_size(clip: BatchClip) -> tuple[str, int]:
-    """Kind and size of the file of a clip's first observation.
+    """Return suffix and size in bytes of the file of a clip's first observation.
 
-    That of a folder is the number of files in it. What is not there is refused by its own fit.
+    A folder gives "/" and its number of files; a missing file gives ("", 0).
     """
     if len(clip.observations) == 0:
         return "", 0

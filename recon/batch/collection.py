@@ -21,7 +21,7 @@ _UNEVEN = ("playground", "uneven")
 
 @dataclass(frozen=True)
 class SourceClip:
-    """A recording of a collection, before it is read."""
+    """The path, name and manifest notes of one recording in a collection, not yet read."""
 
     collection: str
     """Folder below the root, used for its output too."""
@@ -41,17 +41,17 @@ class SourceClip:
 
     @property
     def source(self) -> str:
-        """The file from which a clip comes, for messages."""
+        """Path of the recording's file, with its name in the archive if any; for messages."""
         return str(self.path) if self.member is None else f"{self.path}::{self.member}"
 
     @property
     def subject(self) -> str:
-        """The recorded person, by the manifest."""
+        """Name of the recorded person in the manifest; empty if it has none."""
         return self.notes.get("subject") or self.notes.get("actor") or ""
 
     @property
     def action(self) -> str:
-        """The recorded action, by the manifest."""
+        """Action and style in the manifest, such as "walk, slow"; empty if it has none."""
         parts = (self.notes.get("action", ""), self.notes.get("style", ""))
         return ", ".join(part for part in parts if part)
 
@@ -156,7 +156,7 @@ def _check_names(clips: Sequence[SourceClip]) -> None:
 
 @dataclass(frozen=True)
 class ClipContent:
-    """The content of a clip: its file, or its text in an archive, or why it is missing."""
+    """A clip with its content: a file, a text from an archive, or the reason it is missing."""
 
     clip: SourceClip
     text: str | None = None
@@ -165,7 +165,7 @@ class ClipContent:
     missing: str = ""
 
     def checksum(self) -> str:
-        """SHA-256 of all that is read of the clip.
+        """Return the SHA-256 of the clip's files or of its text in the archive.
 
         Raises:
             OSError, ValueError: when something cannot be read.
@@ -197,9 +197,9 @@ class ClipContent:
 
 
 def contents_of_clips(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
-    """The contents of clips; each archive is read only once.
+    """Yield the content of every clip; each archive is read only once.
 
-    A clip that its archive holds twice comes again, as one that cannot be read.
+    A second entry of one name in an archive is yielded, too, as a clip that cannot be read.
     """
     packed: dict[Path, dict[str, SourceClip]] = {}
     for clip in clips:
@@ -226,6 +226,6 @@ def contents_of_clips(clips: Sequence[SourceClip]) -> Iterator[ClipContent]:
 
 
 def skeleton_key(recording: SkeletonRecording) -> str:
-    """A key that is equal for recordings of one skeleton: its names and bone lengths."""
+    """Return a key of joint names and bone lengths, equal for recordings of one skeleton."""
     lengths = np.linalg.norm(recording.rest_offsets[recording.body_root + 1 :], axis=-1)
     return ",".join(recording.joint_names) + str((1000 * lengths).round().astype(int).tolist())

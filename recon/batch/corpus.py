@@ -110,7 +110,7 @@ def convert_clips(
 
 @dataclass
 class _Corpus:
-    """The state of a running conversion."""
+    """A running conversion of a corpus: its settings, log and the records of finished clips."""
 
     out: Path
     log: WorkLog
@@ -154,7 +154,7 @@ class _Corpus:
     def _calibrate_and_convert(
         self, waiting: Sequence["_WaitingClips"], checksums: Mapping[str, str]
     ) -> None:
-        """Calibrate skeletons and convert their clips."""
+        """Calibrate every group's skeleton, then convert and log the group's waiting clips."""
         tasks: dict[str, Task] = {}
         jobs = [(group.some, self.body) for group in waiting]
         for (some, _), subject in run_jobs(self.calibrate, jobs, self.processes):
@@ -209,7 +209,7 @@ class _Corpus:
     def _group_if_waiting(
         self, group: Sequence[SourceClip], checksums: Mapping[str, str]
     ) -> Iterator["_WaitingClips"]:
-        """Yield the group of a skeleton's clips if some of them must be converted."""
+        """Yield a skeleton's clips that must be converted; nothing if all results are current."""
         some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
         subject = value_checksum([checksums[clip.id] for clip in some])
         left: list[tuple[SourceClip, str]] = []
@@ -225,7 +225,7 @@ class _Corpus:
             yield _WaitingClips(some, left)
 
     def _is_unchanged(self, clip: SourceClip, known: Record) -> bool:
-        """Whether all outputs of a former run still are as it wrote them."""
+        """Whether the files that a former run wrote for this clip exist and are unchanged."""
         folder = self.out / clip.collection
         return known["status"] in ("ok", "rejected") and all(
             (folder / name).is_file() and file_checksum(folder / name) == checksum
@@ -262,7 +262,7 @@ class _Corpus:
         self._log_clip(clip, {"id": clip.id, "status": status, "key": key, **found})
 
     def _log_clip(self, clip: SourceClip, record: Record) -> None:
-        """Log a clip, and remove outputs of a former run that this run did not make."""
+        """Log a clip's record, and delete its files from a former run that are now obsolete."""
         folder = self.out / clip.collection
         former = self.log.records.get(clip.id, {}).get("outputs", {})
         for name in former.keys() - record["outputs"].keys():
@@ -284,7 +284,7 @@ class _Corpus:
         ]
 
     def report(self) -> None:
-        """Write the report, and warn of files in the output folder without a recording."""
+        """Write the report; log a warning about motions whose recordings no longer exist."""
         write_report(self.out, self.rows())
         self.reported = time.monotonic()
         known = {clip.id for clip in self.clips}
@@ -300,7 +300,7 @@ class _Corpus:
 
 @dataclass(frozen=True)
 class _WaitingClips:
-    """Clips of one skeleton that must be converted, with their keys."""
+    """Clips of one skeleton: those it is calibrated from, and those still to be converted."""
 
     some: list[SourceClip]
     """Clips from which the skeleton is calibrated."""

@@ -30,7 +30,7 @@ Row = dict[str, str | float | int | bool | None]
 
 
 def rejected_row(clip: SourceClip, reason: str) -> Row:
-    """The report's row of a clip without a motion."""
+    """Return a row of the report for a clip that was not converted, with the reason."""
     return {
         "collection": clip.collection,
         "clip": clip.name,
@@ -80,7 +80,7 @@ class Task:
 
 @dataclass(frozen=True)
 class RecordingPiece:
-    """A recording, or a part of it between two jumps."""
+    """A named part of a recording between two jumps, or a whole recording without jumps."""
 
     name: str
     recording: SkeletonRecording
@@ -89,7 +89,7 @@ class RecordingPiece:
 
 
 def surveyed_clip(content: ClipContent) -> tuple[str, str]:
-    """Checksum of a recording, and a key that recordings of the same skeleton share.
+    """Read a recording; return its checksum and a key that is equal for equal skeletons.
 
     Raises:
         ValueError, OSError: when it cannot be read.
@@ -103,7 +103,7 @@ def calibrate_group(
 ) -> SubjectModel | str:
     """Calibrate one skeleton (shape, offsets, alignments) from some of its clips.
 
-    Or why there is none: nobody knows the skeleton, or no clip is whole.
+    Returns the reason as a text if the skeleton is unknown, or all clips are too short.
     """
     recordings: list[SkeletonRecording] = []
     for content in contents_of_clips(clips):
@@ -190,7 +190,7 @@ def _write_piece(path: Path, conversion: Conversion, row: Row, body: BodyModel) 
 def split_at_jumps(
     clip: SourceClip, recording: SkeletonRecording
 ) -> tuple[list[RecordingPiece], list[Row]]:
-    """The parts of a recording between jumps of at least a second, and a row about the rest."""
+    """Cut a recording at jumps into pieces of at least 1 s; report shorter pieces in a row."""
     jumps = jump_frames(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]
@@ -213,7 +213,7 @@ def split_at_jumps(
 
 @lru_cache(maxsize=1)
 def _loaded_body(path: str | Path | None) -> BodyModel:
-    """The body model, read once by every process."""
+    """Load the body model from a file (None: the bundled one); cached per process."""
     return BodyModel.load(path)
 
 
@@ -239,7 +239,7 @@ def _check_target(task: Task, piece: RecordingPiece) -> None:
 
 
 def _reported_checksums(path: Path) -> tuple[object, ...]:
-    """Checksums that the report next to a motion has for it."""
+    """Return the checksums in the .json report of a motion file; empty without a report."""
     beside = path.with_suffix(".json")
     if not beside.is_file():
         return ()

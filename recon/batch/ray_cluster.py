@@ -119,7 +119,7 @@ def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
 
 
 def _result_or_failure(ray: Any, reference: Any) -> Any:
-    """The result of a job, or a `Failure` if its process died."""
+    """Wait for a job on the cluster; return its result, or a `Failure` if its process died."""
     known = ray.exceptions
     try:
         return ray.get(reference)

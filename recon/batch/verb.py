@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _is_former(folder: Path) -> bool:
-    """Whether a folder has the log of a batch, even one without a complete line."""
+    """Whether a folder holds the log of a former `recon batch`, possibly still empty."""
     from recon.batch.worklog import read_log
 
     logs = list(folder.glob("log*.jsonl"))
@@ -111,7 +111,7 @@ def batch(
 
 @contextmanager
 def _executor(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
-    """The number of parallel processes, and the executor that runs them."""
+    """Context: number of processes, and the function that runs jobs locally or by Ray."""
     if ray is None:
         from recon.batch.workers import run_jobs
 
@@ -125,7 +125,7 @@ def _executor(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Ru
 
 
 def _is_former_corpus(folder: Path) -> bool:
-    """Whether a folder has the report of a conversion, a list with a row per clip."""
+    """Whether a folder holds the report.json of a former `recon convert --all`."""
     import json
 
     try:

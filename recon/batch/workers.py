@@ -40,7 +40,7 @@ class Failure:
 
     @property
     def record(self) -> dict[str, str]:
-        """The failure as a record for the log."""
+        """The failure's status and reason as fields for the log."""
         said = {"status": self.kind, "error": self.reason}
         return said | ({"traceback": self.traceback} if self.traceback else {})
 
@@ -109,7 +109,7 @@ class _Worker:
             self.connection.send(job)
 
     def result(self) -> tuple[Any, bool]:
-        """The result of the job, and whether the process can run another."""
+        """Receive the job's result or `Failure`, and whether the process can run another job."""
         try:
             result = self.connection.recv()
         except (EOFError, ConnectionResetError):
@@ -165,7 +165,7 @@ def result_or_failure(function: Callable[..., Any], job: tuple[Any, ...]) -> Any
 
 
 def _is_refusal(error: Exception) -> bool:
-    """Whether recon itself, and not a library, raised an error to refuse an input.
+    """Whether an error is a refusal of bad input by recon, not a failure in a library.
 
     Libraries raise subclasses of ValueError, such as UnicodeDecodeError and LinAlgError.
     """
@@ -189,7 +189,7 @@ def _end_with_parent() -> None:
 
 
 def as_worker() -> None:
-    """Set up a worker process with one thread, since several would compete for cores."""
+    """Prepare the current process for jobs: one thread, as processes share the cores."""
     os.environ["OMP_NUM_THREADS"] = "1"
     if "torch" in sys.modules:
         import torch

@@ -66,7 +66,7 @@ def read_manifest(path: Path) -> tuple[BatchClip, ...]:
 
 
 def _films_in(folder: Path) -> tuple[BatchClip, ...]:
-    """The films of a folder, each a clip."""
+    """Return every film in a folder as a clip that is named after its file."""
     films = files_of(folder, FILMS)
     if not films:
         raise ValueError(
@@ -110,9 +110,9 @@ def _parsed_clip(line: str, path: Path, number: int) -> BatchClip:
 
 
 def clips_of_shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
-    """The clips for one of `count` runs that share the work, always the same ones.
+    """Return the clips of part `index` of `count`, as several runs share a manifest.
 
-    They are told apart by a hash of the id; clips of one subject stay together.
+    A hash of the clip's id or subject decides, so parts are always the same.
     """
     if not 0 <= index < count:
         raise ValueError(f"--shard must be I/N with 0 <= I < N, got {index}/{count}")
@@ -132,7 +132,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class WorkLog:
-    """A log that is open for reading and appending."""
+    """A JSON-lines log, locked for this process: the last record of every id, and `append`."""
 
     path: Path
     descriptor: int
@@ -205,7 +205,7 @@ def _without_time(record: Record) -> Record:
 
 
 def _lock_file(descriptor: int, path: Path) -> None:
-    """Lock a file until it is closed or the process ends."""
+    """Lock an open file against other processes; an error says that another one holds it."""
     if sys.platform == "win32":
         return
     import fcntl

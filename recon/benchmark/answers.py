@@ -37,7 +37,7 @@ Row = dict[str, float | None]
 def stance_height(
     motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
 ) -> float | None:
-    """Mean distance of a standing foot's lowest skin from the ground, metres."""
+    """Return the mean distance of the soles of feet in contact from the ground z = 0, metres."""
     # a foot stands where its ankle or its toes touch the ground; axes: time, left and right
     stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)
     return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
@@ -48,7 +48,7 @@ def feet_balanced_accuracy(
 ) -> float | None:
     """Balanced accuracy of ankle and toe contacts, averaged over subjects.
 
-    Each subject's is taken over all windows together.
+    The accuracy of a subject is computed over all its windows together.
     """
     found: list[float] = []
     for subject in windows.counted:
@@ -66,7 +66,7 @@ both in metres, and probabilities of contact (time, 22). Joints are needed."""
 
 @dataclass(frozen=True)
 class Answer:
-    """A method's output for one window; each tensor has a row per frame."""
+    """The checked output of a benchmark method for one window; tensors have a row per frame."""
 
     joints: Float[Tensor, "time 22 3"]
     motion: Motion | None = None

@@ -75,7 +75,7 @@ class Splits:
             ) from error
 
     def subject(self, clip: str) -> str:
-        """The subject (person) of a clip."""
+        """Return the person in a clip: by the table of subjects, else by the clip's name."""
         for name, patterns in self.subjects.items():
             if _matches(clip, patterns):
                 return name
@@ -86,9 +86,9 @@ class Splits:
         return not _matches(clip, self.non_commercial)
 
     def parts(self, clips: Sequence[str]) -> dict[str, Part]:
-        """The part of every clip (training, test, ...), without excluded clips.
+        """Return the part of every clip (train, validation, test, apart) but of excluded ones.
 
-        Every tenth is counted in the order of names, from the first.
+        Of some clips every tenth is for validation, in the order of names, from the first.
         """
         kept = sorted(clip for clip in set(clips) if not _matches(clip, self.excluded))
         held_out: dict[str, Part] = {}
@@ -128,7 +128,7 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
 
 
 def conversion_notes(motion: Path) -> dict[str, Any]:
-    """Read what the conversion noted in the .json file next to a motion; empty without one.
+    """Read the .json file that `recon convert` wrote beside a motion; {} without such a file.
 
     Raises:
         ValueError: when that file is no JSON.
@@ -144,7 +144,7 @@ def conversion_notes(motion: Path) -> dict[str, Any]:
 
 
 def _clip_name(motion: Path) -> str:
-    """A clip's name as the conversion noted it, else the name of its file."""
+    """Return a clip's name from the notes beside its motion file, else the file's stem."""
     name = conversion_notes(motion).get("clip")
     return name if isinstance(name, str) else motion.stem
 

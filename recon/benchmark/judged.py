@@ -161,7 +161,7 @@ def _evaluated_windows(
     answers: Sequence[Answer],
     body: BodyModel,
 ) -> tuple[list[Row], float | None]:
-    """Metrics of a method's answer for every window, and the accuracy of foot contacts."""
+    """Return a method's metrics for each window, and its accuracy of foot contacts over all."""
     rows = [metrics_of_answer(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):

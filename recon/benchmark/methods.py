@@ -82,7 +82,7 @@ class BenchMethod(Protocol):
 
 
 def method_named(name: str, body: BodyModel) -> BenchMethod:
-    """A built-in method by name, or an object of the class "package.module:Class".
+    """Return the built-in method of this name, or an instance of "package.module:Class".
 
     Raises:
         ReconError: names the built-in methods, or says why a class cannot be had.
@@ -104,7 +104,7 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
 
 
 def _fit_under_prior(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
-    """A method that fits under a prior; the noise stated in the window weights its data."""
+    """Return a method that fits a motion under a prior, with the noise stated in the window."""
 
     def run(seen: PositionsFile) -> MotionFile:
         stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)
@@ -115,7 +115,7 @@ def _fit_under_prior(body: BodyModel, prior: Prior[Any], method: str | None = No
 
 
 def _interpolated_joints(seen: PositionsFile) -> np.ndarray:
-    """The measured joints of a window, linearly interpolated across gaps."""
+    """Return the observed positions of all 22 joints, linearly interpolated across gaps."""
     if seen.names != tuple(JOINTS):
         raise ReconError(
             "linear has no body model: it needs protocols with all 22 joints (noisy-joints, gap)"
@@ -133,7 +133,7 @@ def _interpolated_joints(seen: PositionsFile) -> np.ndarray:
 
 
 def _smoothing_method(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMethod:
-    """A method that interpolates gaps linearly, then filters every coordinate."""
+    """Return a method that interpolates gaps linearly, then filters all coordinates."""
 
     def run(seen: PositionsFile) -> np.ndarray:
         return smooth(torch.from_numpy(_interpolated_joints(seen))[None], seen.fps)[0].numpy()

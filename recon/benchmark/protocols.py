@@ -57,7 +57,7 @@ def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
 def occluded_points(
     truth: Motion, body: BodyModel
 ) -> tuple[Markers3D, Float[Tensor, "clips time 43 3"]]:
-    """Simulate 43 exact skin points without those below 0.9 m; also the full set."""
+    """Simulate 43 noise-free skin points, hidden below 0.9 m; return all true points as well."""
     vertices = tuple(landmark(name) for name in KEYPOINTS_43)
     points = body.pose(truth).points(torch.tensor(vertices))
     visible = points[..., 2] >= 0.9
@@ -73,7 +73,7 @@ def occluded_points(
 
 
 def sensor_of(seen: PositionsFile) -> Joints3D | Markers3D:
-    """The joints or skin points of a window as a sensor with a batch axis of one."""
+    """Convert the contents of a window's observation file to a sensor with a batch axis of 1."""
     positions = torch.from_numpy(seen.positions).float()[None]
     visible = torch.from_numpy(seen.visible)[None]
     if seen.kind == "joints3d":
@@ -98,7 +98,7 @@ _GAPS: Columns = {"root_joints_all": ("pose cm", 100.0), **_FEET}
 
 @dataclass(frozen=True)
 class BenchProtocol:
-    """A protocol: how observations of true motions are simulated, and what is evaluated."""
+    """A benchmark protocol: how true motions are observed, and which metrics are reported."""
 
     name: str
     about: str
@@ -160,7 +160,7 @@ PROTOCOLS: Mapping[str, BenchProtocol] = {
 
 
 def protocol_named(name: str) -> BenchProtocol:
-    """The protocol with this name.
+    """Return the benchmark protocol with this name.
 
     Raises:
         ReconError: names the protocols there are.

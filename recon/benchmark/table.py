@@ -21,7 +21,7 @@ Values = Sequence[float | None]
 
 @dataclass(frozen=True)
 class MeanWithInterval:
-    """A mean with its confidence interval."""
+    """A mean over subjects with the two ends of its 95 % confidence interval."""
 
     mean: float
     low: float
@@ -81,7 +81,7 @@ def paired_difference(
 def _by_clip(
     values: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> dict[str, Float[np.ndarray, "clips 2"]]:
-    """Sum and number of the values of each clip, keyed by subject."""
+    """Return, by subject, an array with the sum and the count of the values of each clip."""
     found: dict[str, dict[str, list[float]]] = {}
     for value, clip, subject in zip(values, clips, subjects, strict=True):
         if value is not None:
@@ -95,7 +95,7 @@ def _by_clip(
 def _bootstrap_means(
     clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
 ) -> Float[np.ndarray, " draws"]:
-    """Bootstrap means of one subject, whose clips are drawn with replacement."""
+    """Draw one subject's clips with replacement; return the mean value of every draw."""
     drawn = clips[random.integers(0, len(clips), (DRAWS, len(clips)))].sum(1)
     return drawn[:, 0] / drawn[:, 1]
 
@@ -144,7 +144,7 @@ class BenchTable:
         return found
 
     def rows(self) -> dict[str, dict[str, str]]:
-        """The cells of the printed table, by method and heading.
+        """Return the cells of the printed table as texts, by method and column heading.
 
         The first two columns have intervals; those of all metrics are in `as_json`.
         """

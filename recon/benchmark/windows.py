@@ -48,7 +48,7 @@ class TrueWindows:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """The clip from which every window is."""
+        """Name of the clip that each window was cut from."""
         return tuple(name.rsplit("@", 1)[0] for name in self.names)
 
     @property
@@ -58,13 +58,13 @@ class TrueWindows:
         return [subject for subject in every if subject not in self.apart] or every
 
     def frames(self, start: int, stop: int) -> "TrueWindows":
-        """The same range of frames of every window."""
+        """Return frames start, ..., stop - 1 of every window."""
         return replace(
             self, truth=self.truth.window(start, stop), contacts=self.contacts[:, start:stop]
         )
 
     def take(self, rows: list[int]) -> "TrueWindows":
-        """The windows in the given rows."""
+        """Return the windows with the given numbers."""
         return replace(
             self,
             truth=self.truth[rows],
@@ -143,7 +143,7 @@ def load_windows(
 def contacts_at(
     recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
 ) -> Bool[Tensor, "time 22"]:
-    """Contact labels at some times: the recording's nearest ones, else computed ones."""
+    """Return contact labels at given times, from the file or, if it has none, from the motion."""
     motion, labels = recorded.motion, recorded.contacts
     if labels is None:
         heights = rest_heights(body, motion.shape)
@@ -225,7 +225,7 @@ def bench_source(
 
 
 def free_windows(splits: Splits, part: Part) -> Splits:
-    """The splits, with one part reduced to windows of freely licensed clips."""
+    """Return the splits with the windows of one part alone, those of freely licensed clips."""
     lengths = {
         frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
         for frames, rows in splits.windows.get(part, {}).items()

@@ -24,7 +24,7 @@ _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 @dataclass(frozen=True)
 class _JointAngles:
-    """Three angles between two segments."""
+    """Three joint angles between two segments: rotation sequence, names and signs."""
 
     proximal: str
     distal: str
@@ -37,7 +37,7 @@ class _JointAngles:
     def degrees(
         self, proximal: np.ndarray, distal: np.ndarray, end: str
     ) -> Float[np.ndarray, "time 3"]:
-        """The angles between axes of two segments, (time, 3, 3); `end` is `l` for a left limb."""
+        """Return the three angles between two segments' axes; `end` is `l` for a left limb."""
         relative = np.swapaxes(proximal, -1, -2) @ distal
         if end == "l":
             relative = _MIRROR @ relative @ _MIRROR
@@ -159,13 +159,13 @@ _STEP = 1e-4
 
 
 def _segment_axes(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, "time 3 3"]]:
-    """Axes of the segments in every frame, and the axes of the ground."""
+    """Return each segment's axes in every frame, in the world, and those of the ground."""
     axes = posed_axes(isb_axes(body, motion.shape), body, motion)
     return axes | {"ground": np.broadcast_to(to_z_up("y"), axes["pelvis"].shape)}
 
 
 def _joints_between(proximal: str, distal: str) -> list[int]:
-    """The joints whose rotations turn one segment relative to the other."""
+    """Return the joints on the path from a proximal to a distal segment, distal joint first."""
     last = -1 if proximal == "ground" else joint_index(BONES[proximal])
     joints = [joint_index(BONES[distal])]
     while PARENTS[joints[-1]] != last:

@@ -93,10 +93,10 @@ def contact_probabilities(
 def _contact_margins(
     joints: Float[Tensor, "*batch time 22 3"], rest_height: Float[Tensor, "*batch 22"], fps: float
 ) -> tuple[Tensor, Tensor, Bool[Tensor, "22"]]:
-    """The margins of height (metres) and speed (m/s) below the limits of `contact_labels`.
+    """Return how far joints are below the limits of height (m) and speed (m/s) of a contact.
 
-    Both are positive where a joint is in contact. The last value is true for joints that can be
-    in contact at all.
+    Both margins are positive for a joint in contact. The third value is a mask of the joints that
+    can be in contact at all.
     """
     limits = [TOE_REACH if j in TOES else LIMB_REACH for j in range(len(JOINTS))]
     may_touch = [j in CONTACT_JOINTS and JOINTS[j] != "pelvis" for j in range(len(JOINTS))]

@@ -37,7 +37,7 @@ _OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Cycle:
-    """One gait cycle: when it begins and ends, the foot that begins it, and how well it fits."""
+    """One gait cycle: start and end time, the foot that strikes first, and the matching cost."""
 
     start: float
     """Seconds of the motion's clock."""
@@ -53,7 +53,7 @@ class Cycle:
         return self.stop - self.start
 
     def of(self, motion: Motion, frames: int) -> Motion:
-        """The motion of one clip during the cycle, resampled to that many even frames."""
+        """Return the motion during this cycle, resampled to `frames` evenly spaced frames."""
         times = torch.linspace(self.start, self.stop, frames, dtype=torch.float64)
         return motion.at(times, (frames - 1) / self.duration)
 
@@ -93,9 +93,9 @@ def hip_flexion(motion: Motion) -> Float[np.ndarray, "frames 2"]:
 def warping_costs(
     template: Float[np.ndarray, "rows hips"], hips: Float[np.ndarray, "frames hips"]
 ) -> tuple[Float[np.ndarray, " frames"], Int[np.ndarray, " frames"]]:
-    """Cost of the best path that ends at each frame, per row of the template; and its first frame.
+    """Return, per frame, the mean cost of the best warping path that ends there, and its start.
 
-    Every row of the template counts once, so paths of all lengths compare.
+    Every row of the template counts once, so costs of paths of all lengths are comparable.
     """
     rows, frames = len(template), len(hips)
     local = np.square(template[:, None] - hips[None]).mean(-1)
@@ -120,7 +120,7 @@ def _frame_times(motion: Motion) -> Float[np.ndarray, " frames"]:
 
 
 def _hip_flexion_templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
-    """Hip flexion in one second of gait that begins with the left foot, and with the right."""
+    """Return hip flexion (radians) in one gait cycle of 1 s, by the foot that strikes first."""
     from scipy.interpolate import CubicSpline
 
     curve = CubicSpline(np.linspace(0, 1, 11), np.radians([*_GAIT, _GAIT[0]]), bc_type="periodic")
@@ -152,7 +152,7 @@ def _minima_below(cost: Float[np.ndarray, " frames"], threshold: float) -> list[
 
 
 def _without_overlaps(found: list[Cycle]) -> tuple[Cycle, ...]:
-    """Non-overlapping cycles, chosen greedily by cost."""
+    """Remove overlapping gait cycles, keeping those of least cost, in order of time."""
     kept: list[Cycle] = []
     for cycle in sorted(found, key=lambda cycle: cycle.cost):
         if all(_overlap_of_cycles(cycle, other) <= _OVERLAP for other in kept):

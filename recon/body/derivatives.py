@@ -15,7 +15,7 @@ from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 @dataclass(frozen=True)
 class CarriedPoints:
-    """Points carried by bones of rotation O_j and origin p_j: p_v = Σ_j O_j c_vj + m_vj p_j.
+    """Points fixed to bones with rotation O_j and origin p_j: p_v = Σ_j O_j c_vj + m_vj p_j.
 
     Joints, points of the skin (linear blend skinning) and their means are such points.
     """
@@ -52,7 +52,7 @@ class CarriedPoints:
 
     @classmethod
     def joints(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "CarriedPoints":
-        """The 22 joints as carried points."""
+        """Return the 22 joints of the body as points on bones."""
         count = len(JOINTS)
         none = torch.zeros(0, dtype=torch.long, device=shape.device)
         eye = torch.eye(count, dtype=shape.dtype, device=shape.device)
@@ -60,7 +60,7 @@ class CarriedPoints:
         return replace(found, own_joints=tuple(range(count)))
 
     def some(self, rows: Sequence[int]) -> "CarriedPoints":
-        """The points in the given rows, in that order."""
+        """Return the points with the given numbers, in the given order."""
         order, own = cached_constant(tuple(rows), self.share.device), self.own_joints
         return CarriedPoints(
             self.share[order], self.place[order], self.place_by_shape[:, order],
@@ -70,7 +70,7 @@ class CarriedPoints:
     def displaced(
         self, bones: Sequence[int], offsets: Float[Tensor, "points 3"]
     ) -> "CarriedPoints":
-        """Points moved by constant offsets in the frames of their bones, metres."""
+        """Return the points shifted by constant offsets (m), each in the axes of its bone."""
         place = self.place.clone()
         of_bone = cached_constant(tuple(bones), place.device)
         place[torch.arange(len(place), device=place.device), of_bone] += offsets
@@ -87,9 +87,9 @@ class CarriedPoints:
     def jacobian_by_rotations(
         self, orientations: Float[Tensor, "time 22 3 3"], joints: Float[Tensor, "time 22 3"]
     ) -> Float[Tensor, "time points 3 66"]:
-        """Derivatives by steps d_a of all joints' rotations R_a Exp(d_a), metres per radian.
+        """Jacobian of the points by steps d_a of joint rotations R_a Exp(d_a), metres per radian.
 
-        A step turns all that hangs from joint a about p_a by the world vector O_a d_a.
+        A step rotates all descendants of joint a about p_a by the world vector O_a d_a.
         """
         parts = (
             _offsets_in_world(self.place, orientations) + self.share[:, :, None] * joints[:, None]
@@ -105,7 +105,7 @@ class CarriedPoints:
         orientations: Float[Tensor, "time 22 3 3"],
         body: BodyModel,
     ) -> Float[Tensor, "time points 3 shape"]:
-        """Derivatives by the coefficients of the shape, metres."""
+        """Jacobian of the points by the shape coefficients, metres."""
         count = len(self.place_by_shape)
         return self.jacobian_by_shape_of(orientations, joints_by_shape(orientations, body, count))
 
@@ -114,7 +114,7 @@ class CarriedPoints:
         orientations: Float[Tensor, "time 22 3 3"],
         joints: Float[Tensor, "time 22 3 shape"],
     ) -> Float[Tensor, "time points 3 shape"]:
-        """Derivatives by shape coefficients, from the derivatives of the joints; metres."""
+        """Jacobian of the points by shape coefficients, given that of the joints; metres."""
         # one matrix product of (time, 3, 22·3) with (points, 22·3, shape)
         turned = orientations.transpose(1, 2).flatten(2)[:, None]
         parts = turned @ self.place_by_shape.permute(1, 2, 3, 0).flatten(1, 2)
@@ -124,7 +124,7 @@ class CarriedPoints:
 def joints_by_shape(
     orientations: Float[Tensor, "time 22 3 3"], body: BodyModel, count: int
 ) -> Float[Tensor, "time 22 3 shape"]:
-    """Derivatives of the joints by the first `count` shape coefficients, metres."""
+    """Return the Jacobian of the 22 joints by the first `count` shape coefficients, metres."""
     directions = body.joint_directions[..., :count].to(orientations)
     bones = directions.clone()
     parents = cached_constant((0, *PARENTS[1:]), bones.device)

@@ -63,7 +63,7 @@ class HandModel:
 
     @classmethod
     def of(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "HandModel":
-        """The hands of a body of a given shape.
+        """Build the hand model for a body with the given shape.
 
         A body of the SMPL family has its own hands, which are not read: it gets those of the
         bundled body, in proportion to its forearms.
@@ -122,7 +122,7 @@ class HandModel:
 
 @dataclass(frozen=True)
 class PosedHand:
-    """Points of one hand in every frame, and axes and pivots for their Jacobian; world, metres."""
+    """One posed hand per frame: points, rotation axes and pivots; world coordinates, metres."""
 
     points: Float[Tensor, "time 20 3"]
     local: Float[Tensor, "time 15 3 3"]
@@ -166,7 +166,7 @@ def _forearm_length(body: BodyModel, shape: Tensor) -> float:
 
 @lru_cache(maxsize=1)
 def hand_arrays() -> dict[str, Tensor]:
-    """The arrays of `recon/assets/hands.npz` in double precision (`scripts/build_hands.py`)."""
+    """Load the bundled hand model, `recon/assets/hands.npz`, as tensors in double precision."""
     data = (resources.files("recon") / "assets" / "hands.npz").read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
         numbers = {k: file[k] for k in file.files if file[k].dtype.kind in "fu"}
@@ -177,7 +177,7 @@ def hand_arrays() -> dict[str, Tensor]:
 
 
 def finger_offsets(motion: Motion, body: BodyModel) -> Float[Tensor, "40 3"]:
-    """Vector to every joint of HAND_JOINTS and to every tip from its parent in the flat hand.
+    """Return the vectors from parent to child of all finger joints and tips in the flat hand.
 
     Metres, axes of the body (x to its left, y up, z forward).
     """

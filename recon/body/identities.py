@@ -32,7 +32,7 @@ FORMS = (
 
 
 class _FromAverage(Enum):
-    """Whether a measurement should be below or above the average."""
+    """A wish for a body measure below or above the average, such as short or tall."""
 
     BELOW = -1
     ABOVE = 1
@@ -56,7 +56,7 @@ Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
 
 @dataclass(frozen=True)
 class _WantedMeasures:
-    """The wanted measures: below or above average, a number (m, kg), or None."""
+    """Wanted sex, height (m) and weight (kg): a number, below or above average, or None."""
 
     sex: _FromAverage | None = None
     """Above the average is a man."""
@@ -87,7 +87,7 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
 
 
 def body_weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
-    """Volume of the unposed body times the density of people, kg."""
+    """Return the weight of a body in kg: its volume in rest pose times the human density."""
     return DENSITY * part_volumes(body.rest_vertices(shape), Parts.of(body)).sum(-1)
 
 
@@ -161,7 +161,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
 
 
 def _measures_asked(spec: str, words: list[str]) -> _WantedMeasures:
-    """The measures that the words of a description ask for."""
+    """Parse words such as "woman" or "height=1.65" to wanted sex, height and weight."""
     found: dict[str, Any] = {}
     for word in words:
         name, equals, value = (part.strip() for part in word.partition("="))
@@ -216,7 +216,7 @@ def _shape_with_measures(wanted: _WantedMeasures, body: BodyModel) -> Tensor:
 
 
 def _mean_of_sex(sex: _FromAverage | None, body: BodyModel) -> tuple[Tensor, Tensor]:
-    """The mean shape of a sex, and the projection onto shape changes that keep the sex."""
+    """Return the mean shape of a sex, and the projection orthogonal to the male-female axis."""
     free = torch.eye(body.shape_size).to(body.male)
     if sex is None:
         return torch.zeros_like(body.male), free
@@ -234,7 +234,7 @@ def _mean_of_sex(sex: _FromAverage | None, body: BodyModel) -> tuple[Tensor, Ten
 def _values_and_gradients(
     shape: Tensor, measures: Sequence[Measure], allowed: Tensor
 ) -> tuple[Float[Tensor, " measures"], Float[Tensor, "measures shape"]]:
-    """Values of the measures, and their gradients, projected onto the allowed changes of shape."""
+    """Return body measures of a shape, and their gradients projected by the matrix `allowed`."""
     at = shape.detach().requires_grad_()
     values = [of(at) for of in measures]
     slopes = torch.stack([torch.autograd.grad(value, at)[0] for value in values])

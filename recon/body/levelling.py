@@ -1,4 +1,4 @@
-"""Frames in which feet stand flat, and the rotation that makes a tilted floor level."""
+"""Finds frames in which feet stand flat, and the rotation that makes a tilted floor level."""
 
 import math
 
@@ -89,7 +89,7 @@ def levelling_rotation(stance: Stance) -> Float[Tensor, "3 3"] | None:
 
 
 def rotated_motion(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
-    """A motion in a world that is rotated about its origin."""
+    """Return a motion in world coordinates that are rotated about the origin."""
     T = torch.eye(4).to(motion.translation)
     T[:3, :3] = rotation
     return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])

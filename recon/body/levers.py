@@ -1,4 +1,4 @@
-"""Points carried by bones as matrix products, with Jacobians by rotations about the joints.
+"""Points fixed to bones as matrix products, with Jacobians by rotations about the joints.
 
 The pose of a frame is its affine matrix [O_j | p_j] of all bones (3 x 88): orientation and joint,
 world. A point is that matrix times a constant column, and so is a lever: the vector from a joint
@@ -30,7 +30,7 @@ COORDINATES = 3 + 3 * len(JOINTS)
 def bone_affines(
     orientations: Float[Tensor, "frames 22 3 3"], joints: Float[Tensor, "frames 22 3"]
 ) -> Float[Tensor, "frames 3 88"]:
-    """The poses of all bones side by side, [O_j | p_j]."""
+    """Concatenate all bones' rotations and joint positions to [O_j | p_j], world, metres."""
     return torch.cat((orientations, joints[..., None]), -1).transpose(1, 2).flatten(-2)
 
 
@@ -39,7 +39,7 @@ def rotations_after_turns(
     orientations: Float[Tensor, "frames 22 3 3"],
     turns: Float[Tensor, "frames 66"],
 ) -> Float[Tensor, "frames 22 3 3"]:
-    """Rotations R_a Exp(O_aᵀ w_a) after rotation steps w_a about world axes."""
+    """Return local rotations R_a Exp(O_aᵀ w_a) after rotation steps w_a about world axes."""
     world = turns.unflatten(-1, (3, -1)).transpose(1, 2)
     return rotations @ so3.exp((orientations.mT @ world[..., None])[..., 0])
 
@@ -52,13 +52,13 @@ def flat_world_vectors(
 
 
 def sums_over_descendants(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
-    """For every joint, the sum over it and its descendants."""
+    """Return, for every joint, the sum of the values of this joint and all its descendants."""
     return values @ BELOW.to(values).mT
 
 
 @dataclass(frozen=True)
 class Levers(TensorStruct):
-    """Constant matrices from bone poses to points and to their lever arms about all joints."""
+    """Constant matrices that map bone poses to points, and to lever arms about all joints."""
 
     points: Float[Tensor, "88 points"]
     arms: Float[Tensor, "88 columns"]
@@ -67,7 +67,7 @@ class Levers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints) -> "Levers":
-        """The matrices for points, from their places c_vj on bones and shares m_vj of joints."""
+        """Build the matrices for points with offsets c_vj from joints and joint weights m_vj."""
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
@@ -79,19 +79,19 @@ class Levers(TensorStruct):
         )
 
     def places(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points"]:
-        """The points, world, metres."""
+        """Return the points' positions for given bone poses, world coordinates, metres."""
         return pose @ self.points
 
     def arms_about_joints(
         self, pose: Float[Tensor, "frames 3 88"]
     ) -> Float[Tensor, "frames 3 points 22"]:
-        """Vectors from joints to the points that they turn, world, metres."""
+        """Return lever arms: vectors from joints to the points they rotate, world, metres."""
         return (pose @ self.arms).unflatten(-1, (-1, len(JOINTS)))
 
     def gradient_of(
         self, pose: Float[Tensor, "frames 3 88"], forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
-        """Gradient of Σ forces · points by the 69 coordinates of a step."""
+        """Return Jᵀ forces, with J the Jacobian of the points by the 69 coordinates of a step."""
         bones = pose.unflatten(-1, (-1, 4))
         loads = (forces @ self.points.mT).unflatten(-1, (-1, 4))
         push = loads[..., 3]
@@ -115,7 +115,7 @@ class Levers(TensorStruct):
     def stiffness(
         self, pose: Float[Tensor, "frames 3 88"], weights: Float[Tensor, "frames points"]
     ) -> Float[Tensor, "frames 69 69"]:
-        """Σ weight JᵀJ over points, with J their derivatives by the coordinates of a step."""
+        """Return Σ weight JᵀJ over points, J a point's Jacobian by the coordinates of a step."""
         arms = self.arms_about_joints(pose)
         joints = len(JOINTS)
         flat = arms.transpose(1, 2).flatten(-2)
@@ -146,7 +146,7 @@ class Levers(TensorStruct):
         pose: Float[Tensor, "frames 3 88"],
         weights: Float[Tensor, "frames points"],
     ) -> None:
-        """Add the Gauss-Newton Hessian Σ weight jᵀj of heights to the matrices of some frames."""
+        """Add Σ weight jᵀj to the Hessians of given frames, j the gradients of points' heights."""
         joints = self._turning_joints
         columns = self.arms.unflatten(-1, (-1, len(JOINTS)))[..., joints].flatten(1)
         arms = (pose[:, :2] @ columns).unflatten(-1, (-1, len(joints)))
@@ -160,14 +160,14 @@ class Levers(TensorStruct):
 
     @cached_property
     def _turning_joints(self) -> Int[Tensor, " some"]:
-        """The joints whose rotation moves any of the points."""
+        """Numbers of the joints whose rotation moves at least one of the points."""
         arms = self.arms.unflatten(-1, (-1, len(JOINTS)))
         return (arms != 0).any(0).any(0).nonzero()[:, 0]
 
 
 @dataclass(frozen=True)
 class ShapeLevers(TensorStruct):
-    """Constant columns of the derivatives of points by the coefficients of the shape."""
+    """Constant matrices that map bone poses to the points' Jacobians by shape coefficients."""
 
     columns: Float[Tensor, "88 columns"]
     """Point by point, those of all coefficients."""
@@ -176,7 +176,7 @@ class ShapeLevers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
-        """The columns for points that the shape moves on their bones and with bone lengths."""
+        """Build the matrices; the shape moves points on their bones and changes bone lengths."""
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
@@ -190,6 +190,6 @@ class ShapeLevers(TensorStruct):
     def jacobian_by_shape(
         self, pose: Float[Tensor, "frames 3 88"]
     ) -> Float[Tensor, "frames points 3 shape"]:
-        """Derivatives of the points by shape coefficients, metres."""
+        """Return the Jacobian of the points by the shape coefficients, metres."""
         moved = (pose @ self.columns).unflatten(-1, (-1, self.root.shape[-1]))
         return moved.transpose(1, 2) + self.root

@@ -1,4 +1,4 @@
-"""The landmark of each marker label, by the common protocols or a mapping of the user's.
+"""Finds the landmark of each marker label, by common marker protocols or a user's mapping.
 
 Labels map to landmarks through `assets/markers.toml`; a marker's own distance from the skin is not
 part of it.
@@ -35,7 +35,7 @@ def normalised_label(label: str) -> str:
 
 
 def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Landmark of every known label, and the unknown labels in their order.
+    """Return the landmark of every known marker label, and a tuple of the unknown labels.
 
     Labels keep the spelling they came with. Two labels may share a landmark. A recording that
     uses one label for several markers must be told apart before: equal labels are one entry. A
@@ -63,20 +63,20 @@ def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...
 
 
 def is_nameless(label: str) -> bool:
-    """Whether a label says nothing: *12, U_1, unlabeled-12, Trajectory 3, or none at all."""
+    """Whether a marker label is no name: *12, U_1, unlabeled-12, Trajectory 3, or empty."""
     return _NAMELESS.fullmatch(label.rsplit(":", 1)[-1].strip()) is not None
 
 
 def are_nameless(labels: Sequence[str]) -> bool:
-    """Whether most labels of a recording say nothing, and too few are known to place a body."""
+    """Whether most labels of a recording are no names, and few are known marker names."""
     bare = sum(is_nameless(label) for label in labels)
     return 2 * bare > len(labels) and len(match_markers(labels)[0]) < FEWEST_MARKERS
 
 
 def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
-    """Normalised labels without the prefix that all share up to a separator; None without one.
+    """Strip the common prefix (up to a separator) of marker labels; None if there is none.
 
-    Points without a name do not count.
+    Returns the normalised rest of every label; labels that are no names are ignored.
     """
     named = [label for label in labels if not is_nameless(label)]
     same = takewhile(lambda column: len(set(column)) == 1, zip(*named, strict=False))
@@ -89,7 +89,7 @@ def _without_common_prefix(labels: Sequence[str]) -> dict[str, str] | None:
 
 @cache
 def marker_sets() -> Mapping[str, Mapping[str, str]]:
-    """Landmark or keypoint of every label, of each set in `assets/marker_sets.toml`."""
+    """Load `assets/marker_sets.toml`: {marker set: {label: landmark or keypoint}}."""
     text = files("recon").joinpath("assets", "marker_sets.toml").read_text(encoding="utf-8")
     return cast("dict[str, dict[str, str]]", tomllib.loads(text))
 
@@ -122,7 +122,7 @@ def load_marker_map(path: str | Path) -> dict[str, int | None]:
 
 
 def mapping_to_write(labels: Sequence[str]) -> str:
-    """Advice, for error messages, to write a mapping file; it shows how the file begins."""
+    """Return advice for error messages: how to write a mapping file for these labels."""
     shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
     more = ", ..." if len(labels) > 3 else ""
     return (
@@ -154,7 +154,7 @@ def _vertex_number(path: Path, label: str, point: object) -> int | None:
 
 @cache
 def _landmark_of_label() -> Mapping[str, str]:
-    """The landmark of every normalised label, from `assets/markers.toml`."""
+    """Load the table {normalised marker label: landmark} from `assets/markers.toml`."""
     sections = _label_sections()
     table: dict[str, str] = {}
 
@@ -179,7 +179,7 @@ def _landmark_of_label() -> Mapping[str, str]:
 
 @cache
 def _marker_of_joint_centre() -> Mapping[str, str]:
-    """The marker at the same joint for every computed joint centre; both by normalised label."""
+    """Map each computed joint centre's label to the marker label at that joint, normalised."""
     pairs = cast("dict[str, str]", _label_sections()["centres"])
     return MappingProxyType(
         {

@@ -103,7 +103,7 @@ class BodyModel(TensorStruct):
         return level.amax(-1) - level.amin(-1)
 
     def pose(self, motion: Motion) -> "PosedBody":
-        """The body in every frame of a motion; only joints are computed here."""
+        """Pose the body by a motion; joints are computed now, vertices when they are asked for."""
         rest = self.rest_joints(motion.shape)
         orientations, joints = forward_kinematics(motion.rotations, rest)
         return PosedBody(
@@ -144,12 +144,12 @@ class PosedBody:
 
     @property
     def bones(self) -> Float[Tensor, "*batch time 22 4 3"]:
-        """Affine maps of bones for points (x, 1) of the unposed surface: rows R_jᵀ, then t_j."""
+        """Affine maps from unposed to posed points, for every bone j: rows of R_jᵀ, then t_j."""
         shift = self.joints - (self.orientations @ self.rest[..., None, :, :, None])[..., 0]
         return torch.cat((self.orientations.transpose(-1, -2), shift[..., None, :]), -2)
 
     def points(self, vertices: Int[Tensor, " points"]) -> Float[Tensor, "*batch time points 3"]:
-        """Some vertices of the surface, metres; no other vertex is touched.
+        """Positions of the given vertices in every frame, metres, without computing others.
 
         A shape is shared by all frames of a clip, so skinning is one matrix product: the rows
         w_vj (x_v, 1) of all vertices v and joints j (points x 4·22) times the stacked matrices
@@ -167,7 +167,7 @@ class PosedBody:
         return skinned + self._pose_corrections(vertices, weights)
 
     def _pose_corrections(self, vertices: Tensor, weights: Tensor) -> Tensor:
-        """Pose-dependent offsets (SMPL), turned by the blended rotation of each vertex."""
+        """SMPL's pose-dependent vertex offsets, rotated to the posed skin, metres."""
         turns = torch.einsum("vj,...jab->...vab", weights, self.orientations)
         return (turns @ self.pose_offsets(vertices)[..., None])[..., 0]
 
@@ -193,7 +193,7 @@ def _bundled_body() -> BodyModel:
 
 
 def _model_from_arrays(name: str, data: bytes, arrays: Mapping[str, np.ndarray]) -> BodyModel:
-    """A model in single precision from arrays named like its fields; `data` is their file."""
+    """Build a body model from arrays named like its fields; `data` are hashed."""
     tensors = {
         key: torch.from_numpy(np.ascontiguousarray(arrays[key], np.float32))
         for key in (
@@ -214,7 +214,7 @@ def _model_from_arrays(name: str, data: bytes, arrays: Mapping[str, np.ndarray])
 def forward_kinematics(
     rotations: Float[Tensor, "*batch time 22 3 3"], rest: Float[Tensor, "*batch 22 3"]
 ) -> tuple[Float[Tensor, "*batch time 22 3 3"], Float[Tensor, "*batch time 22 3"]]:
-    """World rotations and positions of all joints, the root at its rest place.
+    """Return world rotations and positions of all joints; the root is at its rest position.
 
     Child c of parent p: O_c = O_p R_c and x_c = x_p + O_p b_c with b_c the bone from p to c at
     rest. The derivative walks the same tree backwards, which is cheaper than recording each
@@ -227,7 +227,7 @@ def forward_kinematics(
 
 
 class _KinematicChain(torch.autograd.Function):
-    """Rigid transforms [R_c | b_c] of every joint, multiplied along the tree."""
+    """Forward kinematics with a hand-written derivative: local to world joint transforms."""
 
     @staticmethod
     def forward(ctx: Any, rotations: Tensor, bones: Tensor) -> tuple[Tensor, Tensor]:

@@ -68,7 +68,7 @@ def checked_for_body(
 def with_equal_pelvis_path(
     motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]
 ) -> Motion:
-    """The motion on another body shape, with equal joint rotations and pelvis path.
+    """Give a motion another body shape; joint rotations and the pelvis' path stay as they are.
 
     Feet may leave the ground or sink into it; see `with_shape`.
     """
@@ -77,7 +77,7 @@ def with_equal_pelvis_path(
 
 
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """The motion on another body shape, with its path scaled by leg length.
+    """Give a motion another body shape, and scale its path by the ratio of leg lengths.
 
     Rotations stay. The pelvis' path, from its place above the ground in the first frame and the
     level of the toe joints at rest, grows with the legs (pelvis to toes), and the toes' level

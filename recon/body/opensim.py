@@ -25,7 +25,7 @@ _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint of a model: its coordinates turn the distal segment about axes in sequence."""
+    """A joint of an OpenSim model: two segments, and its coordinates with their axes in order."""
 
     proximal: str
     distal: str
@@ -177,7 +177,7 @@ def leg_axes(
 
 
 def _mirrored_axis(axis: Axis3) -> Axis3:
-    """The axis on the left side about which the same angle makes the mirror image."""
+    """Mirror a rotation axis to the left side, so that equal angles give mirrored poses."""
     return (-axis[0], -axis[1], axis[2])
 
 
@@ -218,7 +218,7 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
 
 
 def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"]:
-    """The middle of the frontal iliac spines in every frame, world, metres.
+    """Return the midpoint of the two anterior iliac spines in every frame, world, metres.
 
     It is the origin of the pelvis in OpenSim's gait models, and moves with the bone.
     """
@@ -255,14 +255,14 @@ def angles_about_axes(
 
 
 def _rotations_about(angles: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "time 3 3"]:
-    """Rotation matrices about one axis."""
+    """Return matrices of rotations by the given angles (radians) about one axis."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
 
 
 def _nearest_angle(matrices: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, " time"]:
-    """The angle q at which trace(R(q)ᵀ M) is greatest."""
+    """Return the angle q about an axis whose rotation R(q) is nearest to each matrix M."""
     m = matrices
     axial = np.stack(
         (m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]), 1

@@ -26,7 +26,7 @@ spine and collars to the torso, shoulder joints to the upper arms."""
 
 @dataclass(frozen=True)
 class Parts(TensorStruct):
-    """The part of every vertex, and its share of the skin area of that part."""
+    """The body part of every vertex, and the vertex's share of this part's skin area."""
 
     of_vertex: Int[Tensor, " vertices"]
     """Part whose joints carry most of the vertex."""
@@ -36,7 +36,7 @@ class Parts(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "Parts":
-        """Parts of a body; computed once per body and cached.
+        """Split a body into ten parts by its skinning weights; cached per body.
 
         Raises:
             ValueError: when a part has no face, so that it has no volume.
@@ -62,7 +62,7 @@ class Parts(TensorStruct):
         faces: Int[Tensor, "faces 3"],
         of_vertex: Int[Tensor, " vertices"],
     ) -> "Parts":
-        """Parts of any closed surface, given the part of every vertex."""
+        """Build the parts of a closed surface from the part number of every vertex."""
         areas = vertex_areas(template, faces)
         whole = areas.new_zeros(len(PARTS)).index_add(0, of_vertex, areas)
         return cls(of_vertex, faces, areas / whole[of_vertex])
@@ -74,7 +74,7 @@ _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 def vertex_areas(
     vertices: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 3"]
 ) -> Float[Tensor, " vertices"]:
-    """Surface that belongs to every vertex: a third of each of its faces, m²."""
+    """Return the surface area of every vertex: a third of its adjacent faces' area, m²."""
     a, b, c = vertices[faces].unbind(-2)
     area = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 6
     return vertices.new_zeros(len(vertices)).index_add(
@@ -85,7 +85,7 @@ def vertex_areas(
 def farthest_points(
     points: Float[Tensor, "points 3"], seeds: Int[Tensor, " seeds"], count: int
 ) -> Int[Tensor, " count"]:
-    """The seeds and, one by one, the point farthest from all chosen so far."""
+    """Farthest point sampling: return indices of `count` points, the given seeds first."""
     distance = torch.cdist(points, points[seeds]).amin(-1)
     chosen = seeds.tolist()
     while len(chosen) < count:
@@ -116,11 +116,11 @@ def centre_of_mass(
 
 
 def vertex_masses_of_segments(body: BodyModel) -> Float[Tensor, " vertices"]:
-    """Vertex masses by de Leva's measured segment masses, which account for air in the trunk."""
+    """Return each vertex's share of the body mass, by de Leva's measured segment masses."""
     return spread_over_skin(body, body.template.new_tensor(DE_LEVA))
 
 
 def spread_over_skin(body: BodyModel, part_masses: Tensor) -> Tensor:
-    """Vertex masses from the masses of the ten parts; they sum to one."""
+    """Distribute the masses of the ten parts over their vertices; the results sum to one."""
     parts = Parts.of(body)
     return (part_masses / part_masses.sum(-1, keepdim=True))[..., parts.of_vertex] * parts.skin

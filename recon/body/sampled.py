@@ -35,13 +35,13 @@ class SampledSurface(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel) -> "SampledSurface":
-        """The sampled points of a body; chosen once per body and cached."""
+        """Choose the sampled vertices of a body; cached per body."""
         if body.template not in _KNOWN:
             _KNOWN[body.template] = _sample_of_surface(body)
         return _KNOWN[body.template]
 
     def rows_of(self, part: int) -> slice:
-        """The rows of the points of one part."""
+        """Return the range of the sampled vertices that belong to one body part."""
         first = int(torch.searchsorted(self.part, part))
         return slice(first, int(torch.searchsorted(self.part, part, right=True)))
 
@@ -84,7 +84,7 @@ def _sample_of_surface(body: BodyModel) -> SampledSurface:
 
 
 def _even_directions(count: int) -> Tensor:
-    """Directions spread evenly (Fibonacci's spiral)."""
+    """Return `count` unit vectors spread evenly over the sphere (Fibonacci's spiral)."""
     index = torch.arange(count, dtype=torch.float64) + 0.5
     up = 1 - 2 * index / count
     turn = index * torch.pi * (3 - 5**0.5)
@@ -97,7 +97,7 @@ _ALWAYS = 1500
 
 
 def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
-    """Vertices of the unposed average body that are farthest from each other; ascending."""
+    """Return sorted indices of `count` vertices spread evenly over the unposed average body."""
     template = body.template.detach().cpu().double().contiguous().numpy()
     wanted = min(count, len(template))
     found = _farthest_point_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
@@ -106,6 +106,6 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
 
 @lru_cache(maxsize=4)
 def _farthest_point_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
-    """Vertices in the order of farthest point sampling; cached per mesh."""
+    """Return vertex indices in the order of farthest point sampling; cached per mesh."""
     points = torch.from_numpy(np.frombuffer(template).reshape(-1, 3).copy())
     return farthest_points(points, torch.tensor([0]), count).numpy()

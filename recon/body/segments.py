@@ -47,7 +47,7 @@ Axes = Mapping[str, Float[np.ndarray, "3 3"]]
 
 @dataclass(frozen=True)
 class RestPoints:
-    """Joints and landmarks of the unposed body, metres, by name."""
+    """Looks up joints and landmarks of the unposed body by name; positions in metres."""
 
     body: BodyModel
     shape: Tensor
@@ -63,7 +63,7 @@ class RestPoints:
         return points.detach().double().numpy().mean(0)
 
     def vector_to_right(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
-        """The vector between two landmarks of one side; it points right if palms face forwards."""
+        """Return the vector between a medial and a lateral landmark, pointing right; metres."""
         side = SIDES[end]
         across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
         return across if end == "r" else -across
@@ -121,7 +121,7 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
 def posed_axes(
     axes: Axes, body: BodyModel, motion: Motion
 ) -> dict[str, Float[np.ndarray, "time 3 3"]]:
-    """Axes of every segment in every frame of one clip, in the world.
+    """Return the axes of every segment in every frame of a clip, in world coordinates.
 
     Args:
         axes: on the unposed body.
@@ -133,7 +133,7 @@ def posed_axes(
 
 
 def rest_points(body: BodyModel, shape: Tensor) -> RestPoints:
-    """Joints and landmarks of the unposed bundled body.
+    """Return the lookup of joints and landmarks of the unposed bundled body.
 
     Raises:
         ReconError: when the body is another one, whose landmarks are not known.
@@ -215,7 +215,7 @@ def _without_jumps(
     known_angle: Float[np.ndarray, " time"],
     sign: Float[np.ndarray, " time"],
 ) -> Float[np.ndarray, "time 3"]:
-    """One of two solutions per frame, so that angles do not jump; it begins with the first.
+    """Choose one of two angle triples per frame so that angles do not jump between frames.
 
     Args:
         first: one solution of every frame.
@@ -243,9 +243,9 @@ def _continued_through_lock(
     known_angle: Float[np.ndarray, " time"],
     sign: Float[np.ndarray, " time"],
 ) -> Float[np.ndarray, "time 3"]:
-    """Solutions without jumps where some frames are in gimbal lock.
+    """Choose angle triples without jumps where some frames are in gimbal lock.
 
-    The last angle of such a frame is that of the frame before, so that frames take their turns.
+    A frame in gimbal lock takes the last angle of the frame before, so frames are done in order.
     """
     found = np.empty_like(first)
     before = np.zeros(3)

@@ -32,7 +32,7 @@ class Soles:
 
     @classmethod
     def of(cls, body: BodyModel) -> "Soles":
-        """Points spread over the sole, and those nearest the heel and the ball of the foot."""
+        """Choose vertices spread over both soles, and those at heel and ball of each foot."""
         spread, heels, balls = [], [], []
         bone = body.weights.argmax(-1)
         for side in ("left", "right"):
@@ -56,7 +56,7 @@ class Soles:
 
 @dataclass(frozen=True)
 class Stance:
-    """Soles of one clip, and the frames in which they carry weight."""
+    """Lowest point of each sole in a clip, and masks of frames in which a foot stands."""
 
     lowest: Float[Tensor, "time 2 3"]
     """Lowest point under the left and the right foot, world, metres."""
@@ -74,7 +74,7 @@ class Stance:
         belt: Float[Tensor, " 2"] | None = None,
         frames: Bool[Tensor, " time"] | None = None,
     ) -> "Stance":
-        """The soles of a motion's feet, and the frames in which they stand still.
+        """Compute the lowest sole points of a motion, and the frames in which feet stand still.
 
         Args:
             motion: one clip.
@@ -100,11 +100,11 @@ class Stance:
 
     @property
     def frames(self) -> int:
-        """Frames in which a foot carries weight."""
+        """Number of frames in which at least one foot stands."""
         return int(self.slow.any(-1).sum())
 
     def height(self) -> float:
-        """Height of level ground, metres.
+        """Estimate the height of level ground below the clip, metres.
 
         The 5th percentile over stance frames of the sole's lowest point; over all frames when no
         foot ever stands.
@@ -115,7 +115,7 @@ class Stance:
 
 
 def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
-    """Height of level ground below every clip, metres."""
+    """Estimate the height of level ground below every clip from its soles, metres."""
     here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
     soles = Soles.of(here)
     heights = [

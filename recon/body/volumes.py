@@ -12,7 +12,7 @@ from recon.body.parts import PARTS, Parts
 
 @dataclass(frozen=True)
 class Openings:
-    """The part of every face, and the loops of open edges where parts are cut apart."""
+    """The body part of every face, and the loops of open edges at which parts are cut."""
 
     of_face: Int[Tensor, " faces"]
     """Part of most corners; the parts tile the surface."""
@@ -24,7 +24,7 @@ class Openings:
 
     @classmethod
     def of(cls, parts: Parts) -> "Openings":
-        """The openings between the parts of a closed surface."""
+        """Find the loops of open edges that remain when a closed surface is cut into parts."""
         of_face, count = parts.of_vertex[parts.faces].mode(-1).values, len(parts.of_vertex)
         edges, owner = _open_edges(parts.faces, of_face, count)
         return cls(of_face, edges, *_loops_of_edges(edges, owner, count))
@@ -74,7 +74,7 @@ def _corners_of_faces(vertices: Tensor, faces: Int[Tensor, "faces corners"]) -> 
 
 
 def _open_edges(faces: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor, Tensor]:
-    """Directed edges whose reverse is in no face of the same part, and the part of each."""
+    """Return the directed edges whose reverse is in no face of their part, and their parts."""
     edges = torch.cat([faces[:, [i, (i + 1) % 3]] for i in range(3)])
     owner = part.repeat(3)
     forward = (owner * vertex_count + edges[:, 0]) * vertex_count + edges[:, 1]
@@ -84,7 +84,7 @@ def _open_edges(faces: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor,
 
 
 def _loops_of_edges(edges: Tensor, part: Tensor, vertex_count: int) -> tuple[Tensor, Tensor]:
-    """Loop of every open edge, and part of every loop."""
+    """Group open edges into closed loops; return each edge's loop and each loop's part."""
     # one node per part and vertex, so that loops of neighbouring parts stay apart
     names, place = torch.unique(part[:, None] * vertex_count + edges, return_inverse=True)
     first = torch.arange(len(names), device=edges.device)

@@ -26,7 +26,7 @@ OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main() -> None:
-    """Run the command line: the console script's entry point."""
+    """Run the command line and exit the process: the entry point of the script `recon`."""
     # more threads would slow down the small operations of one clip
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)

@@ -50,7 +50,7 @@ def print_warning(message: str) -> None:
 
 
 def print_error(message: str) -> None:
-    """Print an error that concerns only a part of the work."""
+    """Print an error after which the command goes on with the rest of its work."""
     _print_line(message)
 
 

@@ -11,7 +11,7 @@ from recon.formats.producers import films_at
 
 
 def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """A verb's arguments with the folder in which it finds the detections of its films.
+    """Detect people in a verb's films; return its arguments with the folder of detections.
 
     Args:
         given: arguments by name.
@@ -47,15 +47,15 @@ def with_films_detected(given: Mapping[str, Any], out: Path) -> dict[str, Any]:
 
 
 def films_given(given: Mapping[str, Any]) -> list[Path]:
-    """The films among a verb's arguments."""
+    """Return the paths of films among a verb's input files and folders."""
     paths = given.get("observations", (given.get("film"),))
     return [film for path in paths if isinstance(path, Path) for film in films_at(path)]
 
 
 def draw_sheets(films: Sequence[Path], out: Path, settings: FitSettings) -> None:
-    """Draw eight moments of every film with the body over it beside a result: OUT.sheet.png.
+    """Draw eight frames of every film with the fitted body over them, to OUT.sheet.png.
 
-    What goes wrong is said, and the result stays as it is.
+    An error is printed as a warning; the result is kept.
 
     Args:
         films: to which the result was fitted; nothing is drawn where there are none.

@@ -71,7 +71,7 @@ def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
 
 
 def _hint_at_missing(path: Path) -> str:
-    """Hint for a missing file: similar names, or that its folder is missing."""
+    """Return a hint for a missing path: files of similar names, or that its folder is missing."""
     folder = path.parent
     if path.is_symlink():
         return f"; it is a link to {path.readlink()}, where nothing is"

@@ -17,7 +17,7 @@ from recon.formats.outputs import Output, OutputKind
 
 
 def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
-    """The output as one file, or as a folder for scans and for several cameras."""
+    """Return the output of `recon simulate`: a file, or a folder for scans or several cameras."""
     several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
     return (
         Output(out, OutputKind.FOLDER if several and out.suffix != ".npz" else OutputKind.FILE),
@@ -78,7 +78,7 @@ WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
 
 
 def verb_names() -> tuple[str, ...]:
-    """Names of all verbs: the core's, then registered ones whose package is installed."""
+    """Return all verbs of the command line: built-in ones, then those of other packages."""
     return (
         *CORE,
         *sorted(name for name, place in registered_places(VERBS).items() if _is_installed(place)),
@@ -94,7 +94,7 @@ def _is_installed(place: str) -> bool:
 
 @cache
 def function_of_verb(name: str) -> Callable[..., None]:
-    """The function behind a verb of the command line."""
+    """Return the function that runs a verb of the command line."""
     if name in CORE:
         return command_function(name, CORE[name])
     module, _, function = registered_places(VERBS)[name].partition(":")

@@ -67,7 +67,7 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
 
 
 def _reason_to_refuse(path: Path, head: bytes, *, known: bool) -> str | None:
-    """Why a file cannot be read, judged by suffix and first bytes; None if it may be good."""
+    """Return why a file is unsuitable, by suffix and first bytes; None if it may be fitted."""
     ending = path.suffix.lower()
     text = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf")
     first = repr(text.strip().splitlines()[0][:60]) if text.strip() else "nothing"

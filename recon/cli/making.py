@@ -48,7 +48,7 @@ it. Arguments of other types, such as functions and arrays, no command line can 
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb, whose command line is made from a function's signature and docstring."""
+    """A verb of the command line: its function, outputs and options."""
 
     function_name: str
     """The function as "module:name"."""
@@ -66,7 +66,7 @@ class Verb:
 
 
 def command_function(name: str, verb: Verb) -> Callable[..., None]:
-    """Make the function of a verb, which checks, computes, writes and reports."""
+    """Make the function that the command line calls for a verb, with the verb's signature."""
     function = _parsed_function(verb.function_name)
     taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
     own = [one for one in _command_parameters(function) if one.name not in taken]
@@ -86,7 +86,7 @@ def command_function(name: str, verb: Verb) -> Callable[..., None]:
 
 
 def _parsed_function(function_place: str) -> ast.FunctionDef:
-    """Parse the definition of a function "module:name"."""
+    """Return the syntax tree of a function "module:name", without importing its module."""
     module, _, name = function_place.partition(":")
     path = Path(recon.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -94,7 +94,7 @@ def _parsed_function(function_place: str) -> ast.FunctionDef:
 
 
 def _command_parameters(node: ast.FunctionDef) -> list[Parameter]:
-    """Parameters of a function, without annotations that a command line cannot express."""
+    """Return a parsed function's parameters; unannotated if no command line can give them."""
     plain = node.args.args
     missing = [None] * (len(plain) - len(node.args.defaults))
     defaults = [*missing, *node.args.defaults, *node.args.kw_defaults]
@@ -116,7 +116,7 @@ def _parameter_of_argument(node: ast.arg, default: ast.expr | None) -> Parameter
 
 
 def _type_of_annotation(node: ast.expr) -> Any:
-    """The type that an annotation in source code means for a command line.
+    """Return the type for a command line that an annotation in source code stands for.
 
     Raises:
         NameError: when it is of something that no command line can give.
@@ -142,7 +142,7 @@ def _type_of_annotation(node: ast.expr) -> Any:
 
 
 def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
-    """Options of a command line besides the arguments of its function."""
+    """Yield the options that a verb has besides its function's own: out, json, quiet, ..."""
     if verb.settings is not None:
         yield _option_parameter("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)
     if verb.places and (result := verb.places[0].parameter) not in own:
@@ -164,6 +164,6 @@ def _further_options(verb: Verb, own: set[str]) -> Iterator[Parameter]:
 
 
 def _option_parameter(name: str, kind: Any, *default: Any) -> Parameter:
-    """A keyword parameter, with its default if it has one."""
+    """Make a keyword-only parameter of a signature, optionally with a default."""
     value = default[0] if default else Parameter.empty
     return Parameter(name, Parameter.KEYWORD_ONLY, annotation=kind, default=value)

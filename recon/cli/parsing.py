@@ -16,7 +16,7 @@ BAD_USAGE = 2
 
 
 def parsed_command(words: Sequence[str]) -> Callable[[], None]:
-    """A function that runs the verb of a command line with its arguments.
+    """Parse a command line; return a function without arguments that runs its verb.
 
     Raises:
         SystemExit: after `--help`, and, with code 2, when the words are no command.
@@ -55,7 +55,7 @@ _COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
 
 
 def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
-    """Parse the words of one verb, four times as fast as with all verbs."""
+    """Parse the arguments of one verb; return a function that runs the verb with them."""
     import tyro
 
     verb = listing.function_of_verb(name)
@@ -92,7 +92,7 @@ def _with_out_option_last(words: Sequence[str]) -> Sequence[str]:
 
 
 def options_of(verb: Callable[..., None]) -> set[str]:
-    """Names of all options of a verb, with `--no-` of switches."""
+    """Return the names of all options of a verb, such as --fps, with --no-... of switches."""
     parameters = inspect.signature(verb).parameters.values()
     return {"-h", "--help", *_COMPLETION}.union(
         *(_option_names(one.name, one.annotation, one.default) for one in parameters)
@@ -100,7 +100,7 @@ def options_of(verb: Callable[..., None]) -> set[str]:
 
 
 def _option_names(name: str, hint: Any, default: Any) -> set[str]:
-    """Option names of a parameter; a record of settings has one per field."""
+    """Return the option names for one parameter; a dataclass gives one option per field."""
     from tyro.conf import Positional
 
     if is_dataclass(default):
@@ -120,7 +120,7 @@ def _option_names(name: str, hint: Any, default: Any) -> set[str]:
 
 
 def _storing_arguments(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """A function with the verb's signature and help that stores the arguments for later."""
+    """Wrap a verb so that a call does not run it, but returns a function that does."""
 
     @functools.wraps(verb)
     def later(*args: Any, **kwargs: Any) -> Callable[[], None]:
@@ -130,7 +130,7 @@ def _storing_arguments(verb: Callable[..., None]) -> Callable[..., Callable[[], 
 
 
 def _with_short_help(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """The verb with only the first line of its help, for the list of all verbs."""
+    """Wrap a verb as `_storing_arguments` does, with its docstring cut to one paragraph."""
     later = _storing_arguments(verb)
     later.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
     return later
@@ -144,7 +144,7 @@ def _description(name: str, verb: Callable[..., None]) -> str:
 
 
 def _unknown_options(words: Sequence[str], options: Iterable[str]) -> list[str]:
-    """Words that look like options but are not known ones."""
+    """Return those words of a command line that look like options but are unknown."""
     known = set(options)
     names = [word.partition("=")[0] for word in words]
     return [

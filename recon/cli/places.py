@@ -31,22 +31,22 @@ R = TypeVar("R")
 
 
 def file_output(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """The output is a file with a report next to it."""
+    """Declare the path as an output file with a report beside it."""
     return (Output(path),)
 
 
 def report_output(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """The output is a JSON file that is its own report."""
+    """Declare the path as an output file in JSON without another report."""
     return (Output(path, OutputKind.REPORT),)
 
 
 def folder_output(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """The output is a folder, written as a whole."""
+    """Declare the path as an output folder, which is written as a whole."""
     return (Output(path, OutputKind.FOLDER),)
 
 
 def folder_or_npz_output(path: Path, given: Arguments) -> tuple[Output, ...]:
-    """The output is one motion file if the name ends in .npz, else a folder of several.
+    """Declare the path as one motion file if it ends in .npz, else as a folder of several.
 
     Raises:
         ValueError: when several motions are asked for in one file.
@@ -59,7 +59,7 @@ def folder_or_npz_output(path: Path, given: Arguments) -> tuple[Output, ...]:
 
 @dataclass(frozen=True)
 class Place:
-    """An argument that names an output of a verb."""
+    """A verb's argument that names an output, and a function that lists what is written."""
 
     parameter: str
     outputs: Callable[[Path, Arguments], tuple[Output, ...]] = file_output
@@ -106,5 +106,5 @@ def writes(
 
 
 def declared_outputs(verb: Callable[..., Any]) -> tuple[Place, ...]:
-    """The declared outputs of a verb; empty for one that only reads."""
+    """Return the outputs that `writes` declared for a verb; () for one that only reads."""
     return vars(verb).get("writes", ())

@@ -82,7 +82,7 @@ def write_and_tell(
 
 
 def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:
-    """Print a summary of a result that was written.
+    """Print tables and findings of a result, and where it was written.
 
     Args:
         report: of the result.
@@ -119,7 +119,7 @@ def print_summary(report: Mapping[str, Any], tables: Mapping[str, Any], place: s
 
 
 def _print_result(found: Any, given: Mapping[str, Any]) -> None:
-    """Print what a function returned.
+    """Print what a verb's function returned, as JSON, rows or tables.
 
     Functions with the option `json` return the facts of one file; others write files, and return
     tables, warnings and the place of these.

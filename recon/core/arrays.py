@@ -1,4 +1,4 @@
-"""Arrays that users give, as the tensors that the library computes with."""
+"""Converts and checks arrays and numbers that users pass to the library."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -22,16 +22,16 @@ def cached_constant(
     device: torch.device,
     dtype: torch.dtype = torch.long,
 ) -> Tensor:
-    """A tensor of constant numbers, cached per device; it must not be changed.
+    """Return a tensor of constants that is cached per device; callers must not change it.
 
-    Made anew from the host in every evaluation of an objective, it would make a GPU wait.
+    Creating it anew in every evaluation of an objective would make a GPU wait for the host.
     """
     with torch.inference_mode(False):  # autograd refuses inference tensors
         return torch.tensor(numbers, device=device, dtype=dtype)
 
 
 def float_tensor(values: Any, name: str) -> Tensor:
-    """Numbers as a floating point tensor.
+    """Convert an array, list or tensor of real numbers to a detached floating-point tensor.
 
     Arrays and lists become single precision, and NaN where an array of `numpy.ma` is masked.
     Tensors keep their device and, where it is single or double, their precision; derivatives do
@@ -60,7 +60,7 @@ def float_tensor(values: Any, name: str) -> Tensor:
 
 
 def geometries_given(given: Any) -> tuple[Any, ...]:
-    """The Open3D geometries in an argument, one per frame; empty if it is something else.
+    """Return an argument as a tuple of Open3D geometries, one per frame; () if it is none.
 
     They are recognised by their attributes. A depth image is a pair (image, lens).
     """
@@ -79,7 +79,7 @@ def is_geometry(one: Any) -> bool:
 
 
 def bool_tensor(values: Any, name: str) -> Tensor:
-    """A mask as a boolean tensor; numbers must be 0 or 1.
+    """Convert a mask (booleans, or numbers 0 and 1) to a boolean tensor.
 
     Raises:
         ValueError: when there are other values.
@@ -100,7 +100,7 @@ def bool_tensor(values: Any, name: str) -> Tensor:
 
 
 def index_tuple(values: Any, name: str) -> tuple[int, ...]:
-    """A row of non-negative integers as a tuple.
+    """Convert a one-dimensional array of non-negative integers to a tuple.
 
     Raises:
         ValueError: when these are something else.
@@ -116,7 +116,7 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
 
 
 def usable_device(name: str) -> torch.device:
-    """The torch device of this name, once a tensor could be made on it.
+    """Return the torch device of this name after a test that it works.
 
     Raises:
         ReconError: when there is no such device, or torch cannot use it.
@@ -129,7 +129,7 @@ def usable_device(name: str) -> torch.device:
 
 
 def positive_number(value: Any, name: str) -> float:
-    """The value as a float, which is checked to be finite and above zero.
+    """Return a value as a float; refuse one that is not finite and above zero.
 
     Raises:
         ValueError: when it is something else.
@@ -141,13 +141,13 @@ def positive_number(value: Any, name: str) -> float:
 
 
 def usable_rate(value: Any, name: str) -> float:
-    """The value as a float, which is checked to be a plausible frame rate in Hz (ValueError)."""
+    """Return a value as a float; refuse an implausible frame rate in Hz (ValueError)."""
     FRAME_RATE.check(rate := positive_number(value, name), name)
     return rate
 
 
 def finite_number(value: Any, name: str) -> float:
-    """The value as a float, which is checked to be finite.
+    """Return a value as a float; refuse NaN, infinity and what is no number.
 
     Raises:
         ValueError: when it is something else.

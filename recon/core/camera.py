@@ -26,7 +26,7 @@ _UNDISTORT_STEPS = 30
 
 @dataclass(frozen=True)
 class Projection(TensorStruct):
-    """Pixels of points in an image, finite also for points behind the camera."""
+    """Pixel coordinates and depths of projected points; finite even behind the camera."""
 
     pixels: Float[Tensor, "*batch points 2"]
     """u to the right, v down. Meaningless, and without gradient, where not `in_front`."""
@@ -90,7 +90,7 @@ class Camera(TensorStruct):
         distortion: Numbers | None = None,
         T_camera_world: Numbers | None = None,
     ) -> "Camera":
-        """A camera; without a pose its frame is the world.
+        """Make a camera from arrays; without a pose, camera and world coordinates coincide.
 
         Arrays of numpy become tensors in single precision.
 
@@ -112,13 +112,13 @@ class Camera(TensorStruct):
 
     @property
     def T_world_camera(self) -> Float[Tensor, "*#frames 4 4"]:
-        """Maps points of the camera frame to the world."""
+        """Transform from camera to world coordinates, the inverse of `T_camera_world`."""
         turn = self.T_camera_world[..., :3, :3].mT
         place = -turn @ self.T_camera_world[..., :3, 3:]
         return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
 
     def at(self, moments: range) -> "Camera":
-        """The camera at frame numbers of its clock; before its first and after its last it rests.
+        """Return the camera with the poses of the given frames; first and last pose extend.
 
         Its poses must have an axis of frames, of length one for a fixed camera.
         """
@@ -131,11 +131,11 @@ class Camera(TensorStruct):
     def to_camera(
         self, points: Float[Tensor, "*batch points 3"]
     ) -> Float[Tensor, "*all points 3"]:
-        """World points in the camera frame, metres."""
+        """Transform points from world to camera coordinates, metres."""
         return transform(self.T_camera_world, points)
 
     def to_world(self, points: Float[Tensor, "*batch points 3"]) -> Float[Tensor, "*all points 3"]:
-        """Points of the camera frame in the world, metres."""
+        """Transform points from camera to world coordinates, metres."""
         return transform(self.T_world_camera, points)
 
     def project(self, points: Float[Tensor, "*batch points 3"]) -> Projection:
@@ -155,7 +155,7 @@ class Camera(TensorStruct):
     def unproject(
         self, pixels: Float[Tensor, "*batch points 2"], depth: Float[Tensor, "*batch points"]
     ) -> Float[Tensor, "*all points 3"]:
-        """World points seen at these pixels and depths (metres along the viewing axis)."""
+        """Return the world points at given pixels and depths (metres along the viewing axis)."""
         centred = (pixels - self.camera_matrix[..., None, :2, 2]).mT
         rays = torch.linalg.solve(self.camera_matrix[..., :2, :2], centred).mT
         if self.distortion is not None:
@@ -169,13 +169,13 @@ class Camera(TensorStruct):
         return ((pixels >= 0) & (pixels < size)).all(-1)
 
     def moved(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Camera":
-        """The same camera in another world frame; `T_new_old` maps the old world to the new."""
+        """Return this camera for other world coordinates; `T_new_old` maps old ones to new."""
         poses = self.T_camera_world
         back = torch.from_numpy(np.linalg.inv(T_new_old)).to(poses)
         return self.derived(T_camera_world=poses @ back)
 
     def placed(self, position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> "Camera":
-        """This camera at a fixed place of the world (z up), looking at a target.
+        """Return this camera at a fixed position of the world (z up), looking at a target.
 
         Raises:
             ValueError: when it would look straight up or down.
@@ -266,7 +266,7 @@ def pose_looking_at(
 def _undistort(
     rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
 ) -> Float[Tensor, "*shape 2"]:
-    """Undistorted coordinates, by fixed-point iteration (converges for monotone distortion)."""
+    """Remove lens distortion from coordinates x/z, y/z, by fixed-point iteration."""
     straight = rays
     for _ in range(_UNDISTORT_STEPS):
         radial, shift = _distortion_terms(straight, coefficients)
@@ -275,7 +275,7 @@ def _undistort(
 
 
 def _distortion_terms(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """Radial factor and tangential shift at ideal coordinates x/z, y/z (Brown; OpenCV's)."""
+    """Return radial factor and tangential shift of OpenCV's lens model at x/z, y/z."""
     missing = COEFFICIENT_COUNTS[-1] - coefficients.shape[-1]
     padded = torch.nn.functional.pad(coefficients, (0, missing))[..., None]
     k1, k2, p1, p2, k3, k4, k5, k6 = padded.unbind(-2)
@@ -293,12 +293,12 @@ def _centred_camera(focal: float, width: int, height: int) -> Camera:
 
 
 def full_hd_camera() -> Camera:
-    """A phone's main camera filming 1920 x 1080 across 65 degrees, at the origin."""
+    """Return a typical phone camera at the origin: 1920 x 1080 pixels, 65 degrees wide."""
     return _centred_camera(1500.0, 1920, 1080)
 
 
 def depth_camera() -> Camera:
-    """A time-of-flight sensor of 512 x 424 pixels across 70 degrees, at the origin."""
+    """Return a typical depth camera at the origin: 512 x 424 pixels, 70 degrees wide."""
     return _centred_camera(365.0, 512, 424)
 
 
@@ -333,13 +333,13 @@ class Ground(TensorStruct):
 
     @classmethod
     def seen_from(cls, T_camera_world: Float[Tensor, "*batch 4 4"]) -> "Ground":
-        """The world's ground z = 0 in the frame of a camera of known pose."""
+        """Return the world's ground z = 0 as a plane in the coordinates of a posed camera."""
         normal = T_camera_world[..., :3, 2]
         return cls(normal, (normal * T_camera_world[..., :3, 3]).sum(-1))
 
     @property
     def coefficients(self) -> Float[Tensor, "*batch 4"]:
-        """(nx, ny, nz, d), as files hold it."""
+        """The plane's coefficients (nx, ny, nz, d) of n·x = d, as in files."""
         return torch.cat((self.normal, self.offset[..., None]), -1)
 
     def heights(self, points: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape"]:

@@ -1,4 +1,4 @@
-"""Point clouds as arrays; their unit and up axis, inferred from the person in them."""
+"""Converts point clouds to arrays, and infers their unit and up axis from the person seen."""
 
 from typing import Any, get_args
 
@@ -35,13 +35,13 @@ points of somebody who crouches stay on the floor."""
 
 
 def array_of_open3d(values: Any) -> np.ndarray:
-    """An array from Open3D: from vectors of its older or tensors of its newer interface."""
+    """Convert an Open3D vector or tensor to a NumPy array in double precision."""
     values = values.cpu().numpy() if hasattr(values, "cpu") else values
     return np.asarray(values, dtype=np.float64)
 
 
 def cloud_points(one: Any, name: str) -> np.ndarray:
-    """Points (N, 3) of an array, or of a cloud or mesh of Open3D, without those that are NaN.
+    """Return the points (N, 3) of an array or an Open3D cloud or mesh, without NaN rows.
 
     Raises:
         ValueError: when it has no points of three coordinates.
@@ -58,7 +58,7 @@ def cloud_points(one: Any, name: str) -> np.ndarray:
 
 
 def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
-    """Metres, centimetres or millimetres, by the size of the clouds.
+    """Tell the unit of clouds (m, cm or mm) by the size of the person in them.
 
     Raises:
         UnitsError: when the size fits none.
@@ -84,7 +84,7 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
 def up_of_clouds(
     clouds: list[Float[np.ndarray, "_ 3"]], name: str, *, unit_given: bool
 ) -> tuple[Up, tuple[str, ...]]:
-    """The up direction of scans of one person, and a note where it is not z.
+    """Infer the up direction of scans of one person; return it, with a note if it is not z.
 
     The longest axis is up, or down: the lower end stays on the floor, is wider, as feet stand
     apart, and has less of the body near it. Scans that show a room have z up, and those of
@@ -164,6 +164,6 @@ def _head_above_feet(clouds: list[np.ndarray], up: Up) -> float:
 
 
 def _mean_horizontal_radius(points: Float[np.ndarray, "points 3"]) -> float:
-    """Mean horizontal distance of points from their centroid, plus `_SWAY` so as not to be 0."""
+    """Mean horizontal distance of points from their centroid, plus a small constant."""
     level = points[:, :2]
     return float(np.linalg.norm(level - level.mean(0), axis=-1).mean()) + _SWAY

@@ -71,7 +71,7 @@ _STILL = 0.02
 
 
 def unit_from_bones(length: float, name: str) -> tuple[str, str]:
-    """Unit that gives a head-to-foot path of bones human length, and the reason for the choice.
+    """Tell the unit by the summed length of bones from head to foot; also return the reason.
 
     Raises:
         ValueError: when no unit fits.
@@ -90,13 +90,13 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
 
 
 def hint_at_unusual_unit(size: float) -> str:
-    """A hint, for messages, at the rare unit in which this size is an adult's; else empty."""
+    """Return a hint for messages if a size fits an adult in a rare unit; else an empty text."""
     found = [unit for unit in _UNUSUAL if _ADULT[0] <= size * METRES[unit] <= _ADULT[1]]
     return f", but an adult's in {found[0]} (--unit {found[0]})" if found else ""
 
 
 def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
-    """Unit in which the extent of all markers is that of a person, and the reason for it.
+    """Tell the unit (m, cm, mm) by the extent of all markers; also return the reason.
 
     Raises:
         ValueError: when no unit fits.
@@ -112,7 +112,7 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
 
 
 def reason_for_declared_unit(unit: str, size: float, name: str) -> str:
-    """The reason for the unit that a file states, after a check that a body can have that size.
+    """Check that a body's size is possible in the unit that a file states; return the reason.
 
     Raises:
         ValueError: when no body has that size.
@@ -201,7 +201,7 @@ def vectors_up_body(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """Vectors from the low to the high end of the body, found by names, in frames with both.
+    """Return vectors from the lower to the upper end of the body in frames that show both.
 
     It goes from the feet to the head and shoulders, or to the pelvis where neither is seen. Feet
     count where more than half of their points are seen: one foot alone may be a raised one whose
@@ -234,7 +234,7 @@ def vectors_up_body(
 
 
 def _means_of_chosen(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Mean of the chosen points of every frame."""
+    """Return the mean position of the points that a mask selects in every frame."""
     return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
 
@@ -246,7 +246,7 @@ def settled_up(
     name: str,
     extent: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[Up, str]:
-    """The up direction, and the reason: from feet to head, else the format's, else the floor's.
+    """Infer the up direction from body posture, file format or floor; also return the reason.
 
     Args:
         names: of the points.
@@ -281,7 +281,7 @@ def settled_up(
 
 
 def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) -> tuple[Up, str]:
-    """The up direction by the vector from feet to head, and the reason for it.
+    """Decide the up direction by the vector from feet to head; also return the reason.
 
     Args:
         rise: mean vector from feet to head, in any unit; None when unknown.
@@ -313,7 +313,7 @@ def decide_up(rise: Float[np.ndarray, "3"] | None, usual: Up | None, name: str) 
 
 
 def signed_axis(axis: int, sign: float) -> Up:
-    """The direction along the axis of this number, or against it for a negative sign."""
+    """Return the name of an axis direction, such as "z" or "-z", from its number and sign."""
     return AXES[axis] if sign > 0 else _DOWN[AXES[axis]]
 
 
@@ -322,9 +322,9 @@ def axis_of_floor(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> tuple[Up, str] | None:
-    """The up direction as the normal of the plane of movement, for people who crouch or bend.
+    """Infer the up direction of people who crouch or bend, by the constant height of the floor.
 
-    Along it, the lowest point that moves stays where the floor is. None where that is not clear.
+    Along it, the lowest moving point varies least over time. Returns None if that is not clear.
 
     Args:
         rise: mean vector from feet to head.
@@ -352,7 +352,7 @@ def _height_range(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> float:
-    """Range of the height of the lowest point, over nine tenths of the frames."""
+    """Return how much the lowest visible point's height along `up` varies (5 to 95 % quantile)."""
     heights = np.where(visible, positions @ to_z_up(up)[2], np.inf)[visible.any(1)].min(1)
     return float(np.subtract(*np.quantile(heights, (0.95, 0.05))))
 
@@ -363,7 +363,7 @@ def corrected_up(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Up | None:
-    """The body's upright direction if it clearly contradicts the declared up axis, else None.
+    """Return the up direction seen from the body if it contradicts the declared one, else None.
 
     The body is sure where its unit vectors of all frames have a mean of at least `_SURE` along an
     axis or against it, and `_CLEAR` times as much as along the declared one. Where all that is

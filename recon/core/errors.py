@@ -5,7 +5,7 @@ from typing import Any
 
 
 class ReconError(ValueError):
-    """Something that was given to recon cannot be used."""
+    """An input of recon is unusable; the base class of all errors that recon raises for input."""
 
 
 class FormatError(ReconError):
@@ -13,7 +13,7 @@ class FormatError(ReconError):
 
 
 class UnitsError(ReconError):
-    """Numbers are in another unit than the one that is expected."""
+    """Unit or axes of an input are unknown, or its numbers do not fit the expected unit."""
 
 
 class ObservationError(ReconError):

@@ -60,13 +60,13 @@ class Hands(TensorStruct):
     those of the body's shape."""
 
     def window(self, start: int, stop: int) -> "Hands":
-        """The fingers in frames start, ..., stop - 1."""
+        """Return the finger rotations of frames start, ..., stop - 1."""
         return self.replace(rotations=self.rotations[..., start:stop, :, :, :])
 
     def between(
         self, before: Int[Tensor, " times"], after: Int[Tensor, " times"], fraction: Tensor
     ) -> "Hands":
-        """Interpolate between frames `before` and `after`, along the shortest arcs."""
+        """Interpolate finger rotations between pairs of frames, along the shortest arcs."""
         a, b = (self.rotations[..., k, :, :, :] for k in (before, after))
         share = fraction.to(a)[:, None].expand(len(before), a.shape[-3])
         return self.replace(rotations=so3.interpolate(a, b, share))
@@ -87,7 +87,7 @@ _FIRST = {156: 66, 165: 75}
 def hands_of_arrays(
     arrays: Mapping[str, np.ndarray], path: object, dtype: torch.dtype
 ) -> Hands | None:
-    """The fingers of a motion file in a layout of AMASS: SMPL-H, SMPL-X or ours.
+    """Read finger rotations from a motion file's arrays (AMASS with SMPL-H or SMPL-X, or ours).
 
     None where it has none: other layouts, and fingers all of whose rotations are zero.
 

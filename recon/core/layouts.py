@@ -8,7 +8,7 @@ from recon.core.skeleton import JOINTS
 
 
 def left_right_pairs(*names: str) -> tuple[str, ...]:
-    """left_a, right_a, left_b, right_b, ..."""
+    """Return each name with the prefixes left_ and right_: left_a, right_a, left_b, ..."""
     return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
 
 

@@ -50,7 +50,7 @@ class Motion(TensorStruct):
         fps: float,
         start_time: float = 0.0,
     ) -> "Motion":
-        """A motion without padding."""
+        """Make a motion from arrays, in which all frames are valid (no padding)."""
         valid = torch.ones(translation.shape[:-1], dtype=torch.bool, device=translation.device)
         return cls(translation, rotations, shape, valid, float(fps), float(start_time))
 
@@ -60,7 +60,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Mask of the frames that exist as do those `step` before and after; ends left out."""
+        """Mask of valid frames whose neighbours at distance `step` are valid; ends cut off."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after
@@ -77,7 +77,7 @@ class Motion(TensorStruct):
         return self.start_time + (self.frames - 1) / self.fps
 
     def window(self, start: int, stop: int) -> "Motion":
-        """Frames start, ..., stop - 1, with the times that they have in this motion."""
+        """Return frames start, ..., stop - 1 as a motion that keeps their times."""
         return self.replace(
             translation=self.translation[..., start:stop, :],
             rotations=self.rotations[..., start:stop, :, :, :],
@@ -124,7 +124,7 @@ class Motion(TensorStruct):
     def carried(
         self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
     ) -> "Motion":
-        """The motion after a rigid transform T, given the pelvis of the unposed body (metres)."""
+        """Apply a rigid transform T of the world; `pelvis` is that of the unposed body, metres."""
         root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
         return self.replace(
             translation=carried_translation(self.translation, T, pelvis),
@@ -132,7 +132,7 @@ class Motion(TensorStruct):
         )
 
     def resample(self, fps: float) -> "Motion":
-        """The motion at another rate (Hz), beginning at the same time."""
+        """Interpolate the motion at another frame rate (Hz), from the same start time."""
         if fps == self.fps:
             return self
         count = int((self.frames - 1) / self.fps * fps + 1e-6) + 1
@@ -145,13 +145,13 @@ def carried_translation(
     T: Float[Tensor, "*batch 4 4"],
     pelvis: Float[Tensor, "*batch 3"],
 ) -> Float[Tensor, "*batch time 3"]:
-    """A body's translation t after a rigid transform (R, s): R (t + p) + s - p, rest pelvis p."""
+    """Return a motion's translation t after a rigid transform (R, s): R (t + p) + s - p."""
     rest = pelvis[..., None, :]
     return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 
 
 def padded_batch(motions: list[Motion]) -> Motion:
-    """Several clips as one batch; the shorter ones repeat their last frame, marked not valid.
+    """Join clips to one batch; shorter clips repeat their last frame, marked as not valid.
 
     Raises:
         ValueError: when rates differ (resample first) or there is no clip.

@@ -113,7 +113,7 @@ _NEAR = 12
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points on triangles, with their barycentric coordinates."""
+    """Points on a mesh: position, triangle and barycentric coordinates of each."""
 
     triangles: Int[np.ndarray, "points 3"]
     """Vertex numbers of the triangle of every point."""
@@ -128,7 +128,7 @@ def closest_points(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
 ) -> SurfacePoints:
-    """The nearest point of a surface to each point, among the triangles with the nearest centres.
+    """Return, for each point, the nearest point of a mesh, among triangles of nearest centres.
 
     On meshes whose triangles are of like size it is the nearest of all.
 

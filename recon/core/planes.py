@@ -1,4 +1,4 @@
-"""Ground and walls in point clouds of a depth sensor, and clusters and noise of the rest."""
+"""Finds ground, walls and clusters in point clouds of a depth sensor, and their noise."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -40,7 +40,7 @@ _NOWHERE = np.array([[np.inf] * 2, [-np.inf] * 2])
 
 @dataclass(frozen=True)
 class FoundGround:
-    """A plane that may be the ground, or why none was found."""
+    """The result of a search for the ground: a plane or None, and the reason as a text."""
 
     ground: Ground | None
     """Normal up, in the frame of the points; None when there is no such plane."""
@@ -51,7 +51,7 @@ def find_ground(
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     up: Float[np.ndarray, "3"],
 ) -> FoundGround:
-    """The largest roughly level plane that has few points below it.
+    """Find the ground: the largest roughly level plane that has few points below it.
 
     Planes are found by RANSAC (Fischler & Bolles 1981) and refined by least squares on their
     inliers, the largest first. A table is level, too, but the floor around it lies below. The
@@ -90,7 +90,7 @@ def find_walls(
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     eye: Float[np.ndarray, "3"],
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
-    """Unit normal n and offset n·x = d of steep planes that stand still and are opaque.
+    """Find walls: steep planes that do not move; return unit normal n and offset n·x = d.
 
     Who walks in a straight line is near one steep plane all along the way. A wall, however, fills
     the same rectangle of its plane, too wide for a person, in most frames, and little is seen
@@ -145,7 +145,7 @@ class _SampledPoints:
         return cls(np.concatenate(some), frame, len(some))
 
     def by_frame(self, rows: Int[np.ndarray, " rows"]) -> list[Float[np.ndarray, "_ 3"]]:
-        """The chosen points, split by frame."""
+        """Return the points with the given indices, split by frame."""
         ends = np.searchsorted(self.frame[rows], np.arange(1, self.frames))
         return np.split(self.points[rows], ends)
 
@@ -153,7 +153,7 @@ class _SampledPoints:
 def _planes_by_size(
     points: Float[np.ndarray, "points 3"], generator: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, " inliers"]]]:
-    """Unit normal, offset and inliers of the largest plane, then of the next largest, ..."""
+    """Yield unit normal, offset and inlier indices of planes, those of most points first."""
     left = np.arange(len(points))
     for _ in range(_CANDIDATES):
         found = _largest_plane(points[left], generator)
@@ -167,7 +167,7 @@ def _planes_by_size(
 def _common_rectangle(
     frames: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Corners of the rectangle that points of at least half of the frames cover.
+    """Return two corners of the rectangle that the points of at least half of the frames fill.
 
     Three quarters of the frames begin before it along either axis, and three quarters end after.
     """
@@ -194,7 +194,7 @@ def in_front_of_plane(
 
 
 def _plane_width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
-    """Extent along the second axis of points of a plane, without a tenth at either end, metres."""
+    """Return the smaller extent (m) of a plane's points, from the 10 to the 90 % quantile."""
     if len(points) == 0:
         return 0.0
     across = np.cross(normal, _principal_axes(points)[:, 2]) @ (points - points.mean(0)).T
@@ -202,7 +202,7 @@ def _plane_width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray
 
 
 def _principal_axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3 3"]:
-    """Principal axes as columns, by increasing extent."""
+    """Return the principal axes of points as columns, the longest one last."""
     centred = points - points.mean(0)
     return np.linalg.eigh(centred.T @ centred)[1]
 
@@ -210,7 +210,7 @@ def _principal_axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, 
 def _largest_plane(
     points: Float[np.ndarray, "points 3"], generator: np.random.Generator
 ) -> tuple[Float[np.ndarray, "3"], float, Bool[np.ndarray, " points"]] | None:
-    """Unit normal n, offset n·x = d and inliers of the plane with most points; None if none."""
+    """RANSAC: return unit normal n, offset n·x = d and inlier mask of the largest plane."""
     if len(points) < 3:
         return None
     corners = points[generator.integers(0, len(points), (_TRIALS, 3))]
@@ -239,12 +239,12 @@ def _largest_plane(
 def above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
 ) -> Bool[np.ndarray, " points"]:
-    """Points higher than `least` above the ground, metres."""
+    """Mask of points that are more than `least` metres above the ground."""
     return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
 
 
 def point_spacing(clouds: Sequence[np.ndarray]) -> float:
-    """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
+    """Return the median distance of points from their nearest neighbour, metres; 0 if none.
 
     Clouds have axes (points, 3), each its own number of points.
     """
@@ -293,7 +293,7 @@ def depth_noise(
     present: Bool[np.ndarray, "moments points"],
     eye: Float[np.ndarray, "moments 3"],
 ) -> Float[np.ndarray, " moments"]:
-    """Standard deviation of distances from the sensor at every moment, metres.
+    """Estimate the standard deviation of measured depths in every frame, metres.
 
     Every point is compared with the plane through its neighbours in the image: a deviation is
     noise, or the curvature of limbs where points are sparse (half a thousand points of a body
@@ -321,7 +321,7 @@ def depth_noise(
 
 
 def _plane_deviations(from_sensor: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
-    """Sizes of the deviations of points from the planes through their neighbours, along rays."""
+    """Return each point's distance along its ray from a plane fitted to its neighbours."""
     from scipy.spatial import KDTree
 
     far = np.linalg.norm(from_sensor, axis=1)

@@ -30,7 +30,7 @@ _CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
 
 @cache
 def registered_places(group: str) -> Mapping[str, str]:
-    """Places "package.module:Class" of all classes of an entry point group, by their names.
+    """Return {name: "package.module:Class"} of all plug-ins of an entry point group.
 
     Those of this package come last, so that nobody else takes their names. In a source checkout
     they are read from its `pyproject.toml`, as what was installed may be older than the code.
@@ -64,7 +64,7 @@ def imported_object(place: str, what: str) -> Any:
 def lazy_names(
     package: str, module_of: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package whose names are imported on first use.
+    """Return `__getattr__` and `__dir__` for a package that imports its names on first use.
 
     Args:
         package: its name.

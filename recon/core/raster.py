@@ -22,7 +22,7 @@ The range is kept this tight because depths are single-precision shares of it.""
 
 @dataclass(frozen=True)
 class Raster:
-    """Face, depth and position on the mesh for every pixel of a picture."""
+    """A drawn picture: depth of the nearest face and interpolated values at every pixel."""
 
     depth: Float[np.ndarray, "height width"]
     """Depth of the nearest face; infinity where there is none."""
@@ -81,7 +81,7 @@ def rasterise(
 def vertex_normals(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals: the mean of the adjacent faces' normals, weighted by area."""
+    """Return unit normals of vertices: adjacent faces' normals, averaged by area."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     normal = np.cross(b - a, c - a)
     total = np.stack(
@@ -113,5 +113,5 @@ def faces_eye(
     normals: Float[Tensor, "*batch discs 3"],
     eye: Float[Tensor, "*batch 3"],
 ) -> Bool[Tensor, "*batch discs"]:
-    """Whether the outer side of a disc is turned towards the eye."""
+    """Return a mask of the surface discs whose outward normal points towards the eye."""
     return ((eye[..., None, :] - middles) * normals).sum(-1) >= 0

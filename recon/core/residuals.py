@@ -14,7 +14,7 @@ Unit = Literal["metres", "pixels", "radians"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of the coordinates of one observation."""
+    """The noise of one observation: standard deviation in its unit, and in metres."""
 
     own: float
     """Standard deviation of every coordinate in the observation's own unit.
@@ -27,7 +27,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Residuals(TensorStruct):
-    """Observed minus predicted, at the moments of the observation; zero where nothing was seen.
+    """Residuals of one observation, observed minus predicted, with weights; 0 where unseen.
 
     Energies, noise, diagnosis and warnings all follow from these.
     """
@@ -43,7 +43,7 @@ class Residuals(TensorStruct):
 
     @property
     def seen(self) -> Bool[Tensor, "*batch moments points"]:
-        """Points that were observed at moments that the estimate covers."""
+        """Mask of residuals that count: the point was seen, and the estimate covers its time."""
         return self.weights > 0
 
     @property
@@ -52,7 +52,7 @@ class Residuals(TensorStruct):
         return self.values.norm(dim=-1)
 
     def present(self) -> Float[Tensor, " samples"]:
-        """Lengths of the residuals of all points that were seen, in one row."""
+        """Return the lengths of all residuals of seen points as a flat tensor."""
         return self.distances[self.seen]
 
 
@@ -64,7 +64,7 @@ NORMAL_MAD = 0.67449
 
 
 def squared(residual_squared: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """rho(e) = e²: ordinary least squares."""
+    """Robust kernel of ordinary least squares: returns the squared residual unchanged."""
     return residual_squared
 
 

@@ -11,7 +11,7 @@ _SMALL = 1e-8
 
 
 def hat(vector: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """The matrix K of the cross product: K x = vector × x."""
+    """Return the skew-symmetric matrix K of the cross product: K x = vector × x."""
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
@@ -135,7 +135,7 @@ def nearest(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
 
 
 def to_6d(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 6"]:
-    """The first two columns, one after the other (Zhou et al. 2019)."""
+    """Flatten a rotation matrix to its first two columns, six numbers (Zhou et al. 2019)."""
     return rotation[..., :2].transpose(-1, -2).flatten(-2)
 
 
@@ -173,7 +173,7 @@ def between(
 
 
 def about_z(angle: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape 3 3"]:
-    """Rotation about the vertical, in radians."""
+    """Return the matrix of a rotation about the z axis by an angle in radians."""
     zero = torch.zeros_like(angle)
     return exp(torch.stack((zero, zero, angle), -1))
 
@@ -181,7 +181,7 @@ def about_z(angle: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape 3 3"]:
 def rigid(
     turn: Float[Tensor, "*shape 3 3"], shift: Float[Tensor, "*shape 3"]
 ) -> Float[Tensor, "*shape 4 4"]:
-    """The transform x -> turn x + shift as one matrix."""
+    """Return the 4 x 4 matrix of the transform x -> turn x + shift."""
     upper = torch.cat((turn, shift[..., None]), -1)
     last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(upper).expand(*upper.shape[:-2], 1, 4)
     return torch.cat((upper, last), -2)
@@ -190,18 +190,18 @@ def rigid(
 def transform(
     T: Float[Tensor, "*frames 4 4"], points: Float[Tensor, "*batch points 3"]
 ) -> Float[Tensor, "*all points 3"]:
-    """Points after a rigid transform; leading axes broadcast."""
+    """Apply 4 x 4 rigid transforms to points; leading axes broadcast."""
     return points @ T[..., :3, :3].mT + T[..., None, :3, 3]
 
 
 def inverse_rigid(T: Float[Tensor, "*shape 4 4"]) -> Float[Tensor, "*shape 4 4"]:
-    """The inverse of a rigid transform, a rotation and a shift in metres."""
+    """Return the inverse of a 4 x 4 rigid transform (rotation and translation)."""
     back = T[..., :3, :3].mT
     return rigid(back, -(back @ T[..., :3, 3:])[..., 0])
 
 
 def heading(root: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """Turn A about the vertical that brings the body's right side to +x (so forward to +y).
+    """Return the rotation A about z that turns the body's right side to +x (forward to +y).
 
     With (rx, ry) the normalised horizontal part of -root[:, 0], A = [[rx, ry, 0], [-ry, rx, 0],
     [0, 0, 1]]: no arc cosine, exact at every angle. Where the right side is vertical the heading

@@ -53,12 +53,12 @@ class UnknownGround(TensorStruct):
 
     @classmethod
     def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
-        """The first guess: the ground is z = 0 of the recording."""
+        """Initialise with the ground at z = 0 of the recording."""
         return cls(torch.zeros_like(pivot[..., :2]), torch.zeros_like(pivot[..., 0]), pivot)
 
     @property
     def T_world_recording(self) -> Float[Tensor, "*batch 4 4"]:
-        """Maps points of the recording to the world, metres."""
+        """Transform from the recording's coordinates to the world with the ground at z = 0."""
         vector = torch.nn.functional.pad(TILT * self.tilt, (0, 1))
         turn = so3.exp(vector)
         up = torch.nn.functional.pad(self.lift[..., None], (2, 0))
@@ -67,7 +67,7 @@ class UnknownGround(TensorStruct):
 
     @property
     def plane(self) -> Ground:
-        """The ground in the recording's frame."""
+        """The ground plane in the coordinates of the recording."""
         from recon.core.camera import Ground  # imported here: in most clips the ground is known
 
         T = self.T_world_recording
@@ -90,12 +90,12 @@ class UnknownLens(TensorStruct):
 
     @classmethod
     def create(cls, distance: Float[Tensor, "*batch"]) -> "UnknownLens":
-        """The initial lens: its focal length is the guess."""
+        """Initialise with the guessed focal length (zoom of zero)."""
         return cls(torch.zeros_like(distance), distance)
 
     @property
     def factor(self) -> Float[Tensor, "*batch"]:
-        """The focal length over the guessed one."""
+        """Ratio of the present focal length to the guessed one."""
         return (ZOOM * self.zoom).exp()
 
     def of(self, camera: Camera) -> Camera:
@@ -135,7 +135,7 @@ class Scene(TensorStruct):
     def to_recording(
         self, points: Float[Tensor, "*batch time points 3"]
     ) -> Float[Tensor, "*batch time points 3"]:
-        """World points in the frame that observations are given in, metres."""
+        """Transform points from the world to the coordinates of the recording, metres."""
         if self.ground is None:
             return points
         T = self.ground.T_world_recording[..., None, :, :]
@@ -144,7 +144,7 @@ class Scene(TensorStruct):
     def to_recording_directions(
         self, directions: Float[Tensor, "*batch time points 3"]
     ) -> Float[Tensor, "*batch time points 3"]:
-        """World directions, such as normals, in the frame that observations are given in."""
+        """Rotate directions (normals) from the world to the coordinates of the recording."""
         if self.ground is None:
             return directions
         return directions @ self.ground.T_world_recording[..., None, :3, :3]

@@ -42,7 +42,7 @@ MIRROR = (0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 
 
 
 def joint_index(name: str) -> int:
-    """Number of a joint.
+    """Return the number of a joint, by its name, in the order of `JOINTS`.
 
     Raises:
         ValueError: when there is no such joint; the message lists them.
@@ -53,7 +53,7 @@ def joint_index(name: str) -> int:
 
 
 def descendants(joint: int) -> tuple[int, ...]:
-    """The joint and all that hang from it."""
+    """Return the numbers of a joint and of all joints below it in the kinematic tree."""
     chain = [joint]
     for child, parent in enumerate(PARENTS):
         if parent in chain and child not in chain:

@@ -52,13 +52,13 @@ class TensorStruct:
         return cast(Any, self).map(lambda tensor: tensor[index])
 
     def replace(self: _S, **fields: Any) -> _S:
-        """The record with some fields replaced, checked like a new one."""
+        """Return a copy with some fields replaced; the constructor checks the new values."""
         return dataclasses.replace(cast(Any, self), **fields)
 
     def derived(self: _S, **fields: Any) -> _S:
-        """The record with some fields replaced by values that were computed from it.
+        """Return a copy with some fields replaced, without the constructor's checks.
 
-        Unlike `replace` it checks nothing, for speed: records are derived in every evaluation.
+        It is faster than `replace`, as records are derived in every evaluation.
         """
         record = object.__new__(type(self))
         for field in dataclasses.fields(cast(Any, self)):

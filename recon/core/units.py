@@ -19,7 +19,7 @@ Unit = str
 
 
 class _Metres(dict[str, float]):
-    """Metres per unit, by the unit's name or as a positive number."""
+    """Metres per unit of length; keys are unit names, or numbers as text such as "0.3048"."""
 
     def __missing__(self, unit: str) -> float:
         if (word := _SPELLINGS.get(unit.strip().lower())) is not None:
@@ -45,7 +45,7 @@ _SPELLINGS = {
 
 
 def parse_unit(text: str) -> str | None:
-    """One of `METRES` for the spelling used in a file; None for an empty or foreign word."""
+    """Return the unit ("m", "mm", ...) for a spelling in a file; None if it is unknown."""
     word = text.strip().lower()
     word = _SPELLINGS.get(word, word)
     return word if word in METRES else None
@@ -84,6 +84,6 @@ def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
 
 
 def snapped_rate(fps: float) -> float:
-    """The frame rate, rounded where its inverse is a rounded interval (1 / 0.0083333 is 120)."""
+    """Round a frame rate that comes from a rounded interval: 1 / 0.0083333 gives 120 Hz."""
     whole = round(fps)
     return float(whole) if whole > 0 and abs(fps - whole) < 2e-4 * whole else float(fps)

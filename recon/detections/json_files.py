@@ -46,7 +46,7 @@ People = list[tuple[Float[np.ndarray, "keypoints 3"], int]]
 def read_json_detections(
     value: Any, name: str, layout: str | None, image_size: tuple[int, int] | None
 ) -> Detections:
-    """Read the detections of all people in a JSON file of all frames.
+    """Read 2D keypoints of all people from the parsed content of one JSON file.
 
     Args:
         value: what the file holds.
@@ -75,7 +75,7 @@ def read_json_detections(
 def read_frames(
     frames: Frames, name: str, layout: str | None, image_size: tuple[int, int] | None
 ) -> Detections:
-    """Read the detections of all people in JSON values, one per frame, of one program."""
+    """Read 2D keypoints of all people from JSON values, one per frame, of one detector."""
     producer = next(
         (
             one
@@ -103,7 +103,7 @@ def read_frames(
 
 
 def is_alphapose(value: Any) -> bool:
-    """Whether JSON is a flat list of people, each with an image, as in COCO's results."""
+    """Whether parsed JSON is AlphaPose's format: a list of people, each with an `image_id`."""
     return (
         isinstance(value, list)
         and len(value) > 0
@@ -112,7 +112,7 @@ def is_alphapose(value: Any) -> bool:
 
 
 def _read_alphapose(people: list[dict[str, Any]], name: str, layout: str | None) -> Detections:
-    """Read AlphaPose's people; scores are divided by 6 if any exceeds 1."""
+    """Read 2D keypoints of AlphaPose; scores are divided by 6 if any exceeds 1."""
     images = sorted({str(person["image_id"]) for person in people})
     numbers = frame_numbers([PurePath(image).stem for image in images], name)
     by_image = dict(zip(images, numbers, strict=True))
@@ -139,7 +139,7 @@ def _people_of_openpose(entry: Any, place: str) -> People | None:
 def _with_hands(
     body: Float[np.ndarray, "keypoints 3"], hands: list[Any], place: str
 ) -> Float[np.ndarray, "more 3"]:
-    """Keypoints of a body, with 21 of each hand after them if there is any.
+    """Append 21 keypoints of each hand to those of a body; a missing hand gives zeros.
 
     Raises:
         ValueError: when a hand has another number.
@@ -157,14 +157,14 @@ def _with_hands(
 
 
 def _people_of_easymocap(entry: Any, place: str) -> People | None:
-    """Read EasyMocap's people of a frame; negative confidence means missing."""
+    """Read everybody's 2D keypoints in one frame of EasyMocap; None if it is no such frame."""
     return _listed_people(entry, place, "annots", "keypoints", ("personID", "id"))
 
 
 def _listed_people(
     entry: Any, place: str, key: str, keypoints_key: str, identity_keys: tuple[str, ...]
 ) -> People | None:
-    """Read the people listed under `key`, with keypoints as flat lists of x, y, confidence."""
+    """Read a list of people under `key` whose keypoints are flat lists x, y, confidence, ..."""
     people = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(people, list):
         return None
@@ -178,7 +178,7 @@ def _listed_people(
 
 
 def _people_of_mmpose(entry: Any, place: str) -> People | None:
-    """Read `{"instances": [...]}`, a list of instances, or rtmlib's record of two arrays.
+    """Read everybody's 2D keypoints in one frame of MMPose or rtmlib; None for other formats.
 
     Heatmap scores lie in [0, 1]; those of SimCC heads (RTMPose) are not normalised and clipped.
     """
@@ -209,7 +209,7 @@ def _people_of_mmpose(entry: Any, place: str) -> People | None:
 
 
 def _people_of_mediapipe(entry: Any, place: str) -> People | None:
-    """Read MediaPipe's landmarks, in pixels or fractions; confidence is their visibility."""
+    """Read everybody's landmarks in one frame of MediaPipe; None for other formats."""
     people = people_of_landmarks(entry, _LANDMARK_KEYS)
     if people is None or (people and not _has_axes(people[0], "xy")):
         return None
@@ -222,14 +222,14 @@ def _people_of_mediapipe(entry: Any, place: str) -> People | None:
 
 
 def _flat_hand(hand: list[Any], place: str) -> list[Any]:
-    """x, y and confidence 1 of the points of a hand in one list; records have no visibility."""
+    """Flatten MediaPipe's hand landmarks to a list x, y, 1 (the confidence), x, y, 1, ..."""
     if not _has_axes(hand, "xy"):
         raise FormatError(f"{place}: expected landmarks of a hand with x and y")
     return [number for one in hand for number in (one["x"], one["y"], 1.0)]
 
 
 def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | None:
-    """MediaPipe's landmarks of each person; None where the entry has none."""
+    """Return MediaPipe's landmark records by person under one of `keys`; None for no such."""
     if isinstance(entry, dict):
         key = next((key for key in keys if key in entry), None)
         entry = None if key is None else entry[key] or []
@@ -241,7 +241,7 @@ def people_of_landmarks(entry: Any, keys: tuple[str, ...]) -> list[list[Any]] | 
 
 
 def landmarks(person: list[Any], axes: str, place: str) -> Float[np.ndarray, "33 numbers"]:
-    """Coordinates and visibility of the landmarks of one person, from MediaPipe's records.
+    """Convert one person's 33 landmark records of MediaPipe to rows of axes and visibility.
 
     Raises:
         ValueError: when there are not 33 of them, or axes are missing.
@@ -259,7 +259,7 @@ def _has_axes(person: list[Any], axes: str) -> bool:
 
 
 def _in_pixels(rows: list[Row], image_size: tuple[int, int] | None, name: str) -> list[Row]:
-    """Landmarks in pixels, from pixels or from fractions of the image (all in [0, 1])."""
+    """Convert landmarks from fractions of the image to pixels, if they are no pixels yet."""
     places = [np.abs(points[:LANDMARKS, :2]) for _, points, _ in rows]
     if not rows or np.median(np.nan_to_num(places)) > _FRACTION:
         return rows

@@ -47,7 +47,7 @@ _AGREEMENT = 0.8
 def settle_layout(
     points: Float[np.ndarray, "rows points 3"], layout: str | None, name: str
 ) -> tuple[str, Float[np.ndarray, "rows known 3"], str]:
-    """Recognise a layout; returns its name, the keypoints in its order, and a note.
+    """Tell the layout of keypoints; return its name, keypoints in its order, and a note.
 
     25 keypoints may be OpenPose's BODY_25 or BODY_25B: read the wrong way, arms and legs join
     points far apart, so the reading in which the bones are shorter is right. 18 are OpenPose's
@@ -106,7 +106,7 @@ def _openpose_model(points: np.ndarray, name: str) -> str:
 
 
 def _bone_length(points: np.ndarray, layout: str) -> np.ndarray:
-    """Mean length of every person's seen bones, pixels; NaN where there are too few."""
+    """Return each row's mean length of visible bones, pixels; NaN if too few are visible."""
     index = {name: k for k, name in enumerate(keypoint_names(layout))}
     pairs = np.array([(index[a], index[b]) for a, b in _BONES])
     seen = (points[:, pairs, 2] >= _CONFIDENT).all(-1)
@@ -123,7 +123,7 @@ Row = tuple[int, np.ndarray, int]
 
 @dataclass(frozen=True)
 class Background:
-    """Points of the background that were followed through a film whose camera moves."""
+    """Tracks of background points in a film whose camera moves: frame, point and pixels."""
 
     frame: Int[np.ndarray, " seen"]
     """The frame number of each place."""
@@ -178,7 +178,7 @@ def detections_of_rows(
     layout: str | None = None,
     decisions: tuple[str, ...] = (),
 ) -> Detections:
-    """Make detections of the rows that a reader found.
+    """Make `Detections` from rows of frame number, keypoints and person number.
 
     Confidences are clipped to [0, 1]. A keypoint is missing where its confidence is zero, or its
     place is NaN, infinite, (0, 0), or -1 in both coordinates.
@@ -247,7 +247,7 @@ def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -
 def with_clipped_confidences(
     points: Float[np.ndarray, "rows points 3"],
 ) -> Float[np.ndarray, "rows points 3"]:
-    """Keypoints with confidences clipped to [0, 1], and zeros where one is missing."""
+    """Clip confidences of keypoints to [0, 1], and set missing keypoints to zeros."""
     finite = np.isfinite(points).all(-1)
     place = points[..., :2]
     nowhere = (place == 0).all(-1) | (place == -1).all(-1)

@@ -102,7 +102,7 @@ def read_deeplabcut(path: Path, layout: str | None = None) -> Detections:
 
 
 def plain_part_name(part: str) -> str:
-    """A body part's name in recon's spelling: LHip, hip_left, "left hip" become left_hip."""
+    """Convert a body part's name to recon's spelling: LHip, hip_left become left_hip."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=^[LR])(?=[A-Z])(?!EFT|IGHT)", "_", part.strip())
     joined = re.sub(r"[^a-z0-9]+", "_", spaced.lower()).strip("_")
     joined = re.sub(r"^(left|right)(?=[a-z])", r"\1_", joined)
@@ -112,7 +112,7 @@ def plain_part_name(part: str) -> str:
 
 
 def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
-    """The layout that has most of the body parts, and the parts that it lacks."""
+    """Return the layout that matches most of these part names, and the unmatched names."""
     words = {plain_part_name(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}
     found = {key: len(words.keys() & set(LAYOUTS[key])) for key in candidates}
@@ -127,7 +127,7 @@ def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, 
 
 
 def is_sleap(path: Path) -> bool:
-    """Whether a table has SLEAP's header."""
+    """Whether a CSV table has the column names of SLEAP."""
     head = next(iter(first_rows(path, 1)), [])
     return "frame_idx" in head and any(name.endswith(".x") for name in head)
 
@@ -231,7 +231,7 @@ def read_detection_arrays(path: Path, layout: str | None = None) -> Detections:
 def _one_number(
     arrays: Mapping[str, Shaped[np.ndarray, "..."]], key: str, within: Limit
 ) -> float | None:
-    """A number of a file; None where it has none, or one that cannot be."""
+    """Return a number from a file's arrays; None if it is absent or outside its limits."""
     value = np.asarray(arrays.get(key, np.nan)).ravel()
     sound = value.dtype.kind in "fiu" and len(value) == 1 and within.holds(value)
     return float(value[0]) if sound else None
@@ -242,7 +242,7 @@ def _hands(
     kept: Bool[np.ndarray, "frames people"],
     path: Path,
 ) -> Float[np.ndarray, "rows 42 3"]:
-    """Points of hands of the people that are kept.
+    """Return the hand keypoints in a file, for the chosen frames and people.
 
     Raises:
         ValueError: when they are not numbers of the right shape.
@@ -258,7 +258,7 @@ def _hands(
 
 
 def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Background | None:
-    """Followed points of the background, where a file has them.
+    """Return the tracked background points in a file's arrays; None if it has none.
 
     Raises:
         ValueError: when they are not numbers of shapes that belong together.
@@ -281,7 +281,7 @@ def _background(arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path) -> Bac
 def _straight_lines(
     arrays: dict[str, Shaped[np.ndarray, "..."]], path: Path
 ) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """Straight segments of images, and the frame of each, where a file has them.
+    """Return the arrays of straight image segments and their frames in a file; {} if none.
 
     Raises:
         ValueError: when they are not numbers of shapes that belong together.
@@ -302,7 +302,7 @@ def _straight_lines(
 def _numbers_of_rows(
     arrays: dict[str, Shaped[np.ndarray, "..."]], shape: tuple[int, int], path: Path
 ) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, "frames people"]]:
-    """Frame numbers, and person numbers per frame; -1 where a person has no number.
+    """Return a file's frame numbers, and its person numbers by frame (-1 for no number).
 
     Raises:
         ValueError: when there is not one for each, or frame numbers do not rise.
@@ -321,7 +321,7 @@ def _numbers_of_rows(
 
 
 def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
-    """Arrays that `read_detection_arrays` reads: a column for every person, by their numbers.
+    """Convert detections to the arrays of an .npz file, with one column per person.
 
     People without a number stand in the order of their frame.
     """
@@ -362,7 +362,7 @@ def detection_arrays(found: Detections) -> dict[str, np.ndarray]:
 def _pixels_and_confidence(
     arrays: dict[str, Shaped[np.ndarray, "..."]],
 ) -> Float[np.ndarray, "frames people points 3"] | None:
-    """Pixels and confidence from a file's arrays; None if these are something else."""
+    """Return x, y and confidence from a file's arrays; None if they are no 2D keypoints."""
     if "kind" in arrays:
         return None
     values = next((arrays[key] for key in _KEYPOINTS if key in arrays), None)

@@ -13,18 +13,18 @@ from training.labels.rooms import all_around, drawn_room, glimpse
 from training.labels.shards import (
     Postures,
     Source,
+    clothed_bodies,
     draw_clouds,
     drawn_shape,
     random_motion,
-    turned_over,
-    wardrobe,
+    random_orientation,
     with_hair,
 )
 
 
 @pytest.fixture(scope="module")
 def people():
-    return wardrobe(BodyModel.load(), 3, 0)
+    return clothed_bodies(BodyModel.load(), 3, 0)
 
 
 def a_source(people):
@@ -88,7 +88,7 @@ def test_made_up_limbs_bend_as_joints_do():
 
 def test_people_are_turned_over_at_times():
     random = np.random.default_rng(0)
-    up = np.array([turned_over(random)[2, 2] for _ in range(300)])
+    up = np.array([random_orientation(random)[2, 2] for _ in range(300)])
     assert 0.5 < (up > 0.99).mean() < 0.8
     assert (up < -0.5).mean() > 0.02
 

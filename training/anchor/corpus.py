@@ -1,4 +1,4 @@
-"""The corpus as cycles of gait, augmented: shifted, mirrored, on other bodies."""
+"""Gait cycles of the corpus, with augmentation by time shift, mirroring and other bodies."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class CycleBatch(TensorStruct):
 
 @dataclass(frozen=True)
 class CycleCorpus(TensorStruct):
-    """All cycles of one part, with what comes shortly before and after them."""
+    """All gait cycles of one part of the corpus, with ten frames before and after each."""
 
     columns: Float[Tensor, "cycles frames 20 6"]
     """Rotations; 120 frames, of which the middle 100 are the cycle."""
@@ -74,7 +74,7 @@ class CycleCorpus(TensorStruct):
 
     @classmethod
     def load(cls, settings: CorpusSettings, part: Part, body: BodyModel) -> "CycleCorpus":
-        """All cycles in stretches of one part that teach steps.
+        """Load all gait cycles of one part from the stretches that may teach steps.
 
         Raises:
             ValueError: when there is none.
@@ -114,7 +114,7 @@ class CycleCorpus(TensorStruct):
         )
 
     def every(self) -> CycleBatch:
-        """All cycles as recorded."""
+        """Return all cycles as recorded, without augmentation."""
         rows = torch.arange(len(self.duration))
         return self._cut_cycles(rows, torch.zeros_like(rows), self.shape)
 

@@ -1,4 +1,4 @@
-"""Learning cycles of gait: principal components with the normal distribution of their numbers.
+"""Learns gait cycles: principal components, and the normal distribution of their coefficients.
 
 The fit has a closed form, so there is nothing to resume: a run takes half a minute. A network in
 its place, the VAE of Marsot et al. (2022), completed cycles less well (docs/tried.md).
@@ -55,7 +55,7 @@ def export_weights(settings: AnchorTraining, path: Path) -> None:
 
 
 def principal_components(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
-    """Principal components of varied training cycles, and how their numbers are spread."""
+    """Fit principal components to augmented cycles, and the distribution of their coefficients."""
     random = torch.Generator().manual_seed(settings.seed)
     rows = [
         learned.draw(_DRAWN_AT_ONCE, settings.variation, random).anchors.pack()
@@ -81,7 +81,7 @@ _LEAST_SPAN = 0.01
 
 
 def fitted_basis(rows: Float[Tensor, "cycles 100 124"], basis: int) -> CycleBasis:
-    """A basis fitted to training cycles.
+    """Fit the linear basis of cycles to training cycles (principal components).
 
     Raises:
         ValueError: when there are fewer cycles than directions asked for.
@@ -105,7 +105,7 @@ def fitted_spread(
     means: Float[Tensor, "cycles latent"], variances: Float[Tensor, "cycles latent"],
     typical: int, seed: int = 0,
 ) -> CodeSpread:  # fmt: skip
-    """Moments of the mixture of all posteriors, and the cycles nearest to cluster centres."""
+    """Mean and covariance of all cycles' codes, and a few typical codes by clustering."""
     from sklearn.cluster import KMeans
 
     codes = means.double()

@@ -45,7 +45,7 @@ OTHER = "other"
 
 
 def kind_of(description: str) -> str:
-    """The kind of motion, from the description of a recording."""
+    """Classify a recording's kind of motion by words of its description."""
     text = description.lower()
     for kind, words in KINDS.items():
         if any(word in text for word in words):
@@ -89,7 +89,7 @@ class StateWindows(TensorStruct):
 
 @dataclass(frozen=True)
 class Corpus(TensorStruct):
-    """All clips of one part end to end."""
+    """All clips of one part of the corpus, concatenated along the axis of frames."""
 
     translation: Float[Tensor, "frames 3"]
     rotations: Float[Tensor, "frames 22 3 3"]
@@ -117,7 +117,7 @@ class Corpus(TensorStruct):
         body: BodyModel,
         lesson: Lesson = "steps",
     ) -> "Corpus":
-        """All stretches of one part that may teach something.
+        """Load all stretches of one part of the corpus that may teach a lesson.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -208,7 +208,7 @@ class Corpus(TensorStruct):
         return _states_at_frames(moments, self.trusted[clip])
 
     def every(self, frames: int) -> StateWindows:
-        """All windows one after the other, as recorded."""
+        """Return consecutive windows of all clips, as recorded, without augmentation."""
         clip: list[int] = []
         first: list[int] = []
         for k, (start, count) in enumerate(
@@ -231,7 +231,7 @@ class Corpus(TensorStruct):
 
     @staticmethod
     def _frames_needed(frames: int, speed: Tensor | float) -> Tensor | float:
-        """Frames in memory that a window needs, with one more on each side and for rounding."""
+        """Number of stored frames (120 Hz) that a window spans, with spare ones at its ends."""
         return (frames - 1) * STRIDE * speed + 4
 
     def _moments_of_windows(
@@ -329,7 +329,7 @@ def _states_at_frames(moments: Moments, trusted: Bool[Tensor, " windows"]) -> St
 def _balanced_chances(
     chance: Float[Tensor, " clips"], group: Int[Tensor, " clips"], share: float
 ) -> Float[Tensor, " clips"]:
-    """Probabilities of clips, divided by a power (0 to 1) of the group's total."""
+    """Divide clips' chances by a power (0 to 1) of their group's total, so groups even out."""
     if share == 0:
         return chance
     together = chance.new_zeros(int(group.max()) + 1).index_add(0, group, chance)
@@ -337,7 +337,7 @@ def _balanced_chances(
 
 
 def _between_jumps(clip: MotionFile) -> list[MotionFile]:
-    """The runs of a clip between implausible jumps, with their contacts."""
+    """Split a clip, with its contacts, at implausible jumps between frames."""
     motion, contacts = clip.motion, clip.contacts
     turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5
     jump = (turn * motion.fps > _FASTEST_TURN).any(-1)
@@ -364,7 +364,7 @@ def _contact_labels(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
 
 
 def _at_rate(clip: MotionFile) -> MotionFile:
-    """A clip at `RATE`, by cubic splines through its entries; labels are those nearest in time."""
+    """Resample a clip to `RATE` by cubic splines; contact labels are the nearest in time."""
     motion = clip.motion
     if motion.fps == RATE:
         return clip
@@ -391,6 +391,6 @@ def _at_rate(clip: MotionFile) -> MotionFile:
 
 
 def _orthonormalised(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """A nearly orthonormal matrix made much more so: one Newton-Schulz step R (3 - RᵀR) / 2."""
+    """Bring a nearly orthonormal matrix R closer to one: a Newton-Schulz step R (3 - RᵀR) / 2."""
     a = matrix.reshape(-1, 3, 3)
     return torch.baddbmm(a, a, a.mT @ a, beta=1.5, alpha=-0.5).view(matrix.shape)

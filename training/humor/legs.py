@@ -50,7 +50,7 @@ def legs_reaching(
     rest: Float[Tensor, "windows 22 3"],
     aim: LegTargets,
 ) -> tuple[Float[Tensor, "windows times 22 3 3"], Bool[Tensor, "windows 2"]]:
-    """Rotations with which both legs reach their ankles from a moved pelvis.
+    """Solve for joint rotations with which both legs reach target ankles from a target pelvis.
 
     Thigh and shank turn by the shortest way from where they pointed in the world, so that
     kneecaps keep facing where the feet do.
@@ -138,7 +138,7 @@ def may_move_pelvis(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_pelvis_moved(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with another path of the pelvis, and which of them are plausible motions.
+    """Move the pelvis of windows at random; return them, and a mask of plausible results.
 
     Both feet stay exactly where they were, in contact or not, and so do their labels.
     """
@@ -168,7 +168,7 @@ def with_pelvis_moved(
 
 
 def _varying_factor(chance: Chance, moments: Moments) -> Tensor:
-    """Random factors between 0.5 and 1 that vary over time, for displacements that last."""
+    """Random factors between 0.5 and 1 that vary smoothly over the times of a window."""
     return 0.5 + 0.5 * chance.wave(moments.seconds, *_BEND_PERIODS)
 
 
@@ -206,7 +206,7 @@ def may_raise(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_leg_raised(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with one leg raised, and which of them are plausible motions.
+    """Raise one leg in each window; return the windows, and a mask of plausible results.
 
     The other foot stands on the ground all the time, and stays exactly where it is. The pelvis
     goes the other way by as much as keeps the centre of mass in its place.
@@ -303,7 +303,7 @@ def may_step(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_step_added(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with a part of a step added, and which of them are plausible motions.
+    """Add a part of a step to windows; return them, and a mask of plausible results.
 
     The foot that steps loses its contacts while it is in the air, the other one stays exactly
     where it is, and the pelvis goes half of the way.

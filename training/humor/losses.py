@@ -62,7 +62,7 @@ def unroll(
     random: torch.Generator | None,
     half: bool = False,
 ) -> tuple[Transition, State]:
-    """All steps of the windows, from true or predicted states, with their targets.
+    """Predict all steps of windows from true or predicted states; also return target states.
 
     A step from an own prediction starts at that prediction, in its own frame; the state to reach
     remains the true one, in the frame of the true state before. No gradient passes from step to
@@ -99,7 +99,7 @@ def transition(
     random: torch.Generator | None,
     half: bool,
 ) -> Transition:
-    """One step towards a target: encode both, draw a latent, decode."""
+    """Predict a step: encode state and target, draw a latent, decode the next state."""
     packed = state.pack()
     with torch.autocast(packed.device.type, torch.bfloat16, enabled=half):
         mean, log_variance = networks.posterior(packed, target.pack())
@@ -138,6 +138,6 @@ def loss_terms(found: Transition, target: State, windows: StateWindows) -> dict[
 
 
 def total_loss(losses: Mapping[str, Tensor], kl: float, weights: LossWeights) -> Tensor:
-    """The weighted sum; `kl` is the annealed share of that term's weight."""
+    """Weighted sum of all losses; `kl` (0 to 1) anneals the weight of the KL divergence."""
     given = dataclasses.asdict(weights) | {"kl": kl * weights.kl}
     return torch.stack([given.get(name, 1.0) * value for name, value in losses.items()]).sum()

@@ -1,4 +1,4 @@
-"""Windows as rotations over time, before joints and velocities are computed from them.
+"""Windows of translations and joint rotations, before joints and velocities are computed.
 
 Edits change these rotations and translations at every moment alike, those beside the frames
 included, from whose differences velocities are taken; so velocities always belong to positions.
@@ -24,7 +24,7 @@ CHANNELS = {joint: channel for channel, joint in enumerate(CONTACT_JOINTS)}
 
 @dataclass(frozen=True)
 class Moments(TensorStruct):
-    """Windows of motion in the world: z up, metres, seconds; frame by frame, moment by moment."""
+    """Windows of motion (world, z up, metres), with a moment before and after each frame."""
 
     translation: Float[Tensor, "windows times 3"]
     rotations: Float[Tensor, "windows times 22 3 3"]
@@ -43,11 +43,11 @@ class Moments(TensorStruct):
         return orientations, joints + self.translation[:, :, None]
 
     def always_in_contact(self, *joints: int) -> Bool[Tensor, " windows"]:
-        """Whether each of these joints is in contact in every frame."""
+        """Mask of windows in which all the given joints are in contact in every frame."""
         return self.contacts[..., [CHANNELS[j] for j in joints]].flatten(1).all(1)
 
     def ever_in_contact(self, *joints: int) -> Bool[Tensor, " windows"]:
-        """Whether one of these joints is in contact in any frame."""
+        """Mask of windows in which at least one of the given joints is in contact at some time."""
         return self.contacts[..., [CHANNELS[j] for j in joints]].flatten(1).any(1)
 
 
@@ -57,7 +57,7 @@ def with_edited(
     edited: Moments,
     accepted: Bool[Tensor, " some"],
 ) -> Moments:
-    """Windows of which some rows are replaced by edited ones, where the edit was accepted."""
+    """Replace the windows `rows` by their edited versions, where the edit was accepted."""
     kept = rows[accepted]
 
     def exchanged(old: Tensor, new: Tensor) -> Tensor:
@@ -71,7 +71,7 @@ def with_edited(
 
 
 def at_frames(values: Float[Tensor, "windows times *rest"]) -> Tensor:
-    """The values at the middle moment of every frame, without its two neighbours."""
+    """Select the values at the frames, without the moments before and after each frame."""
     return values[:, 1::PER_FRAME]
 
 
@@ -147,7 +147,7 @@ def bone_directions(
 
 
 def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether edited windows are within the ranges of their joints and above the ground."""
+    """Mask of edited windows whose joint angles are in range and joints above the ground."""
     before, after = (joint_angles(at_frames(m.rotations), m.rest) for m in (old, new))
     low, high = after.new_tensor(LOWEST), after.new_tensor(HIGHEST)
     inside = (after > torch.minimum(low, before) - _SLACK) & (
@@ -157,7 +157,7 @@ def is_plausible(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
 
 
 def above_ground(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether every joint is above z = 0 by the flesh around it, or as high as recorded."""
+    """Mask of windows whose joints keep their least height above z = 0, or the recorded one."""
     before, after = (_joints_at_frames(m)[..., 2] for m in (old, new))
     least = [_SOLE if j in FEET else _CLEARANCE for j in range(len(JOINTS))]
     allowed = torch.minimum(after.new_tensor(least), before.amin(1) - 1e-3)
@@ -171,24 +171,24 @@ def _joints_at_frames(moments: Moments) -> Float[Tensor, "windows frames 22 3"]:
 
 @dataclass(frozen=True)
 class Chance:
-    """Random numbers for a number of windows, from one generator, on one device."""
+    """Draws random numbers for each window of a batch, on the windows' device."""
 
     random: torch.Generator
     like: Tensor
     """A tensor of the kind and device wanted; its first axis counts the windows."""
 
     def uniform(self, low: float, high: float) -> Float[Tensor, " windows"]:
-        """Uniform numbers, one for every window."""
+        """Draw a uniform random number from `low` to `high` for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return low + (high - low) * drawn
 
     def log_uniform(self, low: float, high: float) -> Float[Tensor, " windows"]:
-        """Numbers whose logarithm is uniform, one for every window."""
+        """Draw a log-uniform random number from `low` to `high` for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return low * (high / low) ** drawn
 
     def sign(self) -> Float[Tensor, " windows"]:
-        """One or minus one, drawn with equal chances for every window."""
+        """Draw 1 or -1 with equal probability for every window."""
         drawn = torch.rand(len(self.like), generator=self.random).to(self.like)
         return torch.where(drawn < 0.5, -1.0, 1.0)
 

@@ -1,4 +1,4 @@
-"""HuMoR's networks in training: the same functions with normalised inputs and outputs.
+"""HuMoR's networks as they are trained: with normalised inputs and outputs.
 
 A state mixes rotation entries that hardly move with velocities that move a lot, and a step is a
 hundred times smaller than a state. Scaled, all of them are learned at the same pace; the scales
@@ -39,7 +39,7 @@ class Scaling(TensorStruct):
 
     @classmethod
     def none(cls) -> "Scaling":
-        """Zeros and ones."""
+        """Return the scaling that changes nothing: means of zero, deviations of one."""
         zero, one = torch.zeros(STATE), torch.ones(STATE)
         return cls(zero, one, zero, one, torch.zeros(RAW), torch.ones(RAW))
 
@@ -92,7 +92,7 @@ class ScaledNetworks(nn.Module):
     def around(
         cls, plain: HumorNetworks, scaling: Scaling, noise: float = 0.0
     ) -> "ScaledNetworks":
-        """Scaled networks that compute the same functions as plain ones."""
+        """Wrap plain networks so that they compute the same functions with normalised numbers."""
         core = HumorNetworks(plain.width)
         core.load_state_dict(plain.state_dict())
         made = cls(core, scaling, noise)
@@ -107,7 +107,7 @@ class ScaledNetworks(nn.Module):
         )
 
     def plain(self) -> HumorNetworks:
-        """Networks that compute the same functions without scales."""
+        """Plain `HumorNetworks` of the same functions, with the scales folded into layers."""
         made = ScaledNetworks(HumorNetworks(self.core.width), self.scaling.to(device="cpu"))
         made.load_state_dict(self.state_dict())
         made._fold_scales(outwards=True)
@@ -127,7 +127,7 @@ class ScaledNetworks(nn.Module):
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """The raw step of a latent; see `HumorNetworks.decode`."""
+        """Decode state and latent to the raw step; see `HumorNetworks.decode`."""
         raw = self.core.decode(self._normalised_state(state), latent)
         return self.raw_mean + self.raw * raw.float()
 

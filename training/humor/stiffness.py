@@ -64,7 +64,7 @@ def main(
 
 
 def drawn_windows(clips: list[Motion], count: int, seed: int) -> Motion:
-    """Short windows of random clips, from random frames on; axes (count, frames)."""
+    """Cut short windows at random times out of random clips; axes (count, frames)."""
     random = torch.Generator().manual_seed(seed)
 
     def random_index(stop: int) -> int:
@@ -102,13 +102,13 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
 
 
 def half_precision_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """F with F Fᵀ the matrix; the entries of F fit into half precision."""
+    """Return F in half precision with F Fᵀ equal to a given positive semidefinite matrix."""
     values, vectors = torch.linalg.eigh(matrix)
     return (vectors * values.clamp(min=0).sqrt()).half()
 
 
 def _perturbed_variables(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
-    """Variables after a step of every frame's numbers, then of the shape's."""
+    """Variables with one number changed: each of a frame's numbers, then of the shape's."""
     found: list[PoseVariables] = []
     for k in range(SPAN * FRAME):
         steps = base.pose.new_zeros(len(base.pose), SPAN, FRAME)

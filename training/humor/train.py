@@ -90,7 +90,7 @@ class HumorRun(Run[HumorTraining, ScaledNetworks]):
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> ScaledNetworks:
-        """Random networks, or those to start from, scaled by augmented windows."""
+        """Make untrained networks (or load those to start from), scaled by augmented windows."""
         settings = self.settings
         scaling = Scaling.none()
         if state is None:
@@ -210,7 +210,7 @@ def fitted_mixture(
     regularisation: float = 1e-4,
     seed: int = 0,
 ) -> Mixture:
-    """A mixture fitted by expectation maximisation from k-means (HuMoR, section 4).
+    """Fit a mixture of Gaussians by expectation maximisation, from k-means (HuMoR, section 4).
 
     Args:
         samples: rows of all numbers.
@@ -236,7 +236,7 @@ def fitted_mixture(
 def error_whitening(
     networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> Float[Tensor, "207 207"]:
-    """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
+    """Whitening matrix U of the decoder's errors: C⁻¹ = U Uᵀ for their covariance C about zero."""
     with torch.no_grad():
         errors = posterior_outputs(networks, states, pelvis).error.flatten(0, 1).double()
     covariance = errors.mT @ errors / len(errors)

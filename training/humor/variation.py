@@ -93,7 +93,7 @@ def may_move_arms(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_arms_moved(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with changed arms, and which of them are plausible motions."""
+    """Change the arms of windows at random; return them, and a mask of plausible results."""
     chance = Chance(random, moments.translation)
     rotations = moments.rotations.clone()
     for shoulder, elbow, side in ((16, 18, 1.0), (17, 19, -1.0)):
@@ -117,7 +117,7 @@ def with_arms_moved(
 
 
 def clear_of_trunk(old: Moments, new: Moments) -> Bool[Tensor, " windows"]:
-    """Whether elbows and wrists are outside the trunk's flesh, or as near as recorded."""
+    """Mask of windows whose elbows and wrists stay out of the trunk, or as near as recorded."""
     before, after = (_distances_from_trunk(m.posed()[1]) for m in (old, new))
     allowed = before.amin(1, keepdim=True).clamp(max=_TRUNK) - 1e-3
     return (after > allowed).flatten(1).all(1)
@@ -142,7 +142,7 @@ _FARTHEST = math.radians(50)
 
 
 def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows with the lower half of the first and the upper half of the second.
+    """Combine the lower body of windows `legs` with the upper body of windows `trunks`.
 
     The trunk is tilted in the world as it was recorded, and turned as the legs are: relative to
     the heading of its pelvis, its orientation is that of its own recording. What the two pelvises
@@ -168,7 +168,7 @@ def with_upper_body_of(legs: Moments, trunks: Moments) -> tuple[Moments, Bool[Te
 
 
 def _pelvis_tilt(moments: Moments) -> Float[Tensor, "windows times 3 3"]:
-    """Orientations of the pelvis without its heading."""
+    """Orientation of the pelvis at every time, with its heading rotated away."""
     root = moments.rotations[:, :, 0]
     return so3.heading(root) @ root
 
@@ -197,7 +197,7 @@ def may_fly(moments: Moments) -> Bool[Tensor, " windows"]:
 def with_flight(
     moments: Moments, random: torch.Generator
 ) -> tuple[Moments, Bool[Tensor, " windows"]]:
-    """Windows in free flight, without contacts, and which of them are plausible motions."""
+    """Turn windows into jumps without contacts; return them, and a mask of plausible results."""
     chance = Chance(random, moments.translation)
     seconds = moments.seconds
     last = seconds[:, -1].clamp(min=0.1)
@@ -227,7 +227,7 @@ def with_flight(
 
 
 def with_random_edits(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
-    """Windows with random edits of legs and arms."""
+    """Edit legs and arms of windows at random; implausible edits are dropped."""
     legs = (
         (may_raise, with_leg_raised, variation.raises),
         (may_step, with_step_added, variation.sidesteps),
@@ -249,5 +249,5 @@ def with_random_edits(moments: Moments, variation: Variation, random: torch.Gene
 
 
 def chosen_rows(chosen: Bool[Tensor, " windows"]) -> Int[Tensor, " some"]:
-    """Numbers of the windows that are chosen."""
+    """Return the indices of the windows whose mask is true."""
     return chosen.nonzero()[:, 0]

@@ -40,7 +40,7 @@ class BodyVariation:
 
 @dataclass(frozen=True)
 class BodyBatch(TensorStruct):
-    """Windows, the shapes of their performers, and other shapes to transfer to."""
+    """Windows of motion with their bodies' shapes, and other shapes to transfer them to."""
 
     frames: BodyFrames
     height: Float[Tensor, "windows time"]
@@ -58,7 +58,7 @@ class BodyBatch(TensorStruct):
 
 @dataclass(frozen=True)
 class BodyCorpus(TensorStruct):
-    """All clips of one part end to end."""
+    """All clips of one part of the corpus, concatenated along the axis of frames."""
 
     frames: BodyFrames
     """About the first frame of every clip; one axis, frames."""
@@ -82,7 +82,7 @@ class BodyCorpus(TensorStruct):
         body: BodyModel,
         speeds: tuple[float, ...] = (1.0,),
     ) -> "BodyCorpus":
-        """All stretches of one part that teach steps, put on the ground.
+        """Load all stretches of one part that may teach steps, put on the ground.
 
         Args:
             settings: of which the corpus, the splits and the licence count.
@@ -126,7 +126,7 @@ class BodyCorpus(TensorStruct):
     def draw(
         self, windows: int, frames: int, variation: BodyVariation, random: torch.Generator
     ) -> BodyBatch:
-        """Random windows; shorter clips are padded."""
+        """Draw random windows and augment them; windows of shorter clips are padded."""
 
         def uniform() -> Tensor:
             return torch.rand(windows, generator=random)
@@ -147,7 +147,7 @@ class BodyCorpus(TensorStruct):
         return batch.replace(frames=both[row], shape=shape, other=other)
 
     def every(self, frames: int, most: int, random: torch.Generator) -> BodyBatch:
-        """Windows as recorded, evenly thinned to `most`, with random shapes to transfer to."""
+        """Return up to `most` windows as recorded, with random other shapes to transfer to."""
         rows = [
             (clip, first)
             for clip, count in enumerate(self.count.tolist())
@@ -170,7 +170,7 @@ class BodyCorpus(TensorStruct):
 
 
 def relative_to_first_frame(frames: BodyFrames) -> BodyFrames:
-    """Frames relative to the first frame."""
+    """Return frames whose directions and places are relative to the first frame's."""
     back = turn_of(frames.direction[..., :1, :])[..., :2, :2]
     start = frames.place[..., :1, :]
     return frames.replace(
@@ -190,7 +190,7 @@ def mirrored(frames: BodyFrames) -> BodyFrames:
 
 
 def _frames_of(clip: Motion, body: BodyModel) -> tuple[BodyFrames, Float[Tensor, " time"]]:
-    """Frames and height of the pelvis of a clip, put on the ground.
+    """Put a clip on the ground; return its frames and the height of its pelvis.
 
     It is lowered or lifted until its lowest point is under the ground in 5 % of its frames.
     """

@@ -41,7 +41,7 @@ def encoded(
     exists: Bool[Tensor, "clips windows"],
     random: torch.Generator | None,
 ) -> Codes:
-    """Codes of a motion; without random numbers their means."""
+    """Encode motions and draw their latent codes; the means are taken if `random` is None."""
     mean, log_variance = networks.posterior(rows, shape, exists)
     return Codes(mean, log_variance, drawn_code(mean, log_variance, random))
 
@@ -67,7 +67,7 @@ def reconstruction(
     )
 
 
-def numbers_error(
+def feature_error(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch
 ) -> Float[Tensor, ""]:
     """½ mean |error|² / σ² of features alone, for transfers to another body and back."""
@@ -134,7 +134,7 @@ def _pelvis_acceleration_error(
 def motion_of_other_body(
     rows: Float[Tensor, "clips time numbers"], batch: BodyBatch, body: BodyModel
 ) -> Motion:
-    """Rows as the motion of the other body of the batch."""
+    """Decode feature rows to motions of the batch's other body shapes, from the origin."""
     base = so3.rigid(torch.eye(3), torch.zeros(3)).expand(len(rows), 4, 4)
     return BodyFrames.unpack(rows).motion(batch.other, body, FPS, base).replace(valid=batch.valid)
 

@@ -17,8 +17,8 @@ from training.humos.losses import (
     clearance_error,
     divergence,
     encoded,
+    feature_error,
     mean_joint_distance_cm,
-    numbers_error,
     physics_losses,
     reconstruction,
 )
@@ -107,7 +107,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
 
     @property
     def parts(self) -> tuple[tuple[int, float], ...]:
-        """Two parts of the run: the auto-encoder, then transfers to another body and back."""
+        """Steps and learning rate of the run's two parts: auto-encoder, then transfer and back."""
         settings = self.settings
         return ((settings.warm_steps, settings.rate), (settings.steps, settings.cycle_rate))
 
@@ -127,7 +127,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         return fitted_basis(torch.cat(rows), settings.basis)
 
     def further_state(self) -> dict[str, Any]:
-        """The principal directions, which are not trained."""
+        """Entries of a checkpoint for the principal directions, which are not trained."""
         return {"basis": self.networks.basis.tensors()}
 
     def losses(self) -> dict[str, Tensor]:
@@ -145,7 +145,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
         again = encoded(networks, made, batch.other, exists, self.random)
         back = networks.decode(again.drawn, batch.shape, exists, frames)
         apart = (codes.mean - again.mean).square().mean()
-        total = total + numbers_error(back, batch) + settings.same_code * apart
+        total = total + feature_error(back, batch) + settings.same_code * apart
         total = total + settings.kl * divergence(again, exists)
         room = frames - settings.physics_frames
         first = int(torch.randint(room + 1, (1,), generator=self.random))
@@ -218,7 +218,7 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
 def networks_of(
     settings: HumosTraining, basis: LappedBasis, learned: BodyCorpus
 ) -> WindowNetworks:
-    """Networks of the given sizes, for the bodies of a corpus."""
+    """Build untrained networks of the settings' sizes, for the bodies of a corpus."""
     return WindowNetworks(
         basis, settings.latent, learned.shape.shape[1], settings.width, settings.layers,
         settings.dropout,
@@ -228,7 +228,7 @@ def networks_of(
 def _density_of_codes(
     settings: HumosTraining, networks: WindowNetworks, learned: BodyCorpus
 ) -> CodeDensity:
-    """The distribution of the training clips' codes, and of each given the one before."""
+    """Fit the density of the training clips' codes, each conditioned on the previous one."""
     random = torch.Generator().manual_seed(settings.seed)
     codes, variances, before, after = [], [], [], []
     for _ in range(_DENSITY_DRAWS):
@@ -255,7 +255,7 @@ _MEMORY = 0.98
 
 
 def fitted_basis(rows: Float[Tensor, "clips time numbers"], basis: int) -> LappedBasis:
-    """A basis fitted to stretches of motion, each of two hops or longer.
+    """Fit the linear basis of windows to stretches of motion (principal components).
 
     Raises:
         ValueError: when there are fewer windows than directions asked for.
@@ -276,7 +276,7 @@ def fitted_codes(
     codes: Float[Tensor, "codes latent"], variance: Float[Tensor, " latent"],
     pairs: tuple[Float[Tensor, "pairs latent"], Float[Tensor, "pairs latent"]],
 ) -> CodeDensity:  # fmt: skip
-    """The density of codes: mean and covariance of all posteriors, and of successive codes.
+    """Fit the density of code sequences to posteriors of recorded motions.
 
     Stationary: rest restᵀ = I - follow followᵀ, so that u has unit variance at any time.
 

@@ -20,7 +20,7 @@ POINTS = 768
 
 @dataclass(frozen=True)
 class LabelledClouds(TensorStruct):
-    """Windows of clouds with the truth about their points; metres, z up."""
+    """Windows of simulated clouds with true labels of their points; metres, z up."""
 
     points: Float[Tensor, "windows moments points 3"]
     """About the middle of each window."""
@@ -41,7 +41,7 @@ class LabelledClouds(TensorStruct):
 
     @classmethod
     def load(cls, path: Path) -> "LabelledClouds":
-        """Read a file.
+        """Read labelled clouds from a file that `save` has written.
 
         Raises:
             ValueError: when it is damaged or none of these.
@@ -73,13 +73,13 @@ class CloudVariation:
 
 @dataclass(frozen=True)
 class CloudCorpus:
-    """Windows of all files of a folder in memory; points of a moment stand before absent ones."""
+    """All windows of a folder's files, in memory; existing points come first in each frame."""
 
     clouds: LabelledClouds
 
     @classmethod
     def load(cls, folder: Path) -> "CloudCorpus":
-        """All labelled clouds of a folder.
+        """Load all labelled clouds of a folder.
 
         Raises:
             FileNotFoundError: when there are none.
@@ -115,7 +115,7 @@ class CloudCorpus:
         random: Generator | None,
         moment: Int[Tensor, "windows 1"] | None = None,
     ) -> LabelledClouds:
-        """Some windows without augmentation, at most `rows` points per frame."""
+        """Return the given windows without augmentation, with at most `rows` points per frame."""
         every = self.clouds
         moments = torch.arange(every.points.shape[1])[None] if moment is None else moment
         # points are in random order, so a consecutive run is a random sample
@@ -138,7 +138,7 @@ class CloudCorpus:
 def augmented(
     clouds: LabelledClouds, variation: CloudVariation, random: Generator
 ) -> LabelledClouds:
-    """Augmented clouds: turned, mirrored, partly hidden, rescaled."""
+    """Augment clouds: rotate, mirror, hide parts, rescale."""
     windows = len(clouds.points)
 
     def chance(share: float) -> Bool[Tensor, " windows"]:
@@ -167,7 +167,7 @@ def augmented(
 
 
 def thinned(clouds: LabelledClouds, rows: int) -> LabelledClouds:
-    """Clouds of at most `rows` points per frame; points that exist come first."""
+    """Keep at most `rows` points per frame of clouds; points that exist come first."""
     order = (~clouds.present).byte().argsort(dim=-1, stable=True)[..., :rows]
     wide = order[..., None].expand(*order.shape, 3)
     present = clouds.present.gather(-1, order)
@@ -180,7 +180,7 @@ def thinned(clouds: LabelledClouds, rows: int) -> LabelledClouds:
 
 
 def mirrored_where(which: Bool[Tensor, " windows"], clouds: LabelledClouds) -> LabelledClouds:
-    """The chosen windows as a mirror at the plane x = 0 shows them, labels exchanged."""
+    """Mirror the chosen windows at the plane x = 0, with left and right labels exchanged."""
     flip = torch.where(which[:, None], torch.tensor([-1.0, 1.0, 1.0]), torch.ones(3))
     other = torch.tensor([*MIRRORED_REGIONS, -1])[clouds.regions]
     regions = torch.where(which[:, None, None], other, clouds.regions)
@@ -193,7 +193,7 @@ def mirrored_where(which: Bool[Tensor, " windows"], clouds: LabelledClouds) -> L
 
 
 def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
-    """Clouds of which the points beyond a plane through the middle are hidden, in any direction.
+    """Hide the points on one side of a random plane through the body's middle.
 
     The plane halves the points on the body of all moments of a window together.
     """

@@ -55,7 +55,7 @@ class Room:
 def drawn_room(
     vertices: Float[np.ndarray, "moments vertices 3"], random: np.random.Generator
 ) -> Room:
-    """A simulated room around a person, metres, floor at z = 0."""
+    """Draw a random room with sensor and furniture around a person, metres, floor at z = 0."""
     low, high = vertices.min((0, 1)), vertices.max((0, 1))
     middle = np.median(vertices[len(vertices) // 2], 0)
     angle, away = random.uniform(0, 2 * np.pi), random.uniform(1.3, 4.5)
@@ -79,7 +79,7 @@ def drawn_room(
     pieces: list[FurnitureMesh] = []
     if random.random() < 0.45:
         count = int(random.integers(1, 4))
-        pieces = [_board_or_wall(middle, high[2] - low[2], random) for _ in range(count)]
+        pieces = [_random_furniture(middle, high[2] - low[2], random) for _ in range(count)]
     seat = float(np.median(vertices[..., 2]) - 0.12)
     if 0.3 < seat < 0.7 and random.random() < 0.4:
         under = chair(height=seat, width=random.uniform(0.38, 0.6))
@@ -101,7 +101,7 @@ def glimpse(
     left_over: str,
     random: np.random.Generator,
 ) -> Glimpse:
-    """Points that the sensor measures of a person, and of things left in the cloud.
+    """Simulate the points that a room's sensor measures of a person and of things nearby.
 
     Args:
         vertices: of the person, metres.
@@ -155,7 +155,7 @@ def all_around(
     count: int,
     random: np.random.Generator,
 ) -> Glimpse:
-    """Points that scanners on all sides see, with noise and a few stray points."""
+    """Draw `count` points all over a person's surface, with noise and a few stray points."""
     drawn = sampled_on_surface(vertices, faces, count, random, np.hstack([vertices, places]))
     noise = random.uniform(0.001, 0.01)
     points, shown = drawn[:, :3] + random.normal(0.0, noise, (count, 3)), drawn[:, 3:]
@@ -166,7 +166,7 @@ def all_around(
 
 
 def _rendered_image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, room: Room):
-    """Depths (0 where there is nothing), places on the body and surfaces of all pixels."""
+    """Depth (0 without a surface), place on the body and kind of surface of all pixels."""
     camera, mesh = room.camera, room.furniture
     every = np.concatenate([vertices, mesh.vertices])
     T = camera.T_camera_world.double().numpy()
@@ -192,7 +192,7 @@ def _rendered_image(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray,
 def _world_points(
     camera: Camera, row: np.ndarray, column: np.ndarray, depth: np.ndarray
 ) -> np.ndarray:
-    """World points of pixels at these depths, metres."""
+    """Unproject pixels with given depths to the world, metres."""
     K = camera.camera_matrix.double().numpy()
     T = camera.T_camera_world.double().numpy()
     rays = np.stack([(column + 0.5 - K[0, 2]), (row + 0.5 - K[1, 2])], 1) / K[0, 0]
@@ -208,10 +208,10 @@ def _correlated_noise(random: np.random.Generator) -> Float[np.ndarray, "height 
     return cv2.resize(coarse, SIZE, interpolation=cv2.INTER_CUBIC)
 
 
-def _board_or_wall(
+def _random_furniture(
     middle: np.ndarray, height: float, random: np.random.Generator
 ) -> FurnitureMesh:
-    """A board, or a corner of a wall, that stands near a person."""
+    """Draw a chair, table, box or board that stands near a person."""
     angle, away = random.uniform(0, 2 * np.pi), random.uniform(0.3, 1.3)
     place = middle + away * np.array([np.cos(angle), np.sin(angle), 0.0])
     heading = random.uniform(0, 2 * np.pi)

@@ -1,4 +1,4 @@
-"""People whose clouds teach the labels of points, and files of labelled clouds drawn of them."""
+"""Simulated people, and files of labelled clouds of them for training."""
 
 import math
 from collections.abc import Sequence
@@ -30,8 +30,8 @@ _HAIRLINE = 0.04
 """Metres above the head's joint where hair begins at the forehead."""
 
 
-def wardrobe(body: BodyModel, count: int, seed: int) -> list[BodyModel]:
-    """The body in different clothes and hair; the first is without both."""
+def clothed_bodies(body: BodyModel, count: int, seed: int) -> list[BodyModel]:
+    """Make `count` bodies with random clothes and hair; the first has neither."""
     random = np.random.default_rng(seed)
     worn = [body]
     for _ in range(count - 1):
@@ -43,7 +43,7 @@ def wardrobe(body: BodyModel, count: int, seed: int) -> list[BodyModel]:
 
 
 def with_hair(body: BodyModel, seed: int) -> BodyModel:
-    """The body with hair of some length, up to a few centimetres off top and back of the head."""
+    """Add hair, up to a few centimetres off top and back of the head, to a body."""
     generator = torch.Generator().manual_seed(seed)
     longest = 0.06 * float(torch.rand((), generator=generator)) ** 2
     joint = body.joint_template[joint_index("head")]
@@ -84,7 +84,7 @@ class Postures:
     def of(
         cls, clips: Sequence[tuple[str, Float[torch.Tensor, "_ 22 3 3"]]], fps: float
     ) -> "Postures":
-        """Postures of clips, each with its person's name.
+        """Collect the postures of clips, each given with its person's name.
 
         People are drawn evenly but for the square root of how much is known of them, clips of one
         person by their length.
@@ -156,7 +156,7 @@ def random_motion(
     return _rotation_matrices(turns + drift * np.arange(moments)[:, None, None]).astype(np.float32)
 
 
-def turned_over(random: np.random.Generator) -> Float[np.ndarray, "3 3"]:
+def random_orientation(random: np.random.Generator) -> Float[np.ndarray, "3 3"]:
     """A random rotation of a person: upright in any heading, lying on any side, or arbitrary."""
     heading = Rotation.from_euler("z", random.uniform(0, 2 * np.pi))
     kind = random.random()
@@ -188,15 +188,15 @@ _LEFT_OVER = ("nothing", "ball", "box")
 
 @dataclass(frozen=True)
 class Source:
-    """People and postures from which windows are drawn."""
+    """Bodies and postures of which windows of simulated clouds are drawn."""
 
     postures: Postures
-    wardrobe: list[BodyModel]
+    bodies: list[BodyModel]
     body: BodyModel
 
     @classmethod
     def of(cls, settings: TrainingSettings, part: Part, seed: int) -> "Source":
-        """Postures of one part of a corpus.
+        """Load the postures of one part of a corpus, and dress bodies at random.
 
         Raises:
             FileNotFoundError: when the corpus holds no motion files.
@@ -206,7 +206,9 @@ class Source:
         if len(clips) == 0:
             raise ValueError(f"{settings.corpus}: holds no {part} clip; convert more recordings")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
-        return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
+        return cls(
+            Postures.of(rows, clips[0].motion.fps), clothed_bodies(body, _SUITS, seed), body
+        )
 
 
 def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
@@ -264,10 +266,10 @@ def draw_clouds(source: Source, windows: int, random: np.random.Generator) -> La
 def draw_window(
     source: Source, random: np.random.Generator
 ) -> tuple[list[Glimpse], Float[np.ndarray, "3"] | None]:
-    """The visible points of a person in a window, and the sensor's place (None: all sides)."""
-    suit = source.wardrobe[int(random.integers(len(source.wardrobe)))]
+    """Draw a person's visible points in a window, and the sensor's place (None: all sides)."""
+    suit = source.bodies[int(random.integers(len(source.bodies)))]
     rotations = source.postures.draw(WINDOW, random)
-    rotations[:, 0] = turned_over(random).astype(np.float32) @ rotations[:, 0]
+    rotations[:, 0] = random_orientation(random).astype(np.float32) @ rotations[:, 0]
     motion = Motion.create(
         torch.zeros(WINDOW, 3),
         torch.from_numpy(np.ascontiguousarray(rotations, np.float32)),

@@ -71,7 +71,7 @@ class LabelRun(Run[LabelTraining, LabelNetwork]):
         super().__init__(settings)
 
     def untrained(self, state: Mapping[str, Any] | None) -> LabelNetwork:
-        """A network with random weights."""
+        """Make a network with random weights."""
         del state
         return LabelNetwork()
 
@@ -140,7 +140,7 @@ left, beside that of regions."""
 
 
 def network_input(clouds: LabelledClouds) -> SeenClouds:
-    """The network's input for windows, with all frames in one axis."""
+    """Convert windows of clouds to the network's input, with all frames in one axis."""
     moments = clouds.points.shape[1]
     return in_network_frame(
         clouds.points.flatten(0, 1),
@@ -152,7 +152,7 @@ def network_input(clouds: LabelledClouds) -> SeenClouds:
 
 
 def outputs_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
-    """The network's outputs for windows of `moments` frames each."""
+    """Compute the network's outputs for windows of `moments` frames each."""
     windows = len(seen.points) // moments
     asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
     inside = (asked >= 0) & (asked < moments)

@@ -97,7 +97,7 @@ class Seeing:
     def _visible_points(
         self, draw: "_RandomNumbers", true: Tensor, bone: Tensor
     ) -> Bool[Tensor, "windows time points"]:
-        """Mask of the points that nothing hides."""
+        """Mask of the points that remain visible after random hiding by limb, time and point."""
         count, time = true.shape[:2]
         height = 0.3 + 0.9 * draw.uniform(count, 1, 1)
         always = draw.with_probability(0.6, count, 1)
@@ -144,7 +144,7 @@ CLEAR = Seeing(
 
 @dataclass(frozen=True)
 class _RandomNumbers:
-    """Random numbers of the kind and on the device of a tensor."""
+    """Draws random numbers with the precision and on the device of a tensor."""
 
     like: Tensor
     random: torch.Generator

@@ -1,4 +1,4 @@
-"""Training the proposing network: windows of the corpus, seen by simulated sensors.
+"""Trains the network that proposes motions, on windows seen by simulated sensors.
 
     python -m training look CORPUS --out look.safetensors
     python -m training.look.train --corpus CORPUS --out RUN [--start WEIGHTS] [--device cuda]
@@ -40,7 +40,7 @@ _VARIED = Variation(speed=0.2, shape=1.0, halves=0.3, kinds=0.5, people=0.3)
 
 @dataclass(frozen=True)
 class LookWeights:
-    """Weights of the losses."""
+    """Weights of the losses of the network that proposes motions."""
 
     joints: float = 10.0
     """Mean distance of the joints, metres."""
@@ -62,7 +62,7 @@ class LookWeights:
 
 @dataclass(frozen=True)
 class LookTraining(TrainingSettings):
-    """Settings of a training run of the proposing network."""
+    """Settings of a training run of the network that proposes motions."""
 
     steps: int = 20_000
     rate: float = 6e-4
@@ -136,7 +136,7 @@ class LookRun(Run[LookTraining, LookNetwork]):
 def seen_of(
     windows: StateWindows, seeing: Seeing, body: BodyModel, random: torch.Generator
 ) -> SeenPoints:
-    """Simulate the sensor points that are seen of windows of motion."""
+    """Simulate which points sensors see of windows of motion."""
     orientations, _ = forward_kinematics(windows.states.rotations, windows.rest)
     return seeing.points_of(windows.states.joints, orientations, body, random)
 
@@ -155,17 +155,19 @@ def losses_of(
     exists = seen.exists.to(target)
     joints = found.joints(body)
     parts = {
-        "joints": _over_time(_smooth_norm(joints - target).mean(-1), exists),
-        "rotations": _over_time(
+        "joints": _mean_over_time(_smooth_norm(joints - target).mean(-1), exists),
+        "rotations": _mean_over_time(
             _smooth_norm((found.rotations - true).flatten(-2)).mean(-1), exists
         ),
         "velocities": 30
-        * _over_time(_smooth_norm((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
-        "likelihood": _over_time(
+        * _mean_over_time(_smooth_norm((joints - target).diff(dim=2)).mean(-1), exists[:, 1:]),
+        "likelihood": _mean_over_time(
             _negative_log_density(joints - target, found.log_std).mean(-1), exists
         ),
         "contacts": windows.trusted[:, None]
-        * _over_time(_contact_cross_entropy(found, windows.contacts[:, None]).mean(-1), exists),
+        * _mean_over_time(
+            _contact_cross_entropy(found, windows.contacts[:, None]).mean(-1), exists
+        ),
     }
     near = (found.log_weight - parts["joints"] / _NEAREST_M).detach().softmax(-1)
     cost = sum(getattr(weights, name) * value for name, value in parts.items())
@@ -182,7 +184,7 @@ def _smooth_norm(vectors: Tensor) -> Tensor:
     return (vectors.square().sum(-1) + 1e-8).sqrt()
 
 
-def _over_time(values: Tensor, exists: Float[Tensor, "clips time"]) -> Tensor:
+def _mean_over_time(values: Tensor, exists: Float[Tensor, "clips time"]) -> Tensor:
     """Mean of values (clips, hypotheses, time) over the frames that exist."""
     return (values * exists[:, None]).sum(-1) / exists.sum(-1).clamp(min=1)[:, None]
 
@@ -226,7 +228,7 @@ def validate(network: LookNetwork, windows: StateWindows, body: BodyModel) -> di
             found = network(seen, body)
             joints, target = found.joints(body), own.states.joints
             away = (joints - target[:, None]).norm(dim=-1).mean(-1)
-            away = _over_time(away, seen.exists.to(away))
+            away = _mean_over_time(away, seen.exists.to(away))
             heaviest = away.gather(1, found.log_weight.argmax(-1, keepdim=True))[:, 0]
             middle, std = joint_mean_and_std(found, joints)
             within = (middle - target).abs() < 1.645 * std[..., None]
