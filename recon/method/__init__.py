@@ -1,8 +1,8 @@
-"""How a fit is assembled and run; priors and sensors of plug-ins import from here.
+"""How a fit is assembled and run. Plug-ins with a prior or sensor of their own import from here.
 
 A `Prior` changes variables into a motion with energies (`Decoded`), and is fitted by stages: each
 `Stage` minimises the sum of weighted energies (`Term`) of an `Estimate`.
-A `Sensor` has data and says what it would have measured of a `PosedBody`.
+A `Sensor` holds data and predicts what it would measure of a `PosedBody`.
 """
 
 from typing import TYPE_CHECKING

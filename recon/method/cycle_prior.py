@@ -25,7 +25,7 @@ class CyclePrior(Prior[S]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """Stages that refine a cycle of gait which is roughly right."""
+        """Return stages that refine a roughly correct cycle: its latent code, then details."""
         del body, method
         return (*self.coded(data, noise), *self.details(data, noise))
 
@@ -37,11 +37,11 @@ class CyclePrior(Prior[S]):
     @property
     @abstractmethod
     def typical(self) -> Float[Tensor, "typical code"]:
-        """Latent codes of a few different cycles, as first hypotheses."""
+        """Latent codes of a few different gait cycles, from which fits begin."""
 
     @abstractmethod
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
-        """The path of the pelvis in each typical cycle, at evenly spaced moments, metres."""
+        """Return the pelvis path of each typical cycle, at evenly spaced times, metres."""
 
     @abstractmethod
     def variables(
@@ -53,16 +53,16 @@ class CyclePrior(Prior[S]):
         fps: float,
         start_time: float = 0.0,
     ) -> S:
-        """The cycles of these codes, placed in the world and on a clock."""
+        """Return variables for the cycles of latent codes, each with its pose in the world."""
 
     @abstractmethod
     def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages of a quick fit that ranks first hypotheses."""
+        """Return the stages of a quick fit by which first guesses are compared."""
 
     @abstractmethod
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages that find the best latent code, starting from a cycle that is roughly right."""
+        """Return stages that find the best latent code from a roughly correct cycle."""
 
     @abstractmethod
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages for corrections that no latent code can express, for dense data."""
+        """Return stages that add corrections which no latent code can express (dense data)."""

@@ -65,7 +65,7 @@ class GroundDeviation:
 
 
 def perturbed_scenes(scene: Scene, copies: int, belief: GroundBelief, step: float) -> Scene:
-    """Copies of a scene; in each of the last ones one coordinate of the ground is moved."""
+    """Copy a scene; move one coordinate of the ground by `step` in each of the last copies."""
     scenes = scene[torch.zeros(copies, dtype=torch.long)]
     if belief.coordinates == 0:
         return scenes
@@ -84,16 +84,16 @@ def add_stance_information(
     joints: Float[Tensor, "time 66 coordinates"],
     belief: GroundBelief,
 ) -> bool:
-    """Add the information of standing feet and upright posture; returns whether any foot stands.
+    """Add the information of standing feet and upright posture; return whether any foot stands.
 
-    All moments of a clip together tell as much as one whose standard deviation is that of clips:
-    a person who leans or whose shoes are thick does so all the time.
+    All frames of a clip together count as one measurement, with the standard deviation between
+    clips, as a person who leans or has thick shoes does so in all frames.
 
     Args:
-        hessian: that is added to.
+        hessian: the Hessian that is added to.
         estimate: the fit.
-        joints: derivatives of its joints in the world.
-        belief: how far grounds are from where they are told to be.
+        joints: derivatives of the fitted joints in the world.
+        belief: the assumed uncertainty of the ground.
     """
     motion, feet = estimate.motion, list(FEET)
     places = estimate.body.joints[0]
@@ -120,7 +120,7 @@ def add_stance_information(
 def ground_std(
     covariance: Float[Tensor, "m m"], scenes: Scene, belief: GroundBelief, step: float
 ) -> GroundDeviation:
-    """Standard deviations of the ground, metres and radians, from its coordinates' covariance."""
+    """Return standard deviations of the ground's height and normal from a covariance matrix."""
     count = belief.coordinates
     own = covariance[-count:, -count:]
     assert scenes.ground is not None
@@ -137,7 +137,7 @@ _AXES = 3
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """A motion of one clip and Jacobians about it."""
+    """A motion of one clip, with Jacobians of joints and residuals linearised about it."""
 
     motion: Motion
     """A leading axis of length one."""
@@ -152,12 +152,12 @@ class Neighbourhood:
 
     @cached_property
     def unperturbed(self) -> Estimate:
-        """The unperturbed estimate, which fixes correspondences for all motions near it."""
+        """The estimate at the motion itself; correspondences are found here and then held."""
         return Estimate(Decoded(self.motion), self.body.pose(self.motion), self.scene)
 
     @cached_property
     def translated(self) -> Estimate:
-        """Rows: x, x moved along each axis, and x with each coordinate of the ground moved."""
+        """Estimates: the motion, moved along x, y, z, and with each ground coordinate moved."""
         rows = 1 + _AXES + self.ground_coordinates
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place = motion.translation.clone()
@@ -167,7 +167,7 @@ class Neighbourhood:
 
     @cached_property
     def perturbed_columns(self) -> Estimate:
-        """Rows: x, and x after a small step of the coordinate of each Jacobian column."""
+        """Estimates: the motion, and the motion after a small step of each Jacobian column."""
         shapes, frames = self.motion.shape.shape[-1], self.motion.frames
         rows = 1 + FRAME + shapes + self.ground_coordinates
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
@@ -183,7 +183,7 @@ class Neighbourhood:
         return self._as_estimate(motion.replace(translation=place, rotations=turned, shape=shape))
 
     def _as_estimate(self, motion: Motion) -> Estimate:
-        """The motions as estimates, with the coordinates of the ground moved in the last rows."""
+        """Pose motions as estimates, with one ground coordinate moved in each of the last."""
         rows = len(motion.translation)
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
@@ -200,7 +200,7 @@ class Neighbourhood:
         return torch.cat((moved, none), -1).flatten(1, 2)
 
     def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
-        """Jacobian of points by the coordinates of a frame and the shape."""
+        """Return the Jacobian of points by the 69 coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
         turned = points.jacobian_by_rotations(orientations, joints)
@@ -209,7 +209,7 @@ class Neighbourhood:
         return torch.cat((moved, turned, points.jacobian_by_shape(orientations, self.body)), -1)
 
     def seen(self) -> Float[Tensor, "time 66 columns"]:
-        """Jacobian of the joints in the frame of the recording, metres."""
+        """Return the Jacobian of the joints in the recording's frame, metres, all columns."""
         scenes, world = self.translated.scene, self.translated.body.joints
         if scenes.ground is None:
             return self.joints
@@ -223,11 +223,11 @@ class Neighbourhood:
     def residuals(
         self, sensor: Sensor, frame: Int[Tensor, " moments"]
     ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
-        """Residuals r(x) of one clip and their Jacobian ∂r/∂x by motion and ground.
+        """Return a sensor's residuals and their Jacobian by motion, shape and ground.
 
         Args:
             sensor: the sensor.
-            frame: of the motion, for every frame of the sensor.
+            frame: number of the motion's frame for every frame of the sensor.
         """
         carries, points_of = is_pointwise(sensor), getattr(sensor, "carried", None)
         held: Any = getattr(sensor, "matched", lambda _: sensor)(self.unperturbed)
@@ -245,5 +245,5 @@ class Neighbourhood:
 def differences(
     values: Float[Tensor, "rows time points dims"],
 ) -> Float[Tensor, "time points dims columns"]:
-    """Forward differences (f(x + h e_k) - f(x)) / h; f(x) is row 0, step k row k + 1."""
+    """Return (f(x + h e_k) - f(x)) / h for every k, from rows f(x), f(x + h e_0), ..."""
     return ((values[1:] - values[:1]) / STEP).movedim(0, -1)

@@ -1,4 +1,4 @@
-"""No prior: the variables are the motion itself."""
+"""The fit without a prior: its variables are the motion itself."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -31,7 +31,7 @@ class FreeVariables(TensorStruct):
     start_time: float
 
     def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "FreeVariables":
-        """Variables of the same motion after a rigid transform."""
+        """Return the variables of the motion after a rigid transform of the world."""
         pelvis = body.rest_joints(self.shape)[..., 0, :]
         root = T[..., None, None, :3, :3] @ self.base[..., :1, :, :]
         return self.replace(
@@ -47,7 +47,7 @@ class FreeMotion(Prior[FreeVariables]):
     knows_gravity: ClassVar[bool] = False
 
     def encode(self, motion: Motion) -> FreeVariables:
-        """Variables of zero steps from the motion; they decode to it exactly."""
+        """Return variables whose base is the given motion and whose steps are zero."""
         zero = torch.zeros_like(motion.rotations[..., 0])
         return FreeVariables(
             translation=motion.translation,
@@ -61,7 +61,7 @@ class FreeMotion(Prior[FreeVariables]):
         )
 
     def decode(self, variables: FreeVariables) -> Decoded:
-        """The motion after the steps are applied to their base."""
+        """Return the motion whose rotations are base · Exp(step)."""
         steps = torch.cat((variables.root[..., None, :], variables.pose), -2)
         return Decoded(
             Motion(

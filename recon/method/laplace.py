@@ -78,17 +78,17 @@ def deviations(
     ground: GroundBelief | None = None,
     measure: Measure | None = None,
 ) -> Deviations:
-    """How far the joints of a fit of one clip may be from the truth.
+    """Return the standard deviations of a fit's joints, root, shape and ground, for one clip.
 
-    Joints are those in the frame of the recording, whatever is believed of the ground.
+    Positions of joints are those in the frame of the recording.
 
     Args:
         estimate: the fit; a leading axis of length one.
-        sensors: what was seen, likewise.
+        sensors: the data, with a leading axis of length one.
         noises: standard deviations of the sensors' coordinates.
         density: how likely poses, shapes and accelerations are, without the data.
-        ground: what is believed of an unknown ground; None where it is known or not asked for.
-        measure: derivatives of numbers whose standard deviations are asked for, too.
+        ground: the assumed uncertainty of an unknown ground; None where it is known.
+        measure: returns derivatives of further quantities whose standard deviations are wanted.
 
     Raises:
         ArithmeticError: when the Hessian is not positive definite, and so has no inverse.
@@ -122,7 +122,7 @@ def deviations(
 
 
 def _window_bounds(frames: int) -> list[tuple[int, int]]:
-    """First and last frame, exclusive, of overlapping windows."""
+    """Return first frame and end frame (exclusive) of overlapping windows of a clip."""
     step = _CHUNK_FRAMES - _OVERLAP
     firsts = range(0, max(frames - _OVERLAP, 1), step)
     return [(first, min(first + _CHUNK_FRAMES, frames)) for first in firsts]
@@ -182,7 +182,7 @@ def _jacobian_and_precision(
     neighbourhood: Neighbourhood,
     frame_of_moment: Int[Tensor, " moments"],
 ) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
-    """Jacobian of a sensor's residuals, and the inverse variance of each."""
+    """Return the Jacobian of a sensor's residuals, and each residual's inverse variance."""
     found, slopes = neighbourhood.residuals(sensor, frame_of_moment)
     distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
     # the curvature of Geman-McClure's robust kernel, without its negative part
@@ -193,7 +193,7 @@ def _jacobian_and_precision(
 
 
 def _nearest_frames(sensor: Sensor, motion: Motion) -> Tensor:
-    """The frame of the motion that is nearest to every moment of a sensor."""
+    """Return the number of the motion's frame that is nearest to each frame of a sensor."""
     times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps
     frame = ((times - motion.start_time) * motion.fps).round().long()
     return frame.clamp(0, motion.frames - 1)
@@ -202,9 +202,9 @@ def _nearest_frames(sensor: Sensor, motion: Motion) -> Tensor:
 def _marginal_deviations(
     inverse: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
 ) -> Deviations:
-    """Standard deviations of every frame's joints and root, and of the shape.
+    """Return standard deviations of every frame's joints and root, and of the shape.
 
-    Those of the root are given the ground.
+    Those of the root are conditional on the ground.
     """
     own, onto = inverse.within, inverse.onto
     variance = _variances(inverse, joints)
@@ -218,7 +218,7 @@ def _marginal_deviations(
 def _variances(
     inverse: Inverse, slopes: Float[Tensor, "time values coordinates"]
 ) -> Float[Tensor, "time values"]:
-    """Variances of values of every frame, from their derivatives by its coordinates."""
+    """Return the variances of quantities of each frame by propagation of the covariance."""
     moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
     rest = shaped - moved @ inverse.onto
     return ((moved @ inverse.within) * moved).sum(-1) + ((rest @ inverse.border) * rest).sum(-1)
@@ -227,7 +227,7 @@ def _variances(
 def _conditional_covariance(
     covariance: Float[Tensor, "m m"], count: int
 ) -> Float[Tensor, "count count"]:
-    """Covariance of the first coordinates where all others are known."""
+    """Return the covariance of the first `count` coordinates, conditional on all others."""
     first, across, rest = (
         covariance[:count, :count], covariance[:count, count:], covariance[count:, count:],
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """Networks that look once at the observations of a clip and propose whole motions.
 
-Whatever is called with observations and a body and returns `ProposedMotions` is one:
+A look is any function of observations and a body that returns `ProposedMotions`:
 `recon.fit(..., method=look)` gives its likeliest motion as a preview.
 """
 
@@ -38,11 +38,11 @@ class ProposedMotions:
 
     @property
     def likeliest(self) -> int:
-        """Number of the motion with the largest weight."""
+        """Index of the proposed motion with the largest weight."""
         return int(self.log_weight.argmax())
 
     def check(self, name: str) -> None:
-        """Refuse what a user's network returned, unless it is such a record with finite numbers.
+        """Refuse a network's result that has wrong axes, or numbers that are not finite.
 
         Args:
             name: of the network, for messages.

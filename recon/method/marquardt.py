@@ -23,11 +23,11 @@ def marquardt(
     unknowns: Unknowns[Any],
     on_progress: Callable[[Progress], bool | None] | None,
 ) -> tuple[Unknowns[Any], Solution] | None:
-    """Damped Gauss-Newton steps, each clip with its own damping (`recon.solver.gauss_newton`).
+    """Minimise a stage by Gauss-Newton steps, each clip with its own Levenberg-Marquardt damping.
 
-    Right where the Hessian costs no more than a few evaluations, as without a network. Where the
-    scene is moved, too, whose Hessian is not known, it is held first, and then all is moved as by
-    `preconditioned`.
+    This suits stages whose Hessian costs no more than a few evaluations, as without a network.
+    The scene's Hessian is not known. If the scene is free, it is held in a first minimisation,
+    and all variables move in a second one by `preconditioned`.
     """
     settings = stage.minimiser
     few = max(settings.tolerance_decrease, _LEAST_DECREASE)
@@ -57,7 +57,7 @@ def preconditioned(
     unknowns: Unknowns[Any],
     on_progress: Callable[[Progress], bool | None] | None,
 ) -> tuple[Unknowns[Any], Solution] | None:
-    """L-BFGS in variables in which the Hessian of the start is the identity."""
+    """Minimise a stage by L-BFGS in variables in which the initial Hessian is the identity."""
     try:
         local, base = StageProblem.about(stage, body, unknowns)
         factors = [factorised(one) for one in local.hessians(base)]
@@ -79,7 +79,7 @@ def preconditioned(
 
 
 def factorised(curvature: Banded) -> Factor:
-    """The factor of a Hessian, damped until it is positive definite; else of the identity."""
+    """Return the factor of a Hessian, damped if it is not definite; else of the identity."""
     for damping in _DAMPINGS:
         factor = Factor(curvature, damping)
         if factor.definite:
@@ -109,6 +109,6 @@ def _map_each_clip(
     flat: Float[Tensor, "rows n"],
     hessian_size: int,
 ) -> Float[Tensor, "rows n"]:
-    """Apply each clip's function to the unknowns of frames and shape; others do not change."""
+    """Apply each clip's function to its first `hessian_size` unknowns; keep the others."""
     rows = [f(row[:hessian_size]) for f, row in zip(functions, flat, strict=True)]
     return torch.cat((torch.stack(rows), flat[:, hessian_size:]), 1)

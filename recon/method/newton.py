@@ -40,16 +40,16 @@ _SURFACE = "add_surface_curvature"
 
 
 class NoHessian(LookupError):
-    """Raised when a term has no known Hessian: steps that ignore the term would overshoot."""
+    """Raised when a term's Hessian is not known: steps that ignore the term would overshoot."""
 
 
 def hessians(
     stage: Stage[Any], variables: Any, estimate: Estimate, with_shape: bool
 ) -> list[Banded]:
-    """The Gauss-Newton Hessian of every clip at an estimate, of all terms.
+    """Return the Gauss-Newton Hessian of a stage's objective for every clip at an estimate.
 
     Raises:
-        NoHessian: when nothing is known of the data, or a term's curvature is not known.
+        NoHessian: when no data term has a known Hessian, or any other term lacks one.
     """
     prior = stage.prior
     known = any(is_pointwise(e) or hasattr(e, _SURFACE) for e in (t.energy for t in stage.terms))
@@ -67,13 +67,13 @@ def hessians(
 
 
 def is_pointwise(energy: Any) -> bool:
-    """Whether an energy is a sum over frames of points that have a place in the world."""
+    """Return whether an energy is a sum over frames of energies of single points in space."""
     alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
     return hasattr(energy, "point_model") and alone
 
 
 def _add_term(term: Term, model: ClipModel) -> bool:
-    """Add the Hessian of a term that is not the prior's; False if the term has none."""
+    """Add the Hessian of a term that is not the prior's; return False if it is not known."""
     energy: Any = term.energy
     motion = model.motion
     rate = motion.fps / REFERENCE_FPS
@@ -96,7 +96,7 @@ def _add_term(term: Term, model: ClipModel) -> bool:
 
 
 def _add_point_curvature(weight: float, sensor: Any, model: ClipModel) -> None:
-    """Add the curvature of points, which lie between two frames where clocks differ."""
+    """Add the Hessian of a sensor of points, whose times may lie between motion frames."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor[clip]
     if hasattr(one, "settled"):
@@ -162,13 +162,13 @@ _Clock = tuple[float, float, int]
 def _neighbouring_frames(
     sensor: _Clock, motion: _Clock, device: torch.device, dtype: torch.dtype
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"], bool]:
-    """The frames of a motion between which the moments of a sensor lie.
+    """Return the frames of a motion between which the samples of a sensor lie.
 
-    Computed once on the host, as a GPU would have to wait for their number.
+    This is computed on the CPU and cached, as a GPU would have to wait for their number.
 
     Returns:
-        The frame before each moment; the share of the way to the next frame, 0 to 1; the numbers
-        of the moments; and whether every moment is that of a frame.
+        The frame before each sample; the fraction of the way to the next frame, 0 to 1; the
+        numbers of the samples; and whether all samples are at frames.
     """
     began, fps, moments = sensor
     times = began + np.arange(moments) / fps
@@ -197,25 +197,25 @@ class StageProblem(Problem[Unknowns[Any]]):
     """The least-squares problem of a stage, whose unknowns are changed by steps.
 
     A clip's row of numbers: the 69 steps of every frame, those of the shape, if it is moved, and
-    those of the scene that are moved. Steps are of zero: unknowns are encoded anew after each.
+    those of the free parts of the scene. Unknowns are encoded anew after each step.
     """
 
     stage: Stage[Any]
     body: BodyModel
     layout: Layout
     frames: int
-    """Steps of all frames of a clip."""
+    """Number of steps of all frames of a clip."""
     hessian_size: int
-    """Steps of frames and of the shape."""
+    """Number of steps of frames and shape, which the Hessian covers."""
 
     @classmethod
     def about(
         cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]
     ) -> tuple["StageProblem", Unknowns[Any]]:
-        """The problem in steps from the given unknowns, and the unknowns where these begin.
+        """Return the problem of a stage, and the unknowns from which its steps begin.
 
         Raises:
-            NoHessian: when the prior's variables are no steps of frames, or not all are moved.
+            NoHessian: when the prior has no steps of frames, or the stage moves only some.
         """
         framed = stage.prior.reach > 0 and stage.free >= _FRAMED
         if not framed or stage.portion is not None:
@@ -239,17 +239,17 @@ class StageProblem(Problem[Unknowns[Any]]):
         return self.hessian_size + sum(shape.numel() for _, shape in self.scene_parts)
 
     def hessians(self, base: Unknowns[Any]) -> list[Banded]:
-        """The Hessian of every clip by steps of frames and of the shape.
+        """Return the Hessian of every clip by steps of frames and of the shape.
 
         Raises:
-            NoHessian: when there is a term whose curvature is not known.
+            NoHessian: when the Hessian of a term is not known.
         """
         with torch.no_grad():
             estimate = base.estimate(self.stage.prior, self.body)
             return hessians(self.stage, base.variables, estimate, self.hessian_size > self.frames)
 
     def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
-        """The unknowns of some clips after steps; differentiable in the steps."""
+        """Return unknowns `base` after steps, as a differentiable function of the steps."""
         prior: Any = self.stage.prior
         framed = steps[:, : self.frames].unflatten(1, (-1, FRAME))
         variables = prior.from_steps(base.variables, framed)
@@ -268,7 +268,7 @@ class StageProblem(Problem[Unknowns[Any]]):
         return Unknowns(variables, scene)
 
     def model(self, x: Unknowns[Any], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """The objective of some clips, its gradient by steps and its Hessian."""
+        """Return the objective of the clips `rows`, with gradient and Hessian by steps."""
         stage, base = rows_of(self.stage, x, rows)
         with torch.enable_grad():
             zero = base.variables.shape.new_zeros(len(rows), self.size, requires_grad=True)
@@ -282,7 +282,7 @@ class StageProblem(Problem[Unknowns[Any]]):
     def moved(
         self, x: Unknowns[Any], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Unknowns[Any]:
-        """The unknowns of all clips after some took steps; these are steps of zero again."""
+        """Return all clips' unknowns after the clips `rows` moved, encoded anew from there."""
         with torch.no_grad():
             moved = self.stepped(rows_of(self.stage, x, rows)[1], steps)
             motion = moved.motion(self.stage.prior, self.body)
@@ -293,7 +293,7 @@ class StageProblem(Problem[Unknowns[Any]]):
             return x.map(lambda old: old.index_copy(0, rows, next(new)))
 
     def value(self, x: Unknowns[Any], rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
-        """Weighted terms of some clips."""
+        """Return the weighted terms of the clips `rows`."""
         stage, base = rows_of(self.stage, x, rows)
         with torch.no_grad():
             return stage.values(base.estimate(stage.prior, self.body))

@@ -1,4 +1,4 @@
-"""Reduce the frame rate of data that were recorded faster than a body moves.
+"""Reduces the frame rate of data that were recorded much faster than a body moves.
 
 A body moves at a few hertz, and priors of motion work at 30 Hz. Data at 300 Hz show the same
 motion with less noise, so a fit takes means over neighbouring frames at about 60 Hz: its cost then
@@ -23,13 +23,13 @@ S = TypeVar("S", bound=Sensor)
 
 
 def paced(sensor: S, pace: float = PACE) -> S:
-    """The sensor averaged to a frame rate of about `pace`, or unchanged where that is impossible.
+    """Return a sensor's data averaged to about `pace` Hz, or unchanged where that is impossible.
 
     Named points are averaged over neighbouring frames, for moments at most `1 / pace` seconds
     apart that include the first and the last frame. Clouds keep every n-th frame, as their points
     have no names by which to average them. A sensor is returned unchanged if it is not clearly
     faster than `pace`, if most of its frames are empty, if its camera moves, or if it is a class
-    of the user's without named points.
+    of the user's own without named points.
     """
     filled = sensor.shown.any(-1)
     fast = sensor.fps > _FASTER * pace and sensor.moments > 2
@@ -46,11 +46,11 @@ def paced(sensor: S, pace: float = PACE) -> S:
 
 
 def _averaged_in_time(sensor: S, pace: float) -> S:
-    """Means of named points at evenly spaced moments, the first and the last frame included.
+    """Return a sensor's named points averaged around evenly spaced times, both ends included.
 
-    Each frame counts for the nearest moment alone. Where the frames of a moment are not centred
-    on it, as at the ends and beside gaps, their mean is moved to it at the velocity of a line
-    fitted to the frames within one step of the moment.
+    Each frame counts for the nearest of these times alone. If the frames of a time are not
+    centred on it, as at the ends and beside gaps, a line fitted to the frames within one step
+    gives the velocity by which their mean is moved to that time.
     """
     count = math.ceil((sensor.moments - 1) / sensor.fps * pace - 1e-6) + 1
     step = (sensor.moments - 1) / (count - 1)
@@ -63,7 +63,7 @@ def _averaged_in_time(sensor: S, pace: float) -> S:
     frame = frame.clamp(0, sensor.moments - 1).to(device)
 
     def in_neighbourhoods(values: Tensor) -> Tensor:
-        """Values of the frames about every moment, (clips, moments, near, points, ...)."""
+        """Gather the frames near each output time, (clips, moments, near, points, ...)."""
         return values.index_select(axis, frame.flatten()).unflatten(axis, frame.shape)
 
     # energies contain squared weights
@@ -100,6 +100,6 @@ def _mean(
     values: Float[Tensor, "*batch moments near points dims"],
     weights: Float[Tensor, "*batch moments near points"],
 ) -> Float[Tensor, "*batch moments points dims"]:
-    """The weighted mean over the frames near every moment; zero where there are none."""
+    """Return the weighted mean over the axis `near` of frames; zero where all weights are zero."""
     total = weights.sum(-2)[..., None].clamp(min=1e-9)
     return (weights[..., None] * values).sum(-3) / total

@@ -1,4 +1,4 @@
-"""The base class of priors: a density over motions, its variables, and the stages of a fit."""
+"""The base class of priors: the variables of a motion, their density and the stages of a fit."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -35,7 +35,7 @@ SMOOTHNESS = 9400.0
 
 @dataclass(frozen=True)
 class Density:
-    """A prior's density of a motion as residuals of unit variance.
+    """A Gaussian density of motions, as a sum of squared residuals of unit variance.
 
     -log p = ½ Σ share (|z|² + acceleration |second difference of a joint|²) + ½ shape |betas|²,
     sums over frames at 30 Hz.
@@ -57,7 +57,7 @@ class Density:
 class Prior(ABC, Generic[S]):
     """Base class of priors: variables of a motion, their density and the stages of a fit.
 
-    `encode` and `decode` are what a prior must have. All else has a usual answer.
+    A prior must define `encode` and `decode`. All other methods have a default.
     """
 
     knows_gravity: ClassVar[bool] = True
@@ -83,7 +83,7 @@ class Prior(ABC, Generic[S]):
             body: whose motion is to be found.
 
         Raises:
-            WeightsError: when there are no such weights; the usual answer has none.
+            WeightsError: when there are no such weights; the default loads none.
         """
         del body
         if weights != "open":
@@ -95,11 +95,11 @@ class Prior(ABC, Generic[S]):
 
     @abstractmethod
     def encode(self, motion: Motion) -> S:
-        """Variables of the motion nearest to the given one; axes (clips, ...)."""
+        """Return variables that decode to the motion nearest to the given one, (clips, ...)."""
 
     @abstractmethod
     def decode(self, variables: S) -> Decoded:
-        """The motion of the variables, and the parts of -log p of the variables."""
+        """Return the motion of the variables, and the parts of their -log p."""
 
     def stages(
         self,
@@ -108,11 +108,11 @@ class Prior(ABC, Generic[S]):
         body: BodyModel | None = None,
         method: str | None = None,
     ) -> tuple[Stage[Any], ...]:
-        """The minimisations that bring a first guess to the reconstruction.
+        """Return the stages (minimisations) of a fit with this prior, in their order.
 
-        Usually place and heading from the data alone, then everything under -log p as well (the
-        sum of the energies, nats), small accelerations and usual shapes. For variables that are
-        called `translation`, `root`, `pose` and `shape`, as those of `FreeMotion` are.
+        The default has two: place and heading from the data alone, then everything under -log p
+        as well (the sum of the energies, nats), with small accelerations and common shapes. It
+        is for variables called `translation`, `root`, `pose`, `shape`, as in `FreeMotion`.
 
         Args:
             data: terms of the observations. They stand in the unit of ½ |residual|² in metres² of
@@ -120,7 +120,7 @@ class Prior(ABC, Generic[S]):
             noise: metres by which coordinates of the data are off. A prior whose weights the
                 caller chose keeps these.
             body: whose motion it is; None is the one that the prior knows.
-            method: one of `methods`; None is the usual one.
+            method: one of `methods`; None is the default.
         """
         del body, method
         variance = max(noise, MODEL_NOISE) ** 2
@@ -136,41 +136,41 @@ class Prior(ABC, Generic[S]):
         )
 
     def belief(self, noise: float) -> Density | None:
-        """A Gaussian density that stands for this prior, for data with this noise in metres.
+        """Return a Gaussian density that approximates this prior, for data of a noise in metres.
 
-        Standard deviations of a fit follow from it; None, the usual answer, gives none.
+        Standard deviations of a fit follow from it. The default, None, gives none.
         """
         del noise
         return None
 
     def live(self, noise: float) -> Any:
-        """Energies of steps for a stream of points with a noise of `noise` metres.
+        """Return energies of steps between frames for a stream, at a noise of `noise` metres.
 
-        None, the usual answer, where there are none; see `recon.live.objective`.
+        The default, None, has none; see `recon.live.objective.StepEnergies`.
         """
         del noise
         return None
 
     def from_steps(self, variables: S, steps: Float[Tensor, "clips time 69"]) -> S:
-        """The variables after steps; the given variables stand for steps of zero."""
+        """Return the variables after a step of every frame; steps of zero change nothing."""
         raise NotImplementedError(
             f"{type(self).__name__} has a reach above 0, so it must define from_steps"
         )
 
     def turns(self, variables: S, clip: int) -> Float[Tensor, "time 63 63"]:
-        """Derivatives of the 21 joint rotations R Exp(w) by the last 63 numbers of a step."""
+        """Return derivatives of the joints' rotation steps w by the last 63 numbers of a step."""
         raise NotImplementedError(
             f"{type(self).__name__} has a reach above 0, so it must define turns"
         )
 
     def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
-        """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
+        """Add the Gauss-Newton Hessian of the prior's own term; return False for other terms."""
         del term, clip
         return False
 
 
 def all_energies(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """The sum of all energies that the prior decoded: -log p, nats."""
+    """Return -log p of an estimate, nats: the sum of all energies that its prior decoded."""
     none = torch.zeros_like(estimate.motion.shape[..., 0])
     return sum(estimate.decoded.energies.values(), none)
 
@@ -182,20 +182,20 @@ with `stages(data)`, or with `stages(data)` itself."""
 
 @dataclass(frozen=True)
 class Traits:
-    """Traits of priors of version 0.2, now class variables of `Prior`."""
+    """The traits that priors of version 0.2 have; they are now class variables of `Prior`."""
 
     knows_gravity: bool = True
     completes: bool = False
 
 
 def trait(kind: object, name: str) -> bool:
-    """A trait of a prior or its class, such as `knows_gravity`, also for the form of 0.2."""
+    """Return a trait such as `knows_gravity` of a prior or its class, also of version 0.2."""
     former: Traits = getattr(kind, "traits", Traits())
     return getattr(kind, name, getattr(former, name))
 
 
 def as_prior(given: PriorLike) -> Prior[Any]:
-    """The prior itself, or a wrapper of a prior in the form of version 0.2."""
+    """Return the given prior, wrapped as a `Prior` if it was written for version 0.2."""
     if not isinstance(given, Prior):
         return _FormerPrior(given)
     try:
@@ -206,12 +206,12 @@ def as_prior(given: PriorLike) -> Prior[Any]:
 
 
 def is_prior(given: object) -> bool:
-    """Whether an object is a prior, of this version's form or of 0.2's."""
+    """Return whether an object is a prior of this version or of version 0.2."""
     return not isinstance(given, type) and any(hasattr(given, n) for n in ("stages", "method"))
 
 
 def stages_of(given: PriorLike | Stages) -> Stages:
-    """The function that returns the stages for data: a prior's method, or a plain function."""
+    """Return the function from data to stages: a prior's `stages`, or the given function."""
     return as_prior(given).stages if is_prior(given) else given
 
 
@@ -250,7 +250,7 @@ class _FormerPrior(Prior[TensorStruct]):
 
 
 def __getattr__(name: str) -> Any:
-    """`CyclePrior`, which plug-ins of version 0.2 import from here."""
+    """Import `CyclePrior` on demand, as plug-ins of version 0.2 import it from here."""
     if name == "CyclePrior":
         return import_module("recon.method.cycle_prior").CyclePrior
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

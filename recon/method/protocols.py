@@ -1,4 +1,4 @@
-"""The interfaces of estimates and energies."""
+"""Types that energies take and return: a decoded motion, an estimate, an energy."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ REFERENCE_FPS = 30.0
 
 @dataclass(frozen=True)
 class Decoded:
-    """A prior's decoded motion, and the parts of -log p."""
+    """The motion that a prior decoded from its variables, and the parts of their -log p."""
 
     motion: Motion
     energies: Mapping[str, Float[Tensor, "*batch"]] = field(default_factory=dict)
@@ -31,7 +31,7 @@ class Decoded:
     """The body in that motion, where the prior posed one itself."""
 
     def body(self, model: BodyModel) -> PosedBody:
-        """The body model posed by the motion; the prior may have posed it already."""
+        """Return the body posed by the motion; a body that the prior posed already is reused."""
         if self.posed is not None and self.posed.model.same_as(model):
             return replace(self.posed, model=model)
         return model.pose(self.motion)
@@ -47,7 +47,7 @@ class Estimate:
 
     @classmethod
     def of_clip(cls, motion: Motion, body: BodyModel) -> "Estimate":
-        """A finished motion of one clip (no batch axis) as a batch of one, for observations."""
+        """Return the estimate of a motion of one clip, as a batch of one, with a plain scene."""
         clip = motion.map(lambda tensor: tensor[None])
         return cls(Decoded(clip), body.pose(clip), Scene.create(1, like=clip.translation))
 
@@ -70,7 +70,7 @@ _FORMER = {
 
 
 def __getattr__(name: str) -> Any:
-    """Names that plug-ins of version 0.2 import from here; an `Observation` is a `Sensor`."""
+    """Import on demand the names that plug-ins of version 0.2 import from this module."""
     if name in _FORMER:
         found = "Sensor" if name == "Observation" else name
         return getattr(import_module(_FORMER[name]), found)

@@ -1,4 +1,4 @@
-"""Second-order models of energies, which Gauss-Newton stages ask of priors and sensors.
+"""Quadratic models of energies, by which priors and sensors support Gauss-Newton stages.
 
 Every frame has 69 steps: of the translation in metres, of the root's rotation R Exp(w) in
 radians, and 63 numbers for the other joints, which the prior chooses.
@@ -23,9 +23,9 @@ FRAME = 69
 
 @dataclass(frozen=True)
 class PointModel:
-    """An energy about given places p of points: E + gᵀ dp + ½ dpᵀ A dp, point by point.
+    """A quadratic model of an energy of points at positions p: E + gᵀ dp + ½ dpᵀ A dp per point.
 
-    Energies of points that bones carry have a method `point_model(points)` that gives it at 30 Hz,
+    Energies of points fixed to bones have a method `point_model(points)` that returns it at 30 Hz,
     points in the frame of the recording; `carried(body, shape, offsets)`, the points on a body,
     offsets as in `Scene.offsets`; and the clock of a sensor: `fps`, `start_time`, `moments`.
     """
@@ -42,7 +42,7 @@ class PointModel:
 
 @dataclass(frozen=True)
 class ClipModel:
-    """One clip of an estimate, its derivatives by steps of frames, and the Hessian so far."""
+    """One clip of an estimate, with derivatives by steps, to which terms add their Hessian."""
 
     estimate: Estimate
     """The estimate of all clips."""
@@ -59,7 +59,7 @@ class ClipModel:
     """Coefficients of products of joints' coordinates; see `Banded.add_products`."""
 
     def __post_init__(self) -> None:
-        """Begin with a Hessian of zeros."""
+        """Set the Hessian to zero."""
         motion, like = self.motion, self.motion.translation
         size = motion.shape.shape[-1] if self.with_shape else 0
         part = Banded.zero(motion.frames, self.reach, FRAME, size, like)
@@ -77,7 +77,7 @@ class ClipModel:
         return self.estimate.body.model
 
     def hessian(self) -> Banded:
-        """The Hessian, the sum of all added parts; to be called once."""
+        """Return the sum of all added parts of the Hessian; to be called once."""
         moved, shaped = self.jacobians_by_steps(CarriedPoints.joints(self.body, self.motion.shape))
         self.part.add_products(self.joints, moved.flatten(1, 2), shaped.flatten(1, 2))
         return self.part
@@ -85,7 +85,7 @@ class ClipModel:
     def jacobians_by_steps(
         self, points: CarriedPoints
     ) -> tuple[Float[Tensor, "time points 3 69"], Float[Tensor, "time points 3 shape"]]:
-        """Derivatives of points by steps of frames, and by the shape."""
+        """Return derivatives of points (metres) by the steps of their frame, and by the shape."""
         orientations, joints = self.posed
         turned = points.jacobian_by_rotations(orientations, joints)
         identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
@@ -98,7 +98,7 @@ class ClipModel:
 
     @cached_property
     def posed(self) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 22 3"]]:
-        """Orientations of the bones, and joints, world, metres."""
+        """Orientations of the bones and positions of the joints, in the world, metres."""
         motion = self.motion
         orientations, joints = forward_kinematics(
             motion.rotations, self.body.rest_joints(motion.shape)

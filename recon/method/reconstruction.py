@@ -28,14 +28,14 @@ _SLACK = 1e-3
 
 
 def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
-    """The first motion, checked, with all shape coefficients and the body's dtype and device.
+    """Check a first guess; return it with all shape coefficients, and the body's dtype and device.
 
-    It covers the time of at least one observation, at any rate; shape coefficients that are
-    missing at the end are zero.
+    It has to cover the time of at least one observation, at any rate. Missing last shape
+    coefficients are set to zero.
 
     Raises:
         ValueError: when it has another number of clips, covers another time, has more shape
-            coefficients than the body, or holds what is no motion of a person.
+            coefficients than the body, or values that no person's motion has.
     """
     if start.translation.ndim != 3:
         raise ReconError(
@@ -75,7 +75,7 @@ def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Mot
 
 
 def _covers_observation(start: Motion, seen: Sensor) -> bool:
-    """Whether a motion covers an observation, to within a frame of its own or of the fit."""
+    """Return whether a motion covers the time of an observation to within about one frame."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps
     spare, frame = length - (start.frames - 1), max(1.0, start.fps / REFERENCE_FPS)
@@ -84,7 +84,7 @@ def _covers_observation(start: Motion, seen: Sensor) -> bool:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """The reconstruction of a batch of clips, with a report of every stage."""
+    """The fitted motions of a batch of clips, with a report of every stage of the fit."""
 
     estimate: Estimate
     reports: tuple[StageReport, ...]
@@ -98,12 +98,12 @@ class Reconstruction:
 
     @property
     def motion(self) -> Motion:
-        """The motions, one batch axis (clips)."""
+        """The fitted motions, with one batch axis (clips)."""
         return self.estimate.motion
 
     @property
     def body(self) -> PosedBody:
-        """The posed bodies; `vertices` are computed on first use."""
+        """The bodies posed by the motions; `vertices` are computed on first use."""
         return self.estimate.body
 
     @property
@@ -111,7 +111,7 @@ class Reconstruction:
         """Probability that a joint touches the ground z = 0, by its height and speed.
 
         A prior's own prediction is `estimate.decoded.contacts`; on held-out people it is right
-        less often than the motion that was found with its help.
+        less often than the heights and speeds of the fitted motion.
         """
         posed = self.estimate.body
         heights = rest_heights(posed.model, self.motion.shape)
@@ -119,7 +119,7 @@ class Reconstruction:
 
     @property
     def failed(self) -> tuple[bool, ...]:
-        """Clips that met nan or inf in some stage; they hold their last finite estimate."""
+        """Whether each clip met NaN or infinity in a stage; it holds its last finite estimate."""
         return tuple(
             any(r.solution.termination[clip] is Termination.NONFINITE for r in self.reports)
             for clip in range(len(self.motion.translation))
@@ -140,12 +140,12 @@ class Reconstruction:
         return replace(self, estimate=Estimate(decoded, body.pose(motion), scene))
 
     def clip(self, index: int) -> Motion:
-        """One clip's motion without its batch axis and padding."""
+        """Return the motion of one clip, without batch axis and padding."""
         motion = self.motion[index]
         return motion.window(0, int(motion.valid.sum()))
 
     def __str__(self) -> str:
-        """Per stage and clip: the weighted energies by term, iterations, and why it ended."""
+        """Describe each stage and clip: weighted energies, iterations, and why it ended."""
         lines: list[str] = []
         for report in self.reports:
             solution, names = report.solution, [term.name for term in report.stage.terms]
@@ -175,21 +175,21 @@ def solve(
 ) -> Reconstruction:
     """Run the stages of a prior from a first guess, with given weights of the data.
 
-    `recon.fit` estimates noise, weights, the first guess and the ground and then calls this; here
-    they are the caller's: residuals in pixels and in metres are added as they are weighted.
+    `recon.fit` estimates noise, weights, the first guess and the ground and then calls `solve`.
+    Here the caller gives them; residuals in pixels and in metres are added as weighted.
 
-    Observations of one clip add up; each carries a leading axis of clips, and clips are
-    independent of each other. All are brought to the precision of the body.
+    Energies of all observations are added. Every observation has a leading axis of clips, which
+    are independent of each other. All data are converted to the precision of the body.
 
     Args:
-        observations: adapters with data inside; the first one gives the first guess.
-        prior: what is likely, and by which stages it is fitted; or a function that gives the
-            stages for data.
+        observations: sensors with their data; the first one gives the first guess.
+        prior: the prior, which says which motions are likely and by which stages to fit; or a
+            function from data to stages.
         body: whose motion it is; None is the bundled body.
         start: a first guess to continue from instead, for example the previous chunk's motion; it
             covers the time of an observation.
-        others: further hypotheses to begin from. Stages say how many they keep; of those that
-            are left at the end, the motion of the lowest objective is the clip's.
+        others: further first guesses. Stages say how many hypotheses they keep; at the end, each
+            clip gets the motion of lowest objective.
         scene: what surrounds the motion; None puts every tracked point on the model.
         weights: multiplier of each observation; None weighs all equally.
         watch: told about every iteration.
@@ -219,7 +219,7 @@ def checked_arguments(
     scene: Scene | None,
     weights: Sequence[float] | None,
 ) -> Admitted:
-    """The arguments of `solve`, checked, in the precision and on the device of the body.
+    """Check the arguments of `solve`; return them in the body's precision and on its device.
 
     Raises:
         ValueError: when they do not fit each other.
@@ -281,7 +281,7 @@ def reconstruct(
 
 
 def data_terms(observations: Sequence[Sensor], weights: Sequence[float]) -> tuple[Term, ...]:
-    """Weighted observations as terms: `data`, or `data 1`, `data 2` ... where there are more."""
+    """Return a weighted term for each observation: `data`, or `data 1`, `data 2`, ..."""
     many = len(observations) > 1
     return tuple(
         Term(f"data {k + 1}" if many else "data", observation, weight)

@@ -1,4 +1,4 @@
-"""The loop over the stages of a method."""
+"""Runs the stages of a fit one after the other, on one or several hypotheses per clip."""
 
 import math
 from collections.abc import Sequence
@@ -38,13 +38,13 @@ class Hypotheses(Generic[S]):
     clip: Int[Tensor, " rows"] | None = None
     """The clip of every row; None where the rows are the clips."""
     number: Int[Tensor, " rows"] | None = None
-    """What the caller knows a row by."""
+    """The caller's number of the hypothesis in every row."""
 
     @classmethod
     def of_motions(
         cls, prior: Prior[S], motions: Sequence[Motion], scene: Scene, body: BodyModel
     ) -> "Hypotheses[S]":
-        """Motions of the same clips, each a hypothesis known by its number, in one scene."""
+        """Make one hypothesis of each motion, numbered in order, for every clip of a scene."""
         with torch.no_grad():
             if len(motions) == 1:
                 return cls(prior, Unknowns.of(prior, motions[0], scene, body))
@@ -56,11 +56,11 @@ class Hypotheses(Generic[S]):
 
     @property
     def clips(self) -> Int[Tensor, " rows"]:
-        """The number of the clip of every row; without hypotheses, row k is clip k."""
+        """The index of the clip of every row; with one hypothesis per clip, row k is clip k."""
         return torch.arange(len(self.unknowns.scene.offsets)) if self.clip is None else self.clip
 
     def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:
-        """Rows with the lowest values, `count` for every clip, in the order of clips."""
+        """Return the `count` rows of lowest value of every clip, in the order of clips."""
         clip, ordered = self.clips, value.cpu().nan_to_num(torch.inf).argsort()
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
@@ -68,9 +68,9 @@ class Hypotheses(Generic[S]):
     def proposed(
         self, proposals: Proposals, body: BodyModel
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"], tuple[str, ...]]:
-        """The hypotheses that each row is replaced by, the row each came from, and remarks.
+        """Replace each row by the hypotheses that `proposals` finds for it, if any.
 
-        A row from which nothing is proposed stays.
+        Returns the new hypotheses, the row from which each came, and remarks.
         """
         clips = self.clips
         parts, origin, told = list[Unknowns[S]](), list[int](), dict[str, None]()
@@ -91,7 +91,7 @@ class Hypotheses(Generic[S]):
         return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows, tuple(told)
 
     def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
-        """The hypotheses in some rows."""
+        """Return the hypotheses of the rows `index`."""
         clip = None if self.clip is None else self.clip[index]
         number = None if self.number is None else self.number[index]
         return Hypotheses(self.prior, self.unknowns[index], clip, number)
@@ -99,7 +99,7 @@ class Hypotheses(Generic[S]):
     def compared(
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> ComparedHypotheses:
-        """A record of the compared hypotheses: their objectives and which are kept."""
+        """Return a record of all hypotheses: their objectives, motions, and which are kept."""
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
@@ -108,11 +108,11 @@ class Hypotheses(Generic[S]):
         )
 
     def of(self, stage: Stage[S]) -> Stage[S]:
-        """The stage with the data of each row's clip."""
+        """Return the stage with its data repeated for the rows: for each the data of its clip."""
         return stage if self.clip is None else stage.rows(self.clip)
 
     def estimate(self, body: BodyModel) -> Estimate:
-        """The estimate of every row, the input of energies."""
+        """Return the estimates of all rows, which energies are functions of."""
         with torch.no_grad():
             return self.unknowns.estimate(self.prior, body)
 
@@ -123,7 +123,7 @@ def run_stages(
     motion: Motion,
     scene: Scene,
 ) -> tuple[Estimate, list[StageReport]]:
-    """Run all stages in turn, from one motion for each clip."""
+    """Run all stages in turn from one motion per clip; return estimate and stage reports."""
     began = Hypotheses.of_motions(stages[0].prior, [motion], scene, body)
     found, reports = run_hypotheses(stages, body, began)
     return found.estimate(body), reports
@@ -135,10 +135,10 @@ def run_hypotheses(
     initial: Hypotheses[Any],
     watch: Watch | None = None,
 ) -> tuple[Hypotheses[Any], list[StageReport]]:
-    """Run all stages in turn; returns the remaining hypotheses and a report of each stage.
+    """Run all stages in turn; return the remaining hypotheses and a report of each stage.
 
-    Data of stages are of clips. Consecutive stages of one prior object continue from its
-    variables; otherwise the motion is handed on, encoded anew.
+    The data of stages have a row for each clip. Consecutive stages of the same prior object
+    continue from its variables; between different priors the motion is encoded anew.
     """
     held, reports = initial, list[StageReport]()
     for stage in stages:
@@ -164,7 +164,7 @@ def run_hypotheses(
 def ranking_objective(
     stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
 ) -> Float[Tensor, " rows"]:
-    """The objective by which a stage compares hypotheses: its `ranking`, or else its terms."""
+    """Return the value by which a stage ranks each row: its `ranking` terms, or its terms."""
     ranked = hypotheses.of(replace(stage, terms=stage.ranking or stage.terms))
     with torch.no_grad():
         estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)
@@ -181,7 +181,7 @@ def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> 
 def _run_stage(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
-    """The unknowns after a stage, and the solver's report."""
+    """Minimise one stage; return the unknowns after it and the solver's report."""
     if not stage.matches:
         return _minimise_once(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _ITERATION_SHARE)

@@ -1,4 +1,4 @@
-"""The base class of sensors: data, prediction from a posed body, and the energy."""
+"""The base class of sensors: data, their prediction from a posed body, and their energy."""
 
 import dataclasses
 import math
@@ -46,8 +46,8 @@ class Sensor(TensorStruct):
 
     A sensor of your own is a frozen dataclass that derives from this class. It has the fields
     `values`, `shown`, `fps`, `start_time` and `ground_known`, and those that `predict` needs; it
-    says `typical_noise` and writes `predict`. All else has a usual answer, which a sensor that
-    knows better overrides. Tensors have a leading axis of clips, or none for one clip.
+    says `typical_noise` and writes `predict`. All other methods have a default, which a sensor
+    may override. Tensors have a leading axis of clips, or none for one clip.
     """
 
     unit: ClassVar[Unit] = "metres"
@@ -85,20 +85,20 @@ class Sensor(TensorStruct):
     """Whether z = 0 of the recording was laid on a plane that the sensor sees."""
 
     def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points dims"]:
-        """The values of a posed body, in the world, in the frames of its motion."""
+        """Return the values that the sensor would measure of a posed body, in the world."""
         raise NotImplementedError(
             f"{type(self).__name__}: define predict(body): what the sensor would measure of a "
             "posed body, axes (clips, time, points, dims)"
         )
 
     def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points dims"]:
-        """The predicted values of an estimate in the world, with the scene's unknowns."""
+        """Return the predicted values of an estimate, with its scene's offsets, in the world."""
         return self.predict(estimate.body)
 
     def expected(
         self, estimate: Estimate
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """Predicted values in the recording's frame, and the frames of data that they are for."""
+        """Return predicted values in the recording's frame, and the frames of data they match."""
         values = self.predicted(estimate)
         if self.vectors == "points":
             values = estimate.scene.to_recording(values)
@@ -109,16 +109,16 @@ class Sensor(TensorStruct):
     def at_own_times(
         self, values: Float[Tensor, "*batch time points dims"], motion: Motion
     ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-        """A motion's values at the data's frames that it covers, and the slice of these frames."""
+        """Interpolate a motion's values to the frames of data that it covers; return both."""
         return at_observation_times(
             values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )
 
     def check(self) -> None:
-        """Refuse a plug-in's sensor whose fields contradict each other.
+        """Refuse a plug-in's sensor whose fields are missing or have shapes that do not match.
 
         Raises:
-            ObservationError: naming what is missing, or the shapes.
+            ObservationError: naming the missing fields, or the shapes.
         """
         me: Any = self
         name, fields = type(self).__name__, {field.name for field in dataclasses.fields(me)}
@@ -153,7 +153,7 @@ class Sensor(TensorStruct):
             )
 
     def residuals(self, estimate: Estimate) -> Residuals:
-        """Measured minus predicted values, by frame and by point, in `unit`."""
+        """Return measured minus predicted values of every frame and point, in `unit`."""
         expected, seen = self.expected(estimate)
         measured = self.values[..., seen, :, :]
         if expected.shape[-3:] != measured.shape[-3:]:
@@ -166,12 +166,12 @@ class Sensor(TensorStruct):
         )
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; `unit` squared."""
+        """Return the energy ½ Σ kernel(w² |measured - predicted|²) at 30 Hz, `unit` squared."""
         found = self.residuals(estimate)
         return self.energy_of(found.values, found.weights)
 
     def energy_of(self, away: Tensor, weights: Tensor) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(w² |away|²) over all frames of the data, taken at 30 Hz; `unit` squared."""
+        """Return ½ Σ kernel(w² |away|²) over all frames of data, at 30 Hz; `unit` squared."""
         size = weights.square() * away.square().sum(-1)
         return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
@@ -187,7 +187,7 @@ class Sensor(TensorStruct):
 
     @property
     def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
+        """Sizes of the leading axes of the data: (clips,), or () for one clip without the axis."""
         return tuple(self.shown.shape[:-2])
 
     @property
@@ -197,17 +197,17 @@ class Sensor(TensorStruct):
 
     @property
     def named(self) -> TrackedPoints | None:
-        """The sensor if it measures named points in space, else None."""
+        """The sensor itself if it measures named points in space, else None."""
         return self._self_if_seeing("points")
 
     @property
     def view(self) -> Keypoints2D | None:
-        """The sensor if it measures named points in the image of a camera, else None."""
+        """The sensor itself if it measures named points in a camera's image, else None."""
         return self._self_if_seeing("image")
 
     @property
     def cloud(self) -> PointCloud | None:
-        """The sensor if it measures points anywhere on the surface, else None."""
+        """The sensor itself if it measures points anywhere on the body's surface, else None."""
         return self._self_if_seeing("surface")
 
     def _self_if_seeing(self, what: str) -> Any:
@@ -215,14 +215,14 @@ class Sensor(TensorStruct):
 
     @property
     def places(self) -> Float[Tensor, "*batch frames points 3"] | None:
-        """Positions in the frame of the recording, metres, if it measures points in space."""
+        """Measured points in the recording's frame, metres; None for other measurements."""
         return self.values if self.sees in ("points", "surface") else None
 
     @property
     def unposed(self) -> bool:
-        """Whether its fixed camera has the identity as pose, which stands for an unknown pose.
+        """Whether the sensor is a fixed camera of unknown pose, which is stored as the identity.
 
-        A camera cannot stand so in the world: it would lie on the ground and look straight up.
+        No real camera has this pose: it would lie on the ground and look straight up.
         """
         if self._camera is None:
             return False
@@ -234,47 +234,47 @@ class Sensor(TensorStruct):
         return getattr(self, "camera", None)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the points, for reports; empty where points come in no order."""
+        """Return the names of the points, for reports; empty for unordered points."""
         del body
         return ()
 
     def locates(self, body: BodyModel) -> Bool[Tensor, "*batch frames 22"] | None:
-        """Whether the sensor locates each joint in each frame of the data.
+        """Return a mask of the joints that the data of each frame locate.
 
-        None where that is unknown.
+        The default, None, means unknown.
         """
         del body
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
-        """Joints of the first clip that the sensor locates, in every frame of the data."""
+        """Return a mask of the joints that each frame of the first clip's data locates."""
         return np.zeros((self.moments, estimate.body.joints.shape[-2]), dtype=bool)
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """How noisy the data are: as given, in `unit`, or as is typical."""
+        """Return the standard deviation of the data: as given, in `unit`, or the typical one."""
         del guess, body
         own, metres = self.typical_noise
         return Noise(own, metres) if given is None else Noise(given, given * metres / own)
 
     def start(self, body: BodyModel) -> Motion:
-        """A first guess at the times of the data: a person standing at the origin."""
+        """Return a first guess of the motion: a person who stands at the origin all the time."""
         return standing_motion(
             body, self.clips, self.moments, fps=self.fps, start_time=self.start_time
         )
 
     def settled(self: R, scene: Scene) -> R:
-        """The sensor with the scene's unknowns (offsets, lens, ...) inserted as known."""
+        """Return the sensor with the scene's offsets and lens inserted as known constants."""
         del scene
         return self
 
     def window(self: R, start: float, stop: float) -> R:
-        """The data from `start` to `stop`, both included, seconds; times do not change."""
+        """Return the data from `start` to `stop` (seconds, both included) at unchanged times."""
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         numbers = moment_numbers(**clock)
         first: dict[str, Any] = {"start_time": self.start_time + numbers.start / self.fps}
         return self.derived(**first, **self.some_frames(numbers))
 
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
-        """Every `step`-th frame, all where most are empty, to compare hypotheses quickly."""
+        """Return the data of every `step`-th frame, or of all frames if most are empty."""
         del body
         if self._mostly_empty:
             return self
@@ -283,16 +283,16 @@ class Sensor(TensorStruct):
 
     @property
     def _mostly_empty(self) -> bool:
-        """Whether most frames are empty."""
+        """Whether more than half of the frames show no point."""
         return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
 
     def thinned(self: R, most: int) -> R:
-        """At most `most` points of every frame, for sensors whose points come in no order."""
+        """Return the data with at most `most` points per frame, if its points are unordered."""
         del most
         return self
 
     def on_faster_clock(self: R, times: int) -> R:
-        """The data on a clock `times` times as fast, with empty frames in between.
+        """Return the data at `times` times the frame rate, with empty frames in between.
 
         Data of a camera that moves keep their clock.
         """
@@ -306,7 +306,7 @@ class Sensor(TensorStruct):
         )
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
-        """The data after a rigid transform of the frame that they are given in, metres."""
+        """Return the data, with a camera if any, in another frame of coordinates (metres)."""
         if self.sees is None and type(self).predict is Sensor.predict:  # it overrides `residuals`
             raise ObservationError(
                 f"{type(self).__name__} cannot be given in another frame: write a method "
@@ -322,12 +322,12 @@ class Sensor(TensorStruct):
         return self.derived(**{name: values.where(self.shown[..., None], 0.0)}, camera=camera)
 
     def robust_beyond(self: R, distance: float) -> R:
-        """A sensor of named points gets a robust kernel beyond `distance` metres; others none."""
+        """Return a sensor of named points with a robust kernel beyond `distance` metres."""
         del distance
         return self
 
     def some_frames(self, numbers: range) -> dict[str, Any]:
-        """The fields with an axis of frames, at the given frames; zero outside the data."""
+        """Return the fields with an axis of frames at the frames `numbers`, else zero."""
         axis = len(self.clips)
         number = torch.tensor(numbers, dtype=torch.long)
         exists = (number >= 0) & (number < self.moments)
@@ -341,7 +341,7 @@ class Sensor(TensorStruct):
         return self.by_frame(at) | camera
 
     def by_frame(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
-        """The fields with an axis of frames, each after a function."""
+        """Apply a function to every field that has an axis of frames; return these fields."""
         found: dict[str, Any] = {}
         for name in self.timed:
             value = getattr(self, name)
@@ -355,9 +355,9 @@ class Sensor(TensorStruct):
 def standing_motion(
     body: BodyModel, clips: Sequence[int], moments: int, *, fps: float, start_time: float
 ) -> Motion:
-    """The average body in its rest pose, upright, over the origin; its soles stand at z = 0.
+    """Return a motion of the average body standing still in its rest pose over the origin.
 
-    It faces the negative y axis of the world, as the rest pose that is turned upright does.
+    Its soles are at z = 0, and it faces the negative y axis of the world.
     """
     rest = body.joint_template
     turn = so3.exp(rest.new_tensor(UPRIGHT))
@@ -373,21 +373,21 @@ def standing_motion(
 
 
 def views_of(sensors: Sequence[Sensor]) -> list[Keypoints2D]:
-    """The sensors that measure named points in images."""
+    """Return those of the sensors that measure named points in images."""
     return [view for one in sensors if (view := one.view)]
 
 
 def frame_is_level(sensors: Sequence[Sensor]) -> bool:
-    """Whether the z axis of the frame that the sensors share points up.
+    """Return whether the z axis of the frame that the sensors share points up.
 
-    Those that know have to agree; where none does, it may be tilted.
+    It does if some sensors know that and none of the others denies it.
     """
     said = [one.level for one in sensors if one.level is not None]
     return bool(said) and all(said)
 
 
 def unposed_camera(sensors: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:
-    """First pose of the first camera that does not know the ground, T_recording_camera."""
+    """Return the first pose (T_recording_camera) of the first camera of unknown ground."""
     for one in sorted(sensors, key=lambda one: one.view is None):
         camera = getattr(one, "camera", None)
         if camera is not None and not one.ground_known:

@@ -14,10 +14,10 @@ from recon.method.terms import Term
 
 @dataclass(frozen=True)
 class ShapePrior:
-    """A normal density over shapes: of the height, of the coefficients, or of both.
+    """A normal density over body shapes: of the height, of the coefficients, or of both.
 
-    Like the density that every fit has over shapes, it counts once per frame at 30 Hz: what
-    sensors and models err about sizes, they err in every frame alike.
+    It is weighted once per frame at 30 Hz, as the shape density of every fit is, because errors
+    of sensors and models about sizes are the same in every frame.
     """
 
     mean: Float[Tensor, " shape"]
@@ -30,7 +30,7 @@ class ShapePrior:
     """Standard deviation of every coefficient about `mean`; None leaves them open."""
 
     def terms(self, body: BodyModel, noise: float) -> tuple[Term, ...]:
-        """The energies, weighted for observations whose noise is `noise` metres."""
+        """Return the density's terms, weighted for observations with `noise` metres of noise."""
         weight = max(noise, MODEL_NOISE) ** 2
         found: list[Term] = []
         if self.height is not None:
@@ -45,7 +45,7 @@ class ShapePrior:
 def _height_energy(
     body: BodyModel, mean: Float[Tensor, " shape"], metres: float, std: float
 ) -> Energy:
-    """½ ((h(s) - h) / std)² per frame; heights are nearly linear in the shape.
+    """Return the energy ½ ((h(s) - h) / std)² per frame, h(s) being the height of shape s.
 
     h(s) = h(s0) + g·(s - s0), with the gradient g at the likeliest shape s0.
     """
@@ -65,7 +65,7 @@ def _height_energy(
 
 
 def _coefficient_energy(mean: Float[Tensor, " shape"], std: float) -> Energy:
-    """½ |s - mean|² / std² per frame."""
+    """Return the energy ½ |s - mean|² / std² per frame of the shape coefficients s."""
 
     def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
         shape = estimate.motion.shape
@@ -75,6 +75,6 @@ def _coefficient_energy(mean: Float[Tensor, " shape"], std: float) -> Energy:
 
 
 def _frames_at_30_hz(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Number of frames that the clip would have at 30 Hz."""
+    """Return the number of frames that each clip would have at 30 Hz."""
     motion = estimate.motion
     return motion.valid.sum(-1).to(motion.shape) * (REFERENCE_FPS / motion.fps)

@@ -63,10 +63,10 @@ class Stage(Generic[S]):
     limits and tolerances, and is taken where it is not known."""
 
     def __post_init__(self) -> None:
-        """Refuse objectives without terms, or with two terms of one name.
+        """Refuse a stage without terms, or with two terms of one name.
 
         Raises:
-            ValueError: when there are none, or two have one name.
+            ValueError: when there is no term, or two have one name.
         """
         names = [term.name for term in self.terms]
         if len(names) == 0 or len(set(names)) < len(names):
@@ -74,11 +74,11 @@ class Stage(Generic[S]):
 
     @property
     def matches(self) -> bool:
-        """Whether any energy uses correspondences, which are found again in rounds."""
+        """Whether any energy uses correspondences, which each round of the stage finds anew."""
         return any(hasattr(term.energy, "matched") for term in self.terms)
 
     def matched(self, estimate: Estimate) -> "Stage[S]":
-        """The stage with correspondences fixed at an estimate while it is minimised."""
+        """Return the stage with correspondences fixed to those of an estimate."""
 
         def with_fixed_correspondences(term: Term) -> Term:
             matched = getattr(term.energy, "matched", None)
@@ -87,11 +87,11 @@ class Stage(Generic[S]):
         return replace(self, terms=tuple(with_fixed_correspondences(term) for term in self.terms))
 
     def values(self, estimate: Estimate) -> Float[Tensor, "rows terms"]:
-        """Weighted energies of its terms."""
+        """Return the weighted energy of every term, for every row of an estimate."""
         return torch.stack([term.weight * term.energy(estimate) for term in self.terms], -1)
 
     def rows(self, clip: Int[Tensor, " rows"]) -> "Stage[S]":
-        """The stage for some clips, or for hypotheses of clips: a row for each."""
+        """Return the stage with its data rows selected, or repeated, by index of the clip."""
         return replace(self, terms=tuple(term.rows(clip) for term in self.terms))
 
 
@@ -114,7 +114,7 @@ class ComparedHypotheses:
 
 @dataclass(frozen=True)
 class StageReport:
-    """How one stage ended for each clip of the batch."""
+    """The solver's result and time of one stage, with a row for each clip of the batch."""
 
     stage: Stage[Any]
     solution: Solution
@@ -124,7 +124,7 @@ class StageReport:
     began: tuple[str, ...] = ()  # remarks on the motions proposed by a network
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
-        """The report of some clips of the batch; `compared` is not cut."""
+        """Return the report of the clips `index`; `compared` keeps all its rows."""
         return replace(self, solution=self.solution.rows(index))
 
 

@@ -1,4 +1,4 @@
-"""Weighted terms, and the energies that need no data.
+"""Weighted terms of an objective, and the energies that need no data.
 
 Sums over frames are taken at 30 Hz whatever the motion's rate, so that published weights keep
 their meaning. Frames that do not exist count nothing.
@@ -25,34 +25,34 @@ class Term:
     weight: float
 
     def rows(self, index: Tensor) -> "Term":
-        """The term for some clips of the batch."""
+        """Return the term with the data of the clips `index` of the batch."""
         held = isinstance(self.energy, TensorStruct)
         return replace(self, energy=cast(Any, self.energy)[index]) if held else self
 
     def to(self, *, device: str) -> "Term":
-        """The term with the data of its energy on another device."""
+        """Return the term with the data of its energy on the given device."""
         held = isinstance(self.energy, TensorStruct)
         return replace(self, energy=cast(Any, self.energy).to(device=device)) if held else self
 
 
 @dataclass(frozen=True)
 class PriorEnergy:
-    """The energy that is one named part of -log p of the stage's prior."""
+    """An energy: the part of that name of -log p of the stage's prior."""
 
     name: str
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """The named part of -log p, as the prior decoded it."""
+        """Return the named part of -log p from the estimate's decoded energies."""
         return estimate.decoded.energies[self.name]
 
 
 def prior_energy(name: str) -> PriorEnergy:
-    """The energy that is one named part of -log p of the stage's prior."""
+    """Return the energy that is the named part of -log p of the stage's prior."""
     return PriorEnergy(name)
 
 
 def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """|betas|², -2 log p of a unit-variance shape, times the number of frames at 30 Hz.
+    """Return |betas|² of the shape coefficients, times the number of frames at 30 Hz.
 
     HuMoR section 6.5: shape_prior, scaled by the number of frames.
     """
@@ -61,7 +61,7 @@ def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def joint_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |p_t - p_(t-1)|² of the 22 joints, as displacements per 1/30 s; metres².
+    """Return ½ Σ |p_t - p_(t-1)|² of the 22 joints, displacements per 1/30 s; metres².
 
     HuMoR section 6.5: joints3d_smooth.
     """
@@ -72,14 +72,14 @@ def joint_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |p_(t+1) - 2 p_t + p_(t-1)|² of the 22 joints, per (1/30 s)²; metres²."""
+    """Return ½ Σ |p_(t+1) - 2 p_t + p_(t-1)|² of the 22 joints, per (1/30 s)²; metres²."""
     motion = estimate.motion
     bend = estimate.body.joints.diff(n=2, dim=-3).square().sum((-1, -2))
     return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
 
 
 def relative_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """`joint_acceleration` of the body scaled to the average size; metres²."""
+    """Return `joint_acceleration` of the body scaled to average size; metres²."""
     motion, body = estimate.motion, estimate.body.model
     own, average = (
         body.rest_joints(one) for one in (motion.shape, torch.zeros_like(motion.shape))
@@ -89,9 +89,9 @@ def relative_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Σ (1 - cos angle) of the 21 body joints away from the rest pose, at 30 Hz.
+    """Return Σ (1 - cos angle) of the 21 body joints' rotations from the rest pose, at 30 Hz.
 
-    Holds joints that no observation reaches, such as twists about a bone.
+    It determines rotations that no observation does, such as twists about a bone.
     """
     motion = estimate.motion
     body = motion.rotations[..., 1:, :, :]
@@ -101,12 +101,12 @@ def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def offsets(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |o|² of the tracked points' offsets from their place on the model; metres²."""
+    """Return ½ Σ |o|² of the points' offsets o from their place on the model; metres²."""
     return 0.5 * estimate.scene.offsets.square().sum((-1, -2))
 
 
 def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ (|turn|² + lift²) of the ground away from the recording's z = 0; radians², metres²."""
+    """Return ½ (|tilt|² + lift²) of the ground from the recording's z = 0; radians², metres²."""
     unknown = estimate.scene.ground
     assert unknown is not None, "the ground is known: leave this term out"
     turn = TILT * unknown.tilt
@@ -114,7 +114,7 @@ def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def lens_changed(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ log² of the ratio of the focal length to the guessed one; without unit."""
+    """Return ½ log² of the ratio of the focal length to the guessed one; without unit."""
     unknown = estimate.scene.lens
     assert unknown is not None, "the focal length is known: leave this term out"
     return 0.5 * (ZOOM * unknown.zoom).square()

@@ -21,10 +21,10 @@ def at_observation_times(
     start_time: float,
     moments: int,
 ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
-    """Values of an estimate at the frames of an observation that it covers, and which these are.
+    """Interpolate values of a motion at an observation's frames; return also which it covers.
 
-    Linear between decoded frames; moments outside the motion are left out, so an estimate of
-    the first frames of a clip meets the first moments of its data.
+    Values are linear between the motion's frames. Frames of the observation before or after the
+    motion are left out.
     """
     offset = (start_time - motion.start_time) * motion.fps
     ratio = motion.fps / fps
@@ -47,13 +47,13 @@ def at_observation_times(
 
 
 def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) -> range:
-    """Numbers of a clock's moments from `start` to `stop`, both included; some may not exist."""
+    """Return a clock's frame numbers from `start` to `stop` seconds; data may lack some."""
     first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
     return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 
 
 def with_empty_frames_between(values: Tensor, axis: int, times: int) -> Tensor:
-    """Values on a clock that is `times` times as fast; zero at the moments in between."""
+    """Insert frames of zeros between values, so that their rate is `times` times as high."""
     shape = list(values.shape)
     shape[axis] = (shape[axis] - 1) * times + 1
     wide = values.new_zeros(shape)
@@ -70,7 +70,7 @@ def padded(
     moments: int,
     unit: Unit = "metres",
 ) -> Residuals:
-    """Residuals of some frames, filled up with zeros to all frames of the observation."""
+    """Return residuals of the frames `seen`, with zeros in the observation's other frames."""
     weights = weights.to(values)
     if values.shape[-3] == moments:
         return Residuals(values.where(weights[..., None] > 0, 0.0), weights, unit)
@@ -82,15 +82,15 @@ def padded(
 
 
 def first_to_last(located: Bool[Tensor, "*batch frames 22"]) -> Bool[Tensor, "*batch frames"]:
-    """Frames from the first to the last in which any joint is located.
+    """Return a mask of the frames from the first to the last in which any joint is located.
 
-    A clip that is fitted beside longer ones is filled up with frames that show nothing.
+    Frames outside this range may be padding of a clip that is fitted beside longer ones.
     """
     anything = located.any(-1).long()
     return (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
 
 
 def share_of_frames(located: Bool[Tensor, "*batch frames 22"]) -> Float[Tensor, "*batch 22"]:
-    """Share of the frames from the first to the last in which each joint is located."""
+    """Return, for each joint, the share of the frames of `first_to_last` that locate it."""
     count = located.to(torch.get_default_dtype()).sum(-2)
     return count / first_to_last(located).sum(-1, keepdim=True).clamp(min=1)

@@ -28,7 +28,7 @@ class Unknowns(TensorStruct, Generic[S]):
 
     @classmethod
     def of(cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel) -> "Unknowns[S]":
-        """The unknowns of a motion that is given in the frame of the recording."""
+        """Encode a motion that is given in the frame of the recording."""
         if scene.ground is None or not prior.level:
             return cls(prior.encode(motion), scene)
         T = scene.ground.T_world_recording
@@ -39,11 +39,11 @@ class Unknowns(TensorStruct, Generic[S]):
     def of_world(
         cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel
     ) -> "Unknowns[S]":
-        """The unknowns of an `Estimate`'s motion, which is in the world."""
+        """Encode a motion that is given in the world, as an `Estimate`'s is."""
         return cls.of(prior, _in_recording(motion, scene, body), scene, body)
 
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
-        """The motion of the variables, in the frame of the recording."""
+        """Decode the motion, in the frame of the recording."""
         if self.scene.ground is None or not prior.level:
             return prior.decode(self.variables).motion
         return _in_recording(self.estimate(prior, body).motion, self.scene, body)
@@ -51,7 +51,7 @@ class Unknowns(TensorStruct, Generic[S]):
     def estimate(
         self, prior: Prior[S], body: BodyModel, portion: Callable[[S], S] | None = None
     ) -> Estimate:
-        """The estimate that energies take: the motion in the world, of all or some clips."""
+        """Decode the estimate for energies, in the world; `portion` selects a part in time."""
         variables: Any = self.variables
         ground = self.scene.ground
         if ground is not None:
@@ -85,7 +85,7 @@ class Layout:
 
     @classmethod
     def of(cls, unknowns: Unknowns[Any], free: Collection[str]) -> "Layout":
-        """The layout of the named tensors, in the order of the record.
+        """Return the layout of the tensors named in `free`, in the order of the record.
 
         Args:
             unknowns: a record with these tensors.
@@ -93,7 +93,7 @@ class Layout:
                 (`scene.offsets`).
 
         Raises:
-            ValueError: when there is no such tensor; the message lists those that there are.
+            ValueError: when there is no such tensor; the message lists all tensors.
         """
         tensors = unknowns.tensors()
         named = {path.removeprefix("variables."): path for path in tensors}
@@ -106,13 +106,13 @@ class Layout:
         return cls(tuple(paths), tuple(tensors[path].shape[1:] for path in paths))
 
     def flatten(self, unknowns: Unknowns[Any]) -> Float[Tensor, "batch n"]:
-        """The optimised tensors of a record as a matrix, a row for each clip."""
+        """Return the optimised tensors of a record as a matrix with a row for each clip."""
         tensors = unknowns.tensors()
         rows = [tensors[path].reshape(len(tensors[path]), -1) for path in self.paths]
         return torch.cat(rows, 1)
 
     def unflatten(self, unknowns: Unknowns[S], x: Float[Tensor, "batch n"]) -> Unknowns[S]:
-        """The record with the optimised tensors taken from a matrix."""
+        """Return the record with its optimised tensors replaced by those of a matrix."""
         pieces = x.split([shape.numel() for shape in self.shapes], 1)
         freed = {
             path: piece.reshape(len(x), *shape)
@@ -125,7 +125,7 @@ class Layout:
 def rows_of(
     stage: Stage[S], unknowns: Unknowns[S], rows: Int[Tensor, " rows"]
 ) -> tuple[Stage[S], Unknowns[S]]:
-    """The stage and the unknowns of some clips only, in ascending order."""
+    """Return stage and unknowns of the clips `rows` only, which are in ascending order."""
     if len(rows) == len(unknowns.scene.offsets):
         return stage, unknowns
     return stage.rows(rows), unknowns[rows]
@@ -137,7 +137,7 @@ def objective(
     start: Unknowns[S],
     moved: Callable[[Unknowns[S], Tensor, Tensor], Unknowns[S]],
 ) -> Objective:
-    """Weighted terms as a function of a solver's variables and of the clips they are of.
+    """Return a stage's weighted terms as a function of a solver's variables and clip numbers.
 
     Args:
         stage: with the data of all clips.

@@ -17,16 +17,16 @@ _SAME_MOMENT = 1e-4
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of equal length that cover a recording; each shares frames with the next only."""
+    """Windows of equal length that cover a recording; each overlaps only with its neighbours."""
 
     starts: tuple[int, ...]
-    """First frame of each."""
+    """First frame of every window."""
     frames: int
-    """Length of each."""
+    """Number of frames of a window."""
 
     @classmethod
     def cover(cls, total: int, longest: int, overlap: int, step: int = 1) -> "Windows":
-        """The fewest and shortest windows that cover a recording.
+        """Return the fewest, and then shortest, windows that cover a recording.
 
         Args:
             total: frames of the recording.
@@ -56,20 +56,20 @@ class Windows:
 def smooth_ramp(
     times: Float[Tensor, " time"], start: float, stop: float
 ) -> Float[Tensor, " time"]:
-    """3 u² - 2 u³ of the share u of the way from `start` to `stop`: 0 before, 1 after, no kink."""
+    """Return 3 u² - 2 u³, where u rises linearly from 0 at time `start` to 1 at `stop`."""
     share = ((times - start) / max(stop - start, 1e-9)).clamp(0, 1)
     return share.square() * (3 - 2 * share)
 
 
 def joined_windows(motions: Sequence[Motion]) -> Motion:
-    """One clip from the windows' (no batch axes), in order of time, the first one's clock.
+    """Join the motions of overlapping windows, in order of time, to the motion of one clip.
 
     Where two windows overlap, the later one fades in: positions linearly, rotations along the
-    shortest arc, so that position and speed are continuous. Windows off the first one's frames are
-    brought onto them. The shape is the first one's.
+    shortest arc, so that position and speed are continuous. Motions have no batch axis. All are
+    resampled to the frames of the first, whose shape the result has.
 
     Raises:
-        ValueError: when rates differ, or a window has no frame in common with the one before.
+        ValueError: when rates differ, or a window shares no frame with the window before.
     """
     rates = {motion.fps for motion in motions}
     if len(rates) != 1:
@@ -99,7 +99,7 @@ def joined_windows(motions: Sequence[Motion]) -> Motion:
 
 
 def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
-    """The motion resampled to the clock from `origin` on, and its first frame's number."""
+    """Resample a motion to frames counted from the time `origin`; return the first's number."""
     place = (motion.start_time - origin) * motion.fps
     first = math.ceil(place - _SAME_MOMENT)
     last = math.floor(place + motion.frames - 1 + _SAME_MOMENT)
@@ -124,7 +124,7 @@ def interpolated_poses(
     known: Int[Tensor, " known"],
     wanted: Int[Tensor, " wanted"],
 ) -> tuple[Float[Tensor, "wanted 3"], Float[Tensor, "wanted 22 3 3"]]:
-    """Poses between those of some frames, by number; beyond them those of the nearest one."""
+    """Interpolate poses at the frames `wanted`; outside `known`, repeat the nearest pose."""
     after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
     before = (after - (known[after] > wanted).long()).clamp(min=0)
     gap = (known[after] - known[before]).clamp(min=1)

@@ -23,7 +23,7 @@ PENETRATION_THRESHOLDS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.15)
 def mean(
     samples: Float[Tensor, "*shape"], where: Bool[Tensor, "*shape"] | None = None
 ) -> float | None:
-    """Average of the samples, or of those marked by a mask; None if there are none."""
+    """Return the average of samples, or of those that a mask selects; None if there are none."""
     chosen = samples.flatten() if where is None else samples[where]
     return chosen.mean().item() if chosen.numel() > 0 else None
 
@@ -76,7 +76,7 @@ def accelerations(
 def contact_accuracy(
     predicted: Bool[Tensor, "*frames 22"], truth: Bool[Tensor, "*frames 22"]
 ) -> float | None:
-    """Share of equal labels over HuMoR's nine joints, whose pelvis is never in contact."""
+    """Return the share of contact labels that equal the truth, over HuMoR's nine joints."""
     joints = list(CONTACT_JOINTS)
     return mean((predicted == truth)[..., joints].double())
 
@@ -86,10 +86,10 @@ def contact_balanced_accuracy(
     truth: Bool[Tensor, "*frames 22"],
     joints: tuple[int, ...] = CONTACT_JOINTS,
 ) -> float | None:
-    """Mean of the rates at which contacts and non-contacts are found; 0.5 is guessing.
+    """Return the mean of the recalls of contacts and of non-contacts; guessing gives 0.5.
 
-    Over HuMoR's nine joints together, or others such as `FEET`. None where the truth holds only
-    one of the two.
+    The joints are HuMoR's nine, or others such as `FEET`. The result is None if the truth has
+    only contacts or only non-contacts.
     """
     chosen = list(joints)
     correct, touching = (predicted == truth)[..., chosen].double(), truth[..., chosen]
@@ -104,8 +104,8 @@ def slip_speed(
 ) -> float | None:
     """Mean horizontal speed of ankles and toes from frame to frame while in contact, m/s.
 
-    A step counts when the joint is in contact at both its ends. Contacts of the truth judge a
-    reconstruction; with labels made from its own speed it would be measured by its own yardstick.
+    A step between two frames counts if the joint is in contact in both. Give the true contacts:
+    labels made from the speeds of the reconstruction itself would leave out its slipping frames.
     """
     feet = list(FEET)
     steps = joints[..., feet, :2].diff(dim=-3).norm(dim=-1) * fps
@@ -114,7 +114,7 @@ def slip_speed(
 
 
 def penetration_fractions(heights: Float[Tensor, "*samples"]) -> tuple[float, ...] | None:
-    """Share of the samples deeper below the ground than 0, 3, ..., 15 cm."""
+    """Return the shares of samples deeper below the ground than 0, 3, ..., 15 cm."""
     shares = [mean((heights < -depth).double()) for depth in PENETRATION_THRESHOLDS]
     return None if None in shares else tuple(share for share in shares if share is not None)
 
@@ -138,8 +138,8 @@ def chamfer(
 ) -> float:
     """Chamfer distance of one frame: ½ (mean_v min_p |v - p| + mean_p min_v |v - p|), metres.
 
-    Distances, not their squares. Neither set knows the surface between its members, so two
-    samples of the same surface are not at zero.
+    Distances are not squared. Points are compared, not surfaces, so two different samples of one
+    surface have a distance above zero.
 
     Raises:
         ValueError: when one of them is empty.
@@ -162,7 +162,7 @@ def chamfer_of_clip(motion: Motion, body: BodyModel, scans: PointsFile) -> float
     Args:
         motion: one clip (no batch axis), at any rate.
         body: whose vertices are compared.
-        scans: in the world.
+        scans: points of every scan, in the world.
 
     Raises:
         ValueError: when a scan was taken outside the motion's time, there is none, or the points

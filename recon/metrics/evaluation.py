@@ -43,7 +43,7 @@ def evaluate(
     truth_visible: Bool[Tensor, "time 22"] | None = None,
     observed: ObservedPoints | None = None,
 ) -> dict[str, float | None]:
-    """All metrics of one clip in SI units; None where a value cannot be computed.
+    """Return all metrics of one clip in SI units, by name; None where one cannot be computed.
 
     The truth is interpolated at the estimate's times. Contacts and visibility are given at the
     estimate's frames (`nearest_labels` brings recorded ones there); contacts are labels or
@@ -93,11 +93,11 @@ def evaluate(
 
 
 def ground_errors(found: Float[Tensor, "4 4"], true: Float[Tensor, "4 4"]) -> dict[str, float]:
-    """Errors of a found ground: of its normal, radians, and of the camera's height, metres.
+    """Return errors of an estimated ground: of its normal (radians) and camera height (metres).
 
     Args:
-        found: T_world_camera as it was found.
-        true: as it is.
+        found: T_world_camera of the estimate.
+        true: T_world_camera of the truth.
     """
     ours, theirs = (Ground.seen_from(torch.linalg.inv(T)) for T in (found, true))
     across = torch.linalg.cross(ours.normal, theirs.normal).norm()
@@ -113,7 +113,7 @@ def nearest_labels(
     label_times: Float[Tensor, " recorded"],
     times: Float[Tensor, " time"],
 ) -> Shaped[Tensor, "time points"]:
-    """Labels at other times, taken from the nearest recorded frame (of two, the earlier)."""
+    """Return labels at given times, from the nearest recorded frame (of two, the earlier)."""
     after = torch.searchsorted(label_times, times).clamp(1, max(len(label_times) - 1, 1))
     before = after - 1
     after = after.clamp(max=len(label_times) - 1)
@@ -122,7 +122,7 @@ def nearest_labels(
 
 
 def _common_frames(estimate: Motion, truth: Motion) -> tuple[Motion, int]:
-    """The true motion at the estimate's times, and the number of frames valid in both."""
+    """Return the true motion at the estimate's times, and the number of frames valid in both."""
     for name, motion in (("estimate", estimate), ("truth", truth)):
         if motion.translation.dim() != 2:
             raise ReconError(
@@ -151,7 +151,7 @@ def joint_errors(
     truth: Float[Tensor, "time 22 3"],
     visible: Bool[Tensor, "time 22"] | None,
 ) -> dict[str, float | None]:
-    """Mean joint errors in the world, relative to the pelvis, and after a similarity; metres."""
+    """Return mean joint errors in the world, to the pelvis, and after a similarity; metres."""
     world = metrics.point_errors(predicted, truth)
     rooted = metrics.point_errors(metrics.root_aligned(predicted), metrics.root_aligned(truth))
     similar = metrics.point_errors(metrics.similarity_aligned(predicted, truth), truth)
@@ -168,7 +168,7 @@ def joint_errors(
 
 
 def observed_errors(observed: ObservedPoints | None) -> dict[str, float | None]:
-    """Mean errors of a sensor's own points: of all, visible and hidden ones; metres."""
+    """Return mean errors of a sensor's points: of all, of visible and of hidden ones; metres."""
     if observed is None:
         return dict.fromkeys(("observed_all", "observed_visible", "observed_hidden"))
     errors = metrics.point_errors(observed.predicted, observed.truth)

@@ -1,7 +1,7 @@
 """Measures of generated motions: distance to the truth, variety, and staying upright.
 
-Displacements and diversity: HuMoR (ICCV 2021) section 5.3. What stays on its feet is our own
-definition, in heights and speeds that recorded people keep.
+Displacements and diversity are those of HuMoR (ICCV 2021) section 5.3. `stays_on_its_feet` is our
+own definition, by limits of heights and speeds that recorded people keep.
 """
 
 import torch
@@ -48,9 +48,9 @@ def pairwise_distance(joints: Float[Tensor, "samples time joints 3"]) -> float |
 def lowest_foot(
     joints: Float[Tensor, "*#batch time 22 3"], rest_height: Float[Tensor, "*#batch 22"]
 ) -> Float[Tensor, "*batch time"]:
-    """Height of the lower foot above the ground z = 0, metres: zero while it stands.
+    """Return the height of the lower foot above the ground z = 0, metres: zero while it stands.
 
-    The lowest of ankles and toes, each less its height above the sole when the body stands.
+    It is the least height of ankles and toes, each less its height in a standing body.
     """
     feet = list(FEET)
     return (joints[..., feet, 2] - rest_height[..., None, feet]).amin(-1)
@@ -71,7 +71,7 @@ def stays_on_ground(
 ) -> Bool[Tensor, "*batch"]:
     """Whether the lower foot stays within 8 cm of the ground; it may be higher during jumps.
 
-    Eight centimetres is the reach of a contact (`recon.body.contacts`), a jump 0.7 s.
+    Contacts reach up to 8 cm (`recon.body.contacts`); a jump lasts at most 0.7 s.
     """
     height = lowest_foot(joints, rest_height)
     return (height >= -LIMB_REACH).all(-1) & ~_longer_than_a_jump(height > LIMB_REACH, fps)

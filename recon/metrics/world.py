@@ -48,8 +48,8 @@ def w_mpjpe(
 ) -> float | None:
     """Mean joint error after a similarity fitted to the first two frames of each segment, metres.
 
-    WHAM's and SLAHMR's definition. Others align the first frame alone, without scale, which for
-    one and the same motion can give three times as much.
+    This is WHAM's and SLAHMR's definition. Other papers align the first frame alone, without
+    scale, which can give three times the error for the same motion.
     """
     return _mean_error(predicted, truth, FIRST)
 
@@ -77,10 +77,10 @@ def jitter(joints: Float[Tensor, "time joints 3"], fps: float) -> float | None:
 def foot_sliding(
     predicted: Float[Tensor, "time 22 3"], truth: Float[Tensor, "time 22 3"], fps: float
 ) -> float | None:
-    """Mean step, at 30 Hz, of ankles and toes whose true step is below 1 cm, metres.
+    """Return the mean step per 1/30 s of ankles and toes whose true step is below 1 cm, metres.
 
-    WHAM takes four vertices of SMPL's feet; here they are the joints of the feet, so that bodies
-    of other meshes compare.
+    WHAM takes four vertices of SMPL's feet. Here the joints of the feet are taken, so that
+    bodies of other meshes can be compared.
     """
     feet = list(FEET)
     ours, theirs = (j[:, feet].diff(dim=0).norm(dim=-1) * fps / 30 for j in (predicted, truth))

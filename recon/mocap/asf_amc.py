@@ -84,10 +84,10 @@ def read_amc(
 
 
 def find_skeleton(path: Path) -> Path:
-    """The skeleton (.asf) of an .amc file, in the same folder.
+    """Return the path of the skeleton (.asf) of an .amc file, in the same folder.
 
-    It is the one whose name the motion's begins with (07.asf for 07_01.amc, HDM_bk.asf for
-    HDM_bk_kick_01.amc), the longest such name, or else the only one there.
+    The skeleton's name is the longest that the motion's name begins with (07.asf for 07_01.amc,
+    HDM_bk.asf for HDM_bk_kick_01.amc). Without such a name, the only .asf there is taken.
 
     Raises:
         FileNotFoundError: when there is none.
@@ -266,7 +266,7 @@ def _recording_of(
 def _bone_motion(
     bone: _Bone, values: np.ndarray, degrees: bool, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation C M C^-1 and shift of a bone; changes of its length (`l`) are left out."""
+    """Return rotation C M C^-1 and translation of a bone; length changes (`l`) are ignored."""
     if values.shape[1] != len(bone.channels):
         raise FormatError(
             f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "
@@ -283,7 +283,7 @@ def _bone_motion(
 
 
 def recording_files(recording: Path) -> list[Path]:
-    """The files from which a recording (FILE, or FILE::MEMBER) of any format is read.
+    """Return the files from which a recording (FILE, or FILE::MEMBER) is read.
 
     Raises:
         FileNotFoundError: when the skeleton of an .amc file is missing.

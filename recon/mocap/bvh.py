@@ -31,7 +31,7 @@ _SIGNATURE = {"LHipJoint", "RHipJoint", "LowerBack", "Neck1", "LeftFingerBase", 
 
 
 def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
-    """Restore bones that a known exporter writes with length zero; other skeletons stay."""
+    """Restore bones that a known exporter writes with length zero; keep other skeletons."""
     if not set(recording.joint_names) >= _SIGNATURE:
         return recording
     offsets, positions = recording.rest_offsets.copy(), recording.positions.copy()

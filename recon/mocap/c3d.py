@@ -1,6 +1,6 @@
 """Reads optical markers from C3D files, by the user guide of 2021 (www.c3d.org).
 
-Not through ezc3d, which crashes the process on damaged files; the tests compare the two.
+The library ezc3d is not used, as it crashes on damaged files; tests compare both readers.
 """
 
 import math
@@ -61,7 +61,7 @@ class Header:
         return ">" if self.processor == MIPS else "<"
 
     def first_and_last_frame(self, trial: _Parameters) -> tuple[int, int]:
-        """First and last frame, by the group TRIAL where the header's 16 bits are too few."""
+        """Return the numbers of the first and last frame, from the group TRIAL if over 65,534."""
         bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
         pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
         if self.last != 0xFFFF or len(pairs) < 2:
@@ -224,7 +224,7 @@ def read_header(data: bytes, path: Path) -> Header:
 
 
 def _doubles(data: bytes, processor: int) -> np.ndarray:
-    """Doubles from the four-byte numbers of any of three processors."""
+    """Convert four-byte numbers, as one of C3D's three processors stores them, to doubles."""
     # no warnings about signalling NaNs of damaged files
     with np.errstate(invalid="ignore"):
         if processor != DEC:
@@ -291,7 +291,7 @@ def _read_numbers(
     columns: slice,
     integer: str = "i2",
 ) -> np.ndarray:
-    """Read some numbers of every frame (frames, columns), as they are stored."""
+    """Read columns of the block of points and analog data (frames, columns), unscaled."""
     real = header.scale < 0
     width, start = 4 * header.points + header.analog, (header.data_start - 1) * BLOCK
     first, last = header.first_and_last_frame(trial)
@@ -326,7 +326,7 @@ class AnalogChannels:
     groups: Mapping[str, _Parameters]
 
     def numbers(self, group: str, key: str, *shape: int) -> np.ndarray:
-        """A parameter's numbers, the last index of the file first; empty where it is missing."""
+        """Return a parameter's numbers in a given shape (C order); empty if it is missing."""
         value = self.groups.get(group, {}).get(key)
         size = math.prod(abs(one) for one in shape)
         if not isinstance(value, np.ndarray) or value.size % size:
@@ -334,7 +334,7 @@ class AnalogChannels:
         return value.astype(np.float64).reshape(shape)
 
     def texts(self, group: str, key: str) -> tuple[str, ...]:
-        """A parameter's words."""
+        """Return the texts of a C3D parameter."""
         return texts(self.groups.get(group, {}), key)
 
 
@@ -373,14 +373,14 @@ def read_analog(path: Path) -> AnalogChannels:
 
 
 def _positive_number(group: _Parameters, key: str) -> float:
-    """The positive number that a parameter states, else 0."""
+    """Return the number that a parameter states, or 0 if it is missing or not positive."""
     value = group.get(key)
     stated = isinstance(value, np.ndarray) and value.size == 1 and value.flat[0] > 0
     return float(value.flat[0]) if stated else 0.0  # type: ignore[union-attr]
 
 
 def texts(group: _Parameters, key: str) -> tuple[str, ...]:
-    """A parameter's words, none where it is missing."""
+    """Return the texts of a C3D parameter, or none if it is missing."""
     value = group.get(key, ())
     return value if isinstance(value, tuple) else ()
 

@@ -1,4 +1,4 @@
-"""A copy of a C3D file whose points have other names and columns; all else stays as it is."""
+"""Writes a copy of a C3D file in which points have other names or another order."""
 
 import struct
 from pathlib import Path
@@ -23,7 +23,7 @@ _UNSEEN = {
 def write_renamed_c3d(
     path: Path, source: Path, names: tuple[str, ...], columns: Int[np.ndarray, "time points"]
 ) -> None:
-    """Write a copy of a C3D file in which other columns of points have other names.
+    """Write a copy of a C3D file whose points are renamed and, frame by frame, reordered.
 
     Header, events, parameters, analog samples, and points that are a model's outputs keep their
     bytes. Of points, numbers and residuals are copied as they are stored.
@@ -81,7 +81,7 @@ def write_renamed_c3d(
 def _parameter_section(
     data: bytes, header: c3d.Header, texts: dict[str, list[str]], count: int, start: int
 ) -> bytes:
-    """The parameter section with other labels, number of points and first block of data."""
+    """Return the parameter section with new labels, number of points and start of data."""
     place = (data[0] - 1) * c3d.BLOCK
     entries = _parameter_entries(data, header)
     numbers = {"USED": count, "DATA_START": start}
@@ -104,7 +104,7 @@ def _parameter_section(
 
 
 def _parameter_entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, bytes]]:
-    """Group number (negative of a group itself), name and bytes of every entry."""
+    """Return group number (negative for a group's own entry), name and bytes of all entries."""
     place, found = (data[0] - 1) * c3d.BLOCK + 4, list[tuple[int, str, bytes]]()
     while place + 2 <= len(data) and data[place] != 0:
         length, number = struct.unpack_from("bb", data, place)
@@ -122,7 +122,7 @@ def _parameter_entries(data: bytes, header: c3d.Header) -> list[tuple[int, str, 
 
 
 def _end_of_last_entry(data: bytes, place: int, number: int) -> int:
-    """Where the last entry ends, whose length is not stated."""
+    """Return the offset at which the last parameter entry ends, computed from its contents."""
     if number > 0:
         size, rank = struct.unpack_from("bB", data, place)
         place += 2 + rank + abs(size) * int(np.prod(list(data[place + 2 : place + 2 + rank])))
@@ -130,7 +130,7 @@ def _end_of_last_entry(data: bytes, place: int, number: int) -> int:
 
 
 def _text_entries(entry: bytes, word: str, texts: list[str], header: c3d.Header) -> list[bytes]:
-    """Entries of a parameter that holds these texts, and of its continuations (LABELS2, ...)."""
+    """Return the entries of a parameter with the given texts, continued in LABELS2, ..."""
     parts: list[bytes] = []
     width = max(1, *(len(text.encode("latin-1", "replace")) for text in texts))
     for k in range(0, len(texts), _MOST):
@@ -150,7 +150,7 @@ def _text_entries(entry: bytes, word: str, texts: list[str], header: c3d.Header)
 def _with_values(
     entry: bytes, raw: bytes, size: int, shape: tuple[int, ...], header: c3d.Header
 ) -> bytes:
-    """A parameter's entry with other values; name, lock and description stay."""
+    """Replace the values in a parameter's entry; keep its name, lock and description."""
     place = 2 + abs(struct.unpack_from("b", entry)[0])
     old, rank = struct.unpack_from("bB", entry, place + 2)
     dimensions = entry[place + 4 : place + 4 + rank]

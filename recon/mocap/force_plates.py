@@ -94,7 +94,7 @@ def read_force_plates(path: Path) -> ForcePlates:
 
 @dataclass(frozen=True)
 class _Plate:
-    """One plate in the file's axes, metres and newtons."""
+    """One force plate with its loads, in the file's axes; metres, newtons, newton metres."""
 
     corners: Float[np.ndarray, "4 3"]
     axes: Float[np.ndarray, "3 3"]
@@ -108,7 +108,7 @@ class _Plate:
 def _wrench(
     analog: AnalogChannels, k: int, kind: int, origin: Float[np.ndarray, "3"], metres: float
 ) -> Float[np.ndarray, "time 9"]:
-    """Force, moment about the plate's origin and the moment's change at the surface; N, N m.
+    """Return force, moment at the plate's origin, and its change at the surface; N, N m.
 
     Raises:
         FormatError: when its type or channels are not known.
@@ -148,7 +148,7 @@ def _wrench(
 
 
 def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, "time channels"]:
-    """Mean signals of some channels around every frame, minus their values without load.
+    """Return channels' mean signals around every frame, minus their values without load.
 
     FORCE_PLATFORM:ZERO names the samples of an empty plate, from 1; 0 is none.
     """
@@ -168,7 +168,7 @@ def _frame_means(analog: AnalogChannels, rows: np.ndarray) -> Float[np.ndarray, 
 def _oriented_plate(
     wrench: Float[np.ndarray, "time 9"], corners: Float[np.ndarray, "4 3"]
 ) -> tuple[_Plate, list[str]]:
-    """A plate with its loads, and notes on corrected signs and units of moments.
+    """Return a plate with its loads, and notes on corrected signs and units of moments.
 
     Raises:
         FormatError: when its corners are no rectangle, or the centre of pressure is beside it.

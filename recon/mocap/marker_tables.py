@@ -23,8 +23,8 @@ from recon.mocap.recording import MarkerRecording, settle_markers, stated_rate
 def read_motive(path: Path, *, unit: str | None = None, up: Up | None = None) -> MarkerRecording:
     """Read the markers of a .csv file that Motive exported (format 1.2 and later).
 
-    Those that Motive placed itself for rigid bodies and bones are taken where there are no others.
-    Unlabelled ones are left out.
+    Markers that Motive computed for rigid bodies and bones are taken if there are no others.
+    Unlabelled markers are left out.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -115,7 +115,7 @@ def _in_metres(
     custom: Up,
     start: float,
 ) -> MarkerRecording:
-    """A recording in metres and z up; NaN and three zeros are markers not seen."""
+    """Make a recording in metres and z up of a table; NaN or three zeros mean not visible."""
     if len(values) == 0 or not _is_number(rate):
         raise FormatError(f"{name}: expected rows of frames and a frame rate, got {rate[:20]!r}")
     fps, said = stated_rate(float(rate or "nan"), name, "frame rate")
@@ -199,7 +199,7 @@ def _labels(line: str) -> list[str]:
 
 
 def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray, int]:
-    """Parse times, coordinates, and the number of further columns that hold numbers."""
+    """Return a table's times, its coordinates, and the number of further number columns."""
     width = 2 + 3 * markers
     JOINTS.check(markers, name, "line 4")
     SAMPLES.check(max(len(lines), 1) * markers, name)
@@ -230,7 +230,7 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
 
 
 def _frame_rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
-    """Frames per second by the header, unless the time column clearly contradicts it."""
+    """Return frames per second by the header, or the time column if it clearly contradicts."""
     try:
         header = float(stated)
     except ValueError:

@@ -71,7 +71,7 @@ def read_recording(
 
 
 def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
-    """Name and text of every .bvh file in an archive, read without unpacking it to disk.
+    """Yield name and text of every .bvh file in an archive, without unpacking it to disk.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -125,7 +125,7 @@ SkeletonTable = Mapping[str, Mapping[str, str]]
 
 
 def plain_joint_name(name: str) -> str:
-    """A joint's name without namespace, in lower case."""
+    """Return a joint's name in lower case, without its namespace."""
     return name.split(":")[-1].lower()
 
 
@@ -137,14 +137,14 @@ def known_skeletons() -> Mapping[str, SkeletonTable]:
 
 
 def skeleton_among(names: Sequence[str], source: str) -> str:
-    """Name of the known skeleton that has most of these joints.
+    """Return the name of the largest known skeleton whose joints a recording has all.
 
     Args:
         names: of the joints of a recording.
         source: what they were read from, for messages.
 
     Raises:
-        ValueError: when there is none; says which mapping file to write.
+        ValueError: when no skeleton matches; says which mapping file to write.
     """
     theirs = {plain_joint_name(name) for name in names}
     fitting = [
@@ -172,7 +172,7 @@ def skeleton_among(names: Sequence[str], source: str) -> str:
 def refuse_unknown_skeleton(path: Path) -> None:
     """Refuse a .bvh file with an unknown skeleton, judged by its joint names.
 
-    Files of other kinds, and files that are not there, pass.
+    Files of other kinds and missing files are not refused.
 
     Raises:
         ValueError: as `skeleton_among` does.

@@ -49,7 +49,7 @@ class SkeletonRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "SkeletonRecording":
-        """Frames start to stop - 1."""
+        """Return the recording of the frames from `start` to `stop` - 1."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
@@ -57,10 +57,10 @@ class SkeletonRecording:
         )
 
     def joint(self, name: str) -> int:
-        """Index of a joint.
+        """Return the index of the joint of a given name.
 
         Raises:
-            ValueError: when there is none of that name; the message lists them.
+            ValueError: when there is no such joint; the message lists all names.
         """
         if name not in self.joint_names:
             known = ", ".join(self.joint_names)
@@ -68,7 +68,7 @@ class SkeletonRecording:
         return self.joint_names.index(name)
 
     def descendants(self, joint: int) -> list[int]:
-        """The joint and all joints below it in the tree."""
+        """Return the indices of a joint and of all joints below it in the tree."""
         chain = {joint}
         for child, parent in enumerate(self.parents):
             if parent in chain:
@@ -77,7 +77,7 @@ class SkeletonRecording:
 
     @property
     def body_root(self) -> int:
-        """The body's root: the first joint with several children, below any helper joints."""
+        """Index of the body's root: the first joint with more than one child, else 0."""
         children = np.bincount([parent for parent in self.parents if parent >= 0])
         branching = np.flatnonzero(children > 1)
         return int(branching[0]) if len(branching) > 0 else 0
@@ -105,7 +105,7 @@ class MarkerRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "MarkerRecording":
-        """Frames start to stop - 1, with the start time moved accordingly."""
+        """Return the recording of the frames from `start` to `stop` - 1, at unchanged times."""
         return dataclasses.replace(
             self,
             positions=self.positions[start:stop],
@@ -114,17 +114,17 @@ class MarkerRecording:
         )
 
     def evenly_spread(self, count: int) -> "MarkerRecording":
-        """At most `count` evenly spread frames of the recording; their times mean nothing."""
+        """Return at most `count` evenly spaced frames; `fps` and times are not valid then."""
         index = np.unique(np.linspace(0, self.frames - 1, count).round().astype(int))
         return dataclasses.replace(
             self, positions=self.positions[index], visible=self.visible[index]
         )
 
     def select(self, names: Sequence[str]) -> "MarkerRecording":
-        """The recording with some of the markers, in the given order.
+        """Return the recording with only the named markers, in the given order.
 
         Raises:
-            ValueError: naming those that the recording lacks.
+            ValueError: naming the markers that the recording lacks.
         """
         if missing := [name for name in names if name not in self.marker_names]:
             known = ", ".join(self.marker_names)
@@ -149,8 +149,8 @@ def settle_skeleton(
 
     Args:
         raw: as in the file; by custom of its format y points up.
-        unit: what the user says; the file is not asked then, and the body must be of human size.
-        up: axis that points up or down, given by the user; the body is not asked then.
+        unit: given by the user, in place of the file's; the body must then be of human size.
+        up: axis that points up or down, given by the user; None finds it from the body.
         declared: unit that the file states.
 
     Raises:
@@ -246,10 +246,10 @@ def _decided_unit(
     guess: Callable[[float, str], tuple[str, str]],
     name: str,
 ) -> tuple[str, str]:
-    """The unit that the user gives, the file states or the body's size implies; and the reason.
+    """Return the unit that the user gives, the file states or the size implies, and why.
 
     Raises:
-        UnitsError: when no body has the size that follows.
+        UnitsError: when the unit gives a size that no human body has.
     """
     units.check_override(given)
     if given is not None:
@@ -266,7 +266,7 @@ def _decided_unit(
 
 
 def stated_rate(rate: float, source: object, place: str) -> tuple[float, str]:
-    """A frame rate that a file states, checked, and a note that says so.
+    """Check a frame rate that a file states; return it with a note on its source.
 
     Raises:
         ValueError: when nothing is recorded at such a rate.
@@ -281,7 +281,7 @@ def posed_skeleton(
     local: Iterable[tuple[np.ndarray, np.ndarray]],
     frames: int,
 ) -> tuple[Float[np.ndarray, "time joints 3"], Float[np.ndarray, "time joints 3 3"]]:
-    """World positions and orientations of joints by forward kinematics.
+    """Compute world positions and orientations of joints by forward kinematics.
 
     Args:
         parents: of the joints, which come before their children; -1 for the root.
@@ -305,7 +305,7 @@ def finite_numbers(words: Sequence[str], count: int, place: str) -> list[float]:
     """Parse `count` finite numbers.
 
     Raises:
-        ValueError: when there are more or fewer, or something is no number.
+        ValueError: when there are more or fewer, or a word is not a number.
     """
     try:
         values = [float(word) for word in words]
@@ -317,9 +317,9 @@ def finite_numbers(words: Sequence[str], count: int, place: str) -> list[float]:
 
 
 def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
-    """Cut off frames at the start, such as a T-pose, from which the joints jump away.
+    """Cut off frames at the start, such as a T-pose, after which the joints jump away.
 
-    It is one frame in most files; some converters smear it over the next few.
+    Most such files have one frame of it; some converters blend it into the next few.
     """
     first = recording.positions[: LEAD_IN_FRAMES + 1]
     moved = np.diff(first, axis=0)
@@ -338,8 +338,8 @@ def head_to_foot(
 ) -> float:
     """Longest path along the bones from a head joint to a foot joint, in the offsets' unit.
 
-    The same in every pose. Without such names it is the longest path between any two joints,
-    which is a foot to a hand and about as long.
+    It does not depend on the pose. Without such names it is the longest path between any two
+    joints, that from a foot to a hand, which is about as long.
     """
     words = [name.lower().split(":")[-1] for name in names]
     heads = [j for j, word in enumerate(words) if "head" in word]

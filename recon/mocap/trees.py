@@ -1,4 +1,4 @@
-"""Finds our joints in a skeleton of unknown names, by its tree of legs, arms and spine."""
+"""Finds recon's joints in a skeleton of unknown names, by its tree of legs, arms and spine."""
 
 import re
 from collections.abc import Sequence
@@ -25,11 +25,11 @@ _PARTS = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist"))
 def joints_by_tree(
     names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "joints 3"]
 ) -> dict[str, str] | None:
-    """The skeleton's joint for each of ours; None if its tree is not that of a person.
+    """Map recon's joints to a skeleton's joint names; None if its tree is not a person's.
 
-    Legs and arms are the two pairs of long branches that are alike; legs are longer. Hip, knee and
-    ankle, and shoulder, elbow and wrist, are at the ends of the two longest bones in a row of a
-    branch. Names tell only which side is left.
+    Legs and arms are the two pairs of similar long branches; legs are longer. Hip, knee and ankle,
+    or shoulder, elbow and wrist, are the ends of the two longest consecutive bones of a branch.
+    Names are used only to distinguish left from right.
 
     Args:
         names: of the joints; tips of last bones end in `_end`.
@@ -86,7 +86,7 @@ def joints_by_tree(
 def _left_and_right(
     pair: tuple[int, int], longest: Sequence[Sequence[int]], names: Sequence[str]
 ) -> tuple[int, ...]:
-    """The left and the right of two branches, by joint names; empty if these do not say."""
+    """Return left and right of two branches by joint names; empty if names do not tell."""
     left = [sum(bool(_LEFT.search(names[k])) for k in longest[one]) for one in pair]
     right = [sum(bool(_RIGHT.search(names[k])) for k in longest[one]) for one in pair]
     if left[0] > right[0] and right[1] > left[1]:
@@ -95,7 +95,7 @@ def _left_and_right(
 
 
 def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
-    """The joint and all its ancestors, up to -1."""
+    """Return the indices of a joint and all its ancestors, up to the root's parent, -1."""
     above = [joint]
     while above[-1] >= 0:
         above.append(parents[above[-1]])
@@ -105,7 +105,7 @@ def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
 def _trunk_joints(
     names: Sequence[str], parents: Sequence[int], pelvis: int, chest: int, neck: list[int]
 ) -> dict[str, str]:
-    """The skeleton's joints of spine, neck and head, as far as the tree has them."""
+    """Map recon's spine, neck and head to the skeleton's joints, if the tree has them."""
     above = _ancestors(parents, pelvis)
     spine: list[int] = []
     while chest not in above:

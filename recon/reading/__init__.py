@@ -1,1 +1,1 @@
-"""Reading of files of any kind: observations of one clip, or a motion."""
+"""Reads files of any kind as the observations of one clip, or as a motion."""

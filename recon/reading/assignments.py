@@ -12,7 +12,7 @@ _ALTERNATIVES = 8.0
 def cheapest_assignments(
     costs: Float[np.ndarray, "people rows"],
 ) -> list[dict[int, int]]:
-    """The cheapest assignment of people to detections, and those about as cheap."""
+    """Return the assignment of people to detections of least cost, then others about as good."""
     from scipy.optimize import linear_sum_assignment
 
     allowed = np.isfinite(costs)

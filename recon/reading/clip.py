@@ -48,13 +48,13 @@ Content = ObservationFile | Sensor
 
 
 def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
-    """Read files and folders of one clip.
+    """Read files and folders of one clip as observations.
 
-    Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
-    observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
-    `--camera`; 3D keypoints of other programs, by file or session folder; markers (.c3d, .trc); a
-    folder of scans (.ply, .pcd, .obj); a folder of depth images (.png) with `--camera`. Sensors
-    without a pose are taken to be one and the same camera.
+    Accepted are files of the class `settings.reader` or of a class registered as
+    `recon.observations`; observation files (.npz); folders or files of 2D detections, one per
+    view, with `--camera`; 3D keypoints of other programs, by file or session folder; markers
+    (.c3d, .trc); a folder of scans (.ply, .pcd, .obj); a folder of depth images (.png) with
+    `--camera`. Sensors without a pose are taken to be the same camera.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -106,7 +106,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
 def _read_path(
     path: Path, settings: FitSettings, body: BodyModel, plugin_readers: Sequence[Reader]
 ) -> tuple[Content, Sequence[str]] | None:
-    """The data of a file or folder, and notes on how it was read; None for 2D detections."""
+    """Return the data of a file or folder, with notes on reading; None for 2D detections."""
     if path.is_dir() and next(path.iterdir(), None) is None:
         raise ObservationError(
             f"{path}: the folder is empty; expected scans (.ply, .pcd, .obj), depth images (.png) "
@@ -145,10 +145,10 @@ def _read_path(
 def _labelled_points(
     path: Path, settings: FitSettings, body: BodyModel
 ) -> tuple[Sensor, Sequence[str]]:
-    """The labelled points of a .c3d or .trc file: keypoints, or markers on the skin.
+    """Read the labelled points of a .c3d or .trc file: keypoints, or markers on the skin.
 
-    What the caller maps are markers. Markers that OpenCap computed from keypoints are placed as it
-    places them; others are first met with the body, which finds their offsets.
+    Labels that the caller maps are markers. Markers that OpenCap computed from keypoints get its
+    positions on the body; offsets of other markers from the body are estimated first.
     """
     recording = marker_recording(path, settings.unit, settings.up)
     file = opencap_markers(recording)
@@ -170,14 +170,14 @@ def _labelled_points(
 def _sensor_of_points(
     file: PositionsFile, path: str | Path, body: BodyModel, settings: FitSettings
 ) -> tuple[Sensor, Sequence[str]]:
-    """A sensor of points that are in metres with z up, and notes on how they were read."""
+    """Make a sensor of points in metres with z up; return it with notes on reading."""
     found = positions_of(file, path, body, up="z", hand="right", robust=settings.robust)
     return found, file.decisions
 
 
 @contextmanager
 def format_errors() -> Iterator[None]:
-    """Context that turns any ValueError of a reader into a `FormatError`."""
+    """Within this context, raise any ValueError of a reader as a `FormatError`."""
     try:
         yield
     except ReconError:
@@ -189,10 +189,10 @@ def format_errors() -> Iterator[None]:
 def files_of_projects(
     paths: Sequence[Path], settings: FitSettings
 ) -> tuple[list[Path], FitSettings, list[Project]]:
-    """Replace folders of projects by the files in them, and add the projects' own settings.
+    """Replace project folders of other programs by the files in them, and add their settings.
 
-    What the caller says counts more. A camera that he gives makes a project a folder of
-    detections.
+    Settings of the caller come first. If the caller gives a camera, a project is read as a folder
+    of detections.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -236,7 +236,7 @@ def clip_of_files(
         body: that is to be fitted.
 
     Raises:
-        ValueError: when they do not fit together, or are of no body.
+        ValueError: when the files do not fit together, or show no body.
     """
     notes = list(notes)
     posed = [_has_pose(file) for _, file in files]
@@ -299,7 +299,7 @@ def _has_pose(file: Content) -> bool:
 
 
 def _read_folder(path: Path, settings: FitSettings) -> PointsFile:
-    """A folder of scans or of depth images."""
+    """Read a folder of scans or of depth images as points of every frame."""
     if cloud_files(path):
         return read_scans(
             path, fps=settings.frame_rate, unit=settings.unit, up=settings.up, seed=settings.seed

@@ -1,4 +1,4 @@
-"""Point clouds as an observation: turned to z up, the person cut out, points thinned."""
+"""Makes point clouds an observation: turns z up, selects the person's points, thins them."""
 
 from dataclasses import dataclass
 
@@ -148,7 +148,7 @@ def cloud_of(
     seed: int = 0,
     T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
 ) -> LoadedCloud:
-    """Points of one clip as an observation.
+    """Make an observation of the point clouds of one clip.
 
     A camera without pose does not know where up is: its frame is turned so that the ground that
     RANSAC finds in the points lies at z = 0; where none is found, the camera is taken as held
@@ -251,10 +251,10 @@ def cloud_of(
 
 
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    """The clouds, without the points of frames that show only noise of the ground.
+    """Return the clouds with those frames empty that show only noise of the ground.
 
-    What is flat and has few points beside the frames in which something rises is noise, and so is
-    something that rises in hardly any frame.
+    Flat frames with few points, compared with frames in which something rises above the ground,
+    are noise. So is something that rises in hardly any frame.
 
     Raises:
         ObservationError: when nothing rises above the ground in at least `_SHOWN` of the frames.
@@ -274,7 +274,7 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _rises_above_ground(cloud: Float[np.ndarray, "points 3"]) -> bool:
-    """Whether points rise above the ground z = 0, and are not just its wide, flat noise."""
+    """Return whether points rise above the ground z = 0 and are not its wide, flat noise."""
     wide = np.ptp(np.quantile(cloud[:, :2], (0.05, 0.95), axis=0), axis=0).max() > _WIDE
     return bool(np.quantile(cloud[:, 2], 0.5 if wide else 0.9) > _FLAT)
 
@@ -282,9 +282,9 @@ def _rises_above_ground(cloud: Float[np.ndarray, "points 3"]) -> bool:
 def _walls(
     camera: CameraArrays | None, clouds: list[np.ndarray], T: Float[np.ndarray, "4 4"]
 ) -> list[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "3"]]]:
-    """Normal and offset of every wall, and the sensor's position; in the recording's frame.
+    """Return each wall's normal and offset, with the sensor's position, in the recording's frame.
 
-    A sensor that moves sees them from many places, and scans have no sensor: none are looked for.
+    The list is empty for scans, which have no sensor, and for a sensor that moves.
     """
     if camera is None or camera.poses > 1:
         return []
@@ -297,13 +297,13 @@ def _distance_noise(
     present: Bool[np.ndarray, "1 moments points"],
     camera: Camera,
 ) -> Float[np.ndarray, "1 moments"]:
-    """Standard deviation of the sensor's distances at every moment, metres."""
+    """Return the standard deviation of a depth sensor's distances in every frame, metres."""
     eye = camera.at(range(points.shape[1])).T_world_camera[0, :, :3, 3].double().cpu().numpy()
     return depth_noise(points[0], present[0], np.broadcast_to(eye, (points.shape[1], 3)))[None]
 
 
 def _checked_frame_count(file: PointsFile, points_per_frame: int) -> int:
-    """Number of frames, checked against memory: all are padded to the length of the fullest.
+    """Return the number of frames after checking that the padded points fit into memory.
 
     Raises:
         ValueError: when there are too many of them.
@@ -320,7 +320,7 @@ def _checked_frame_count(file: PointsFile, points_per_frame: int) -> int:
 def _pose_above_ground(
     points: Float[np.ndarray, "points 3"], ground: Ground | None
 ) -> Float[np.ndarray, "4 4"]:
-    """T_recording_camera: z up, y the horizontal part of the view, the sensor above the origin."""
+    """Return T_recording_camera: z up, y along the view, the sensor above the origin."""
     up = np.array(_UP_IN_CAMERA)
     if ground is not None:
         up = ground.normal.double().numpy()

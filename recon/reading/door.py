@@ -1,4 +1,4 @@
-"""`recon.read` reads files as observations of one clip or as a motion."""
+"""`recon.read`: reads files as observations of one clip, or as a motion."""
 
 import logging
 from pathlib import Path
@@ -17,7 +17,7 @@ _LOG = logging.getLogger("recon")
 
 
 def read(path: Any, **options: Any) -> Sensor | list[Sensor] | MotionFile:
-    """Read files: one observation, a list of observations of one clip, or a motion.
+    """Read files as one observation, a list of observations of one clip, or a motion.
 
     Args:
         path: a motion file (.npz), or a file or folder of observations, or several of one clip;

@@ -36,7 +36,7 @@ _TRUNK = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
 def people_of_film(film: Path, how: ReadOptions) -> list[Views]:
-    """Everybody in a film, or in 2D detections of it."""
+    """Return the 2D keypoints of every person in a film, or in 2D detections of one."""
     seen = read_views([film], how)
     (view,) = seen.followed()
     return [seen.of([track], [f"{view.name}: {track}"]) for track in view.tracks]
@@ -45,13 +45,13 @@ def people_of_film(film: Path, how: ReadOptions) -> list[Views]:
 def view_of_estimate(
     people: Sequence[Views], estimate: Motion | Keypoints3D, body: BodyModel
 ) -> tuple[Keypoints2D, tuple[str, ...], tuple[Finding, ...]]:
-    """Keypoints and fitted camera of the person in a film whom the estimate shows.
+    """Find the person in a film whom an estimate shows; return their keypoints and camera.
 
-    Also notes, and a warning if keypoints lie clearly nearer to the estimate's when the film runs
-    backwards, or begins earlier or later.
+    Returns notes, too, and a warning if the keypoints fit the estimate clearly better when the
+    film is reversed, or shifted in time.
 
-    The camera stands still in the frame of the estimate, so its pose is that which brings the
-    same points of all frames together. Which way is up is left to the fit.
+    The camera does not move in the frame of the estimate, so one pose is fitted to the points of
+    all frames. The vertical is left to the fit.
 
     Args:
         people: of the film.
@@ -86,7 +86,7 @@ def view_of_estimate(
 
 
 def _keypoints_of_motion(motion: Motion, layout: str, body: BodyModel) -> Keypoints3D:
-    """The keypoints of a layout on a moving body."""
+    """Return the 3D keypoints of a layout on the body of a motion."""
     points = BodyPoints.of_layout(layout, body)
     places = points.of(body.pose(motion)).detach()[None]
     seen = torch.ones(places.shape[:-1], dtype=torch.bool)
@@ -110,7 +110,7 @@ def _doubts(file: KeypointsFile, estimate: Keypoints3D) -> tuple[Finding, ...]:
 def _reversed_or_shifted(
     file: KeypointsFile,
 ) -> Iterator[tuple[str, tuple[KeypointsFile, KeypointsFile]]]:
-    """The film reversed or shifted, in words, with frames as given and as so changed."""
+    """Yield changes of time: words, and the keypoints before and after the change."""
     reverse = replace(file, pixels=file.pixels[::-1], confidence=file.confidence[::-1])
     yield "runs backwards", (file, reverse)
     cut, count = round(_CUT_S * file.fps), len(file.pixels)
@@ -127,7 +127,7 @@ def _reversed_or_shifted(
 def _fitted_camera(
     file: KeypointsFile, estimate: Keypoints3D
 ) -> tuple[float, Float[np.ndarray, "4 4"]]:
-    """T_camera_estimate by which the estimate's keypoints fit best, and their error."""
+    """Fit T_camera_estimate to 2D keypoints; return their error in body sizes, and the pose."""
     names = keypoint_names(file.layout)
     own, places, there = estimate.points.names, estimate.positions[0], estimate.visible[0]
     named = [name for name in names if name in own and name.endswith(_TRUNK)]

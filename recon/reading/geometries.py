@@ -26,7 +26,7 @@ _HEEDED = {"frame_rate", "up", "seed", "robust", "ground"}
 
 
 def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel) -> Clip:
-    """One clip of clouds, meshes or depth images in metres, one per frame.
+    """Make a clip of Open3D clouds, meshes or depth images in metres, one per frame.
 
     Of meshes, the vertices are taken. Depth images are pairs (image, lens), of one lens with
     `intrinsic_matrix`, `width` and `height` (`open3d.camera.PinholeCameraIntrinsic`), whose pixels
@@ -38,8 +38,8 @@ def load_geometries(given: Sequence[Any], settings: FitSettings, body: BodyModel
         body: that is to be fitted.
 
     Raises:
-        ObservationError: for several kinds, geometries without points, or options that are missing
-            or of files; says what to do.
+        ObservationError: for several kinds, geometries without points, missing options, or options
+            that apply to files only; says what to do.
     """
     if others := sorted(set(settings.changed_names()) - _HEEDED):
         raise ObservationError(f"{', '.join(others)}: options for reading files, not geometries")

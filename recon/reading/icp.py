@@ -1,8 +1,8 @@
-"""Poses of depth cameras from their clouds: by the path of what moves, then by ICP of pairs.
+"""Finds poses of depth cameras from their clouds: by paths of moving points, then by ICP.
 
-A point's neighbour is sought in the same frame of the clip, as the person moves. The residual of a
-pair is its distance along the mean of both normals (Rusinkiewicz 2019), which is zero on a curved
-surface, too, where points lie beside each other; it is weighted by Geman & McClure's kernel.
+The neighbour of a point is sought in the same frame of the clip, as the person moves. The residual
+of a pair is its distance along the mean of both normals (Rusinkiewicz 2019), which is zero for
+adjacent points of a curved surface, too. It is weighted by Geman & McClure's kernel.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ _STEPS, _STILL = 50, 3e-5
 
 @dataclass(frozen=True)
 class OrientedCloud:
-    """Points that one camera saw, metres, in a frame of its own."""
+    """Points with normals that one camera saw, metres, in that camera's own coordinates."""
 
     points: Float[np.ndarray, "points 3"]
     frame: Int[np.ndarray, " points"]
@@ -50,7 +50,7 @@ class OrientedCloud:
         frame: Int[np.ndarray, " points"],
         eye: Float[np.ndarray, "3"],
     ) -> "OrientedCloud":
-        """The points with normals: the least principal components of their neighbours."""
+        """Add normals to points: the least principal components of their neighbourhoods."""
         from scipy.spatial import KDTree
 
         placed = _with_frame_as_coordinate(points, frame)
@@ -61,17 +61,17 @@ class OrientedCloud:
         return cls(points, frame, normals * (spread[:, :1] < _FLAT * spread[:, 1:2]))
 
     def __getitem__(self, rows: slice) -> "OrientedCloud":
-        """The points of a range of rows."""
+        """Return the cloud of a range of rows."""
         return OrientedCloud(self.points[rows], self.frame[rows], self.normals[rows])
 
 
 def rough_poses(
     views: Sequence[OrientedCloud], base: int, names: Sequence[str]
 ) -> Float[np.ndarray, "cameras 4 4"]:
-    """T_base_view of level views of one ground, by matching the paths of what moves in them.
+    """Find rough poses T_base_view of level cameras by matching the paths of moving points.
 
-    Views are turned about z in steps, with the middle of the path held. The best turn leaves the
-    paths least apart and most points with a neighbour in the view that the others are brought to.
+    Each view is turned about z in steps, with the middle of its path on that of the base view. The
+    best turn has the least distance of paths and most points with a neighbour in the base view.
 
     Args:
         views: what each camera saw, with z up and the ground at z = 0.
@@ -79,7 +79,7 @@ def rough_poses(
         names: of the cameras, for messages.
 
     Raises:
-        ObservationError: when what moves in a view has another path than in that one.
+        ObservationError: when the moving points of a view have another path than in the base view.
     """
     from scipy.spatial import KDTree
 
@@ -110,7 +110,7 @@ def rough_poses(
 
 
 def _path_of_moving_points(view: OrientedCloud) -> dict[int, Float[np.ndarray, "3"]]:
-    """Horizontal centre of the moving points per frame; cells that stay occupied are left out."""
+    """Return the centre of the moving points by frame; cells always occupied are left out."""
     cells = np.floor(view.points / _CELL).astype(np.int64)
     each, frame = np.unique(np.c_[cells, view.frame], axis=0), np.unique(view.frame)
     places, counts = np.unique(each[:, :3], axis=0, return_counts=True)
@@ -126,7 +126,7 @@ def aligned(
     base: int,
     level: Bool[np.ndarray, " cameras"],
 ) -> tuple[Float[np.ndarray, "cameras 4 4"], Float[np.ndarray, " cameras"]]:
-    """Poses at which the views agree, and the share of each view's points with a neighbour.
+    """Refine poses by ICP; return them, and each view's share of points with a neighbour.
 
     Args:
         views: what each camera saw.
@@ -178,10 +178,10 @@ def _residuals_and_jacobian(
     reach: float,
     along: float,
 ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, "pairs 6"]]:
-    """Residuals of the points of one view that have a neighbour in the other, and their Jacobian.
+    """Return ICP residuals of the points of one view with a neighbour in another, and Jacobian.
 
-    The Jacobian is of a small rotation and translation of the first view in the world; that of the
-    second is its negative.
+    The Jacobian is by a small rotation and translation of the first view in the world; that by the
+    second view's is its negative.
     """
     here = one.points @ T_other_one[:3, :3].T + T_other_one[:3, 3]
     turned = one.normals @ T_other_one[:3, :3].T
@@ -202,7 +202,7 @@ def _residuals_and_jacobian(
 def _moved_pose(
     T: Float[np.ndarray, "4 4"], step: Float[np.ndarray, "6"]
 ) -> Float[np.ndarray, "4 4"]:
-    """A pose after a small rotation and translation in the world."""
+    """Return a pose after a small rotation and translation (a 6-vector) in the world."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_rotvec(step[:3]).as_matrix()

@@ -1,4 +1,4 @@
-"""2D keypoint files as observations: lens distortion removed, confidences kept."""
+"""Makes 2D keypoint files observations: removes lens distortion, keeps confidences."""
 
 import numpy as np
 import torch
@@ -21,10 +21,10 @@ def keypoints_of(
     T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
     sigma: float = SIGMA,
 ) -> Keypoints2D:
-    """The keypoints of one view as an observation of one clip, with a leading axis of length one.
+    """Make an observation of one view's keypoints, with a leading axis of length one.
 
-    Where the file does not tell the camera's pose, the ground is not known, and the recording's
-    frame is the given one; by default the world that a level camera would see.
+    If the file does not state the camera's pose, the ground is not known, and
+    `T_recording_camera` sets the recording's frame; by default the camera is taken as level.
 
     Raises:
         ValueError: when the layout is not known or has another number of points.
@@ -56,9 +56,9 @@ def keypoints_of(
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
-    """Pixels of the same camera with a perfect lens.
+    """Return a view's keypoints without lens distortion, pixels of the same camera matrix.
 
-    Exact zeros stay: nothing is ever seen just there, and diagnosis looks for them.
+    Exact zeros stay zero, as they mark missing points that diagnosis looks for.
     """
     if file.camera.distortion is None:
         return file.pixels
@@ -67,7 +67,7 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
 
 
 def _straight_fingers(file: KeypointsFile) -> Float[np.ndarray, "1 time 42 3"] | None:
-    """Points of hands as a perfect lens would see them; None where there are none."""
+    """Return the hand keypoints without lens distortion; None if the file has none."""
     if file.fingers is None:
         return None
     pixels = straightened(file.fingers[..., :2], file.camera)
@@ -80,7 +80,7 @@ def pinhole(
     T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Camera:
-    """The camera without its distortion; matrix (1 3 3), poses (1 or time, 4 4)."""
+    """Return a camera without its distortion; matrix (1, 3, 3), poses (1 or time, 4, 4)."""
     poses = arrays.T_camera_world
     if poses is None:
         if T_recording_camera is None:

@@ -29,7 +29,7 @@ _LATER = ("camera_track", "mapping")
 
 @dataclass(frozen=True)
 class InputFiles:
-    """A file or folder that was given, and the files that are read of it."""
+    """A file or folder given by the user, and the files that a fit reads in it."""
 
     path: Path
     files: tuple[Path, ...]
@@ -53,10 +53,10 @@ class InputFiles:
 
 
 def observation_input(path: Path) -> InputFiles:
-    """The files that `recon.reading.clip.load_clip` reads of an observation.
+    """Return the files that `recon.reading.clip.load_clip` reads of an observation.
 
-    Of a folder these are its clouds with their table of times, else its depth images, else the
-    files of keypoints; a video beside them is not read, however large it is.
+    Of a folder these are its clouds with their table of times, else its depth images, else its
+    files of keypoints. A video in the folder is not read.
     """
     if not path.is_dir():
         return InputFiles(path, (path,))
@@ -111,7 +111,7 @@ def masks_input(path: Path) -> InputFiles:
 
 
 def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of every file and folder among the arguments of a verb, by path.
+    """Return the SHA-256 of every file and folder among the arguments of a verb, by path.
 
     Args:
         given: values by the names that the verb's arguments have. A text counts where it is the
@@ -131,7 +131,7 @@ def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _input_of(argument: str, path: Path) -> InputFiles:
-    """The files that a fit reads of the path that an argument gives."""
+    """Return the files that a fit reads at the path given for an argument of that name."""
     return _READ[argument](path) if argument in _READ else InputFiles(path, (path,))
 
 
@@ -146,7 +146,7 @@ _READ: dict[str, Callable[[Path], InputFiles]] = {
 
 
 def settings_checksum(settings: FitSettings, version: int) -> str:
-    """Checksum of all settings on which the result of a fit depends.
+    """Return a checksum of all settings on which the result of a fit depends.
 
     It depends on the settings, on the contents of the calibration, masks, body and weights, of
     the bundled tables, on the code of a prior or reader that is given by its place
@@ -184,7 +184,7 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
 
 
 def clip_checksum(paths: Sequence[Path], settings: str) -> str:
-    """A checksum of one clip: its observations in their order, their names, and the settings.
+    """Return a checksum of one clip: its observations in order, their names, and settings.
 
     Raises:
         OSError, ValueError: when a file is there and cannot be read.
@@ -194,14 +194,14 @@ def clip_checksum(paths: Sequence[Path], settings: str) -> str:
 
 
 def _weights_checksums(settings: FitSettings) -> list[str]:
-    """Checksums of the prior's weights, and of those that every first guess needs."""
+    """Return checksums of the prior's weights, and of the weights of every first guess."""
     names = dict.fromkeys([("open", FIRST), (settings.weights, settings.prior)])
     paths = [weights_path(name, kind) for name, kind in names]
     return [InputFiles(path, (path,)).checksum() for path in paths]
 
 
 def _code_checksum(class_place: str) -> str:
-    """Checksum of the file that defines a class "module:Class", without what it imports."""
+    """Return a checksum of the file that defines a class "module:Class", without imports."""
     try:
         spec = find_spec(class_place.partition(":")[0])
     except (ImportError, ValueError):

@@ -1,6 +1,6 @@
-"""Finds what a file of 3D keypoints leaves open: names, unit, up axis, ground and place.
+"""Finds what a file of 3D keypoints does not state: names, unit, up axis, ground and origin.
 
-Everything that is guessed is said, and what cannot be right is refused with what would fit.
+Every guess is noted in the decisions. What cannot be right is refused, with what would fit.
 """
 
 from dataclasses import replace
@@ -55,8 +55,8 @@ def settled(
     """Convert 3D keypoints of a file to metres and axes with z up.
 
     Args:
-        raw: as the file has them.
-        body: whose proportions tell layout and unit.
+        raw: keypoints as the file has them.
+        body: body whose proportions determine layout and unit.
         fps: frames per second; None where the file states it.
         unit: of the positions; None to read it from the file, or to tell it from the size.
         up: axis that points up, or down; None to tell it from head and feet.
@@ -105,13 +105,13 @@ def settled(
 def _turned_hand_points(
     positions: Float[np.ndarray, "time 42 3"], turn: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "time 42 4"]:
-    """Points of hands times a 3 x 3 matrix, and as fourth number 1 where a point was seen."""
+    """Multiply hand points by a matrix; append 1 where a point was seen, else 0."""
     seen = np.isfinite(positions).all(-1, keepdims=True)
     return np.concatenate((np.where(seen, positions, 0.0) @ turn, seen), -1)
 
 
 def _with_known_names(raw: Points3D, body: BodyModel, layout: str | None) -> Points3D:
-    """The points whose names recon knows; a note lists those that are left out."""
+    """Return the points with names that recon knows; a note lists the other points."""
     if not raw.names:
         chosen, reason = settle_body_layout(raw.positions, layout or raw.layout, body, raw.name)
         names = keypoint_names(chosen)
@@ -136,7 +136,7 @@ def _with_known_names(raw: Points3D, body: BodyModel, layout: str | None) -> Poi
 
 
 def _upper_neck_renamed(known: Points3D) -> Points3D:
-    """The points, where a neck that lies above the shoulders is called the upper neck.
+    """Rename the neck to upper neck if it lies above the shoulders.
 
     Detectors call the middle of the shoulders a neck (OpenPose, HALPE), or its upper end
     (BODY_25B).
@@ -164,7 +164,7 @@ def _first_names(names: tuple[str, ...] | list[str]) -> str:
 
 
 def _metres_per_unit(known: Points3D, body: BodyModel, given: str | None) -> tuple[float, str]:
-    """Metres per unit of the file, and the reason."""
+    """Return the metres per unit of a file's positions, and the reason."""
     name = known.name
     found = bone_lengths(known.positions, BodyPoints.of_names(known.names, body), body)
     unit, why = given or known.unit, "given" if given else "stated by the file"
@@ -205,7 +205,7 @@ def _up_axis(
     given: Up | None,
     name: str,
 ) -> tuple[Up, str]:
-    """The axis that is up, and the reason; for a given one, also whether the person lies."""
+    """Return the up axis and the reason; of a given one, whether the person then lies."""
     try:
         found, reason = settled_up(names, positions, visible, None, name)
     except UnitsError:
@@ -245,7 +245,7 @@ def _stands_upright(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> bool:
-    """Whether the shoulders are, on the average, straight above the ankles."""
+    """Return whether the shoulders are on average vertically above the ankles."""
     heights = [k for k, name in enumerate(names) if name in _SHOULDERS]
     ankles = [k for k, name in enumerate(names) if name in ("left_ankle", "right_ankle")]
     both = visible[:, heights].any(1) & visible[:, ankles].any(1)
@@ -263,7 +263,7 @@ def _ground_is_zero(
     *,
     level: bool,
 ) -> tuple[bool, str]:
-    """Whether the ground is known to be z = 0, and the reason."""
+    """Return whether the ground is known to be at z = 0, and the reason."""
     if not level:
         return False, "ground: unknown, estimated from the way the person stands"
     soles = [k for k, name in enumerate(names) if name.endswith(("_heel", "_big_toe"))]

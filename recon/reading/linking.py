@@ -1,10 +1,10 @@
-"""Linking of detections to people over frames, following several assignments at once.
+"""Links detections to people from frame to frame, following several assignments at once.
 
-Somebody is expected where a constant velocity carries them. Where people overlap, several
+A person is expected at the place extrapolated at constant velocity. Where people overlap, several
 assignments of detections to people are followed side by side, each with the sum of its costs (half
 squared deviations in units of their spread, so that differences are logarithms of likelihood
-ratios), until they differ in names alone: then the better one is kept, and where it is hardly
-better, that is told.
+ratios), until they differ only in the people's numbers. Then the cheapest is kept, and marked as
+doubtful where another is about as cheap.
 """
 
 from collections.abc import Mapping, Sequence
@@ -67,17 +67,17 @@ CERTAIN = 3.0
 
 @dataclass(frozen=True)
 class PersonLinks:
-    """Which person every detection belongs to."""
+    """The person that every detection of a view belongs to, and where tracks end in doubt."""
 
     labels: Int[np.ndarray, " rows"]
-    """A number per detection; -1 for detections that are pieces of another."""
+    """Person of every detection; -1 for detections of a part of another detection's body."""
     ended: Mapping[int, int]
     """Frame in which a person's track ends because it may go on as somebody else's."""
 
 
 @dataclass(frozen=True)
 class _Person:
-    """A person's last detection and motion."""
+    """A tracked person: their last detection, velocity and size in the image."""
 
     label: int
     rows: tuple[int, ...]
@@ -93,18 +93,18 @@ class _Person:
     """Logarithm of its length in pixels; NaN before it was seen."""
 
     def expected(self, frame: int) -> Float[np.ndarray, "points 2"]:
-        """Places of the keypoints in a later frame."""
+        """Return the keypoints' pixels extrapolated at constant velocity to a later frame."""
         return self.pixels + self.extrapolated_frames(frame) * self.velocity
 
     def extrapolated_frames(self, frame: int) -> int:
-        """Number of frames over which the velocity is extrapolated; 0 when it is too old."""
+        """Return the number of frames to extrapolate to `frame`; 0 if these are too many."""
         gone = frame - self.frame
         return gone if gone <= _COASTING else 0
 
 
 @dataclass(frozen=True)
 class _FrameLinks:
-    """Which person each detection of a frame is, and the same for the frames before it."""
+    """The person of each detection of a frame, linked to the record of the frame before."""
 
     number: int
     labels: dict[int, int]
@@ -114,7 +114,7 @@ class _FrameLinks:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """One hypothesis of which detections belong to which people so far."""
+    """A hypothesis about which detections up to now belong to which people, and its cost."""
 
     people: tuple[_Person, ...]
     cost: float
@@ -126,15 +126,15 @@ class _Assignment:
 
     @property
     def without_identities(self) -> frozenset[tuple[int, ...]]:
-        """The last detection of every person, without identities.
+        """The set of all people's last detections.
 
-        Equal for assignments that differ in names.
+        It is equal for assignments that differ only in the people's numbers.
         """
         return frozenset(person.rows for person in self.people)
 
 
 def largest_allowed_distance(unseen_frames: int) -> float:
-    """The largest allowed distance from the expected place, in body sizes.
+    """Return how far a detection may lie from its expected place, in body sizes.
 
     Args:
         unseen_frames: number of frames without a detection before.
@@ -143,7 +143,7 @@ def largest_allowed_distance(unseen_frames: int) -> float:
 
 
 def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> PersonLinks:
-    """Link detections over time: which person every detection belongs to.
+    """Link detections over time; return which person every detection belongs to.
 
     Args:
         detections: of one view.
@@ -185,7 +185,7 @@ class _LinkSearch:
         self.followed = self._best_distinct(after)
 
     def links(self) -> PersonLinks:
-        """The best assignment; tracks that may be exchanged end there and new ones begin."""
+        """Return the best assignment, with tracks ended and begun anew where it is doubtful."""
         best, *others = self.followed
         for other in others:
             best = _marked_if_doubtful(best, other)
@@ -212,7 +212,7 @@ class _LinkSearch:
     def _without_duplicates(
         self, rows: Sequence[int], people: Sequence[_Person], frame: int
     ) -> list[int]:
-        """Detections of a frame; of several that show one person the most confident is kept."""
+        """Return a frame's detections; of several of one person, the most confident only."""
         lately = [
             p.expected(frame)
             for p in people
@@ -233,7 +233,7 @@ class _LinkSearch:
         return bool(away < _NEAR_PERSON * self.sizes[row])
 
     def _usual_spread(self) -> float:
-        """Median change of people's poses from frame to frame, in body sizes."""
+        """Return the median change of people's poses from frame to frame, in body sizes."""
         near: list[float] = []
         by_frame = [
             self.rows[self.seen.frame[self.rows] == f]
@@ -249,7 +249,7 @@ class _LinkSearch:
     def _costs_of_links(
         self, people: Sequence[_Person], rows: Sequence[int], frame: int
     ) -> Float[np.ndarray, "people rows"]:
-        """Costs of links; infinite where somebody cannot have moved so far."""
+        """Return the cost of linking each person to each detection; infinite if too far apart."""
         out = np.full((len(people), len(rows)), np.inf)
         for k, person in enumerate(people):
             expected, unseen = person.expected(frame), frame - person.frame - 1
@@ -340,7 +340,7 @@ class _LinkSearch:
         )
 
     def _best_distinct(self, assignments: list[_Assignment]) -> list[_Assignment]:
-        """The cheapest assignments, without those that differ only in how people are numbered."""
+        """Return the cheapest assignments, without those that differ only in people's numbers."""
         assignments.sort(key=lambda one: one.cost)
         kept: dict[frozenset[tuple[int, ...]], _Assignment] = {}
         for one in assignments:
@@ -355,7 +355,7 @@ class _LinkSearch:
 
 
 def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
-    """The best assignment, marked as doubtful where another one is about as good."""
+    """Return the best assignment, marked as doubtful where the other is about as good."""
     if other.cost - best.cost >= CERTAIN:
         return best
     names = {person.rows[-1]: person.label for person in other.people}
@@ -371,7 +371,7 @@ def _marked_if_doubtful(best: _Assignment, other: _Assignment) -> _Assignment:
 
 
 def _first_difference(one: _FrameLinks | None, two: _FrameLinks | None) -> int:
-    """The first frame in which two assignments of detections to people differ."""
+    """Return the first frame in which two assignments of detections to people differ."""
     first = -1
     while one is not two:
         assert one is not None

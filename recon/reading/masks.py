@@ -24,7 +24,7 @@ class PackedMask:
     """Height and width, pixels."""
 
     def unpacked(self) -> Bool[np.ndarray, "height width"]:
-        """True where the person is seen."""
+        """Return the mask as booleans, true where the person is seen."""
         count = self.shape[0] * self.shape[1]
         return np.unpackbits(self.bits, count=count).view(np.bool_).reshape(self.shape)
 

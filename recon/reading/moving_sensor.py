@@ -1,4 +1,4 @@
-"""Finds out whether a depth sensor declared fixed moves, by the ground and walls it sees."""
+"""Detects whether a depth sensor declared fixed moves, by the ground and walls that it sees."""
 
 import math
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ _REFUSED = (5.0, 0.2)
 def sensor_movement(
     camera: CameraArrays | None, clouds: Sequence[np.ndarray], up: Float[np.ndarray, "3"]
 ) -> tuple[str, ...]:
-    """A note if a sensor declared fixed seems to move a little; an error if it surely moves.
+    """Return a note if a sensor declared fixed seems to move; raise an error if it surely does.
 
-    A sensor that only turns about the vertical or moves along the ground is found out by the walls
-    it sees; before a bare floor it is not.
+    A rotation about the vertical, or a movement along the ground, is detected by walls only, not
+    by a bare floor.
 
     Args:
         camera: as read; None for scans.
@@ -37,7 +37,7 @@ def sensor_movement(
         up: roughly upwards in the frame of the points.
 
     Raises:
-        ObservationError: when it moves so far that no fit is worth anything.
+        ObservationError: when it moves so far that a fit would be useless.
     """
     if camera is None or camera.poses > 1:
         return ()
@@ -74,7 +74,7 @@ Plane = tuple[Float[np.ndarray, "3"], float]
 
 @dataclass(frozen=True)
 class _PlanesInStretch:
-    """The ground and walls seen in a part of the clip."""
+    """The planes of ground and walls, as seen in one part of the clip."""
 
     grounds: tuple[Plane, ...]
     """One, or none."""
@@ -82,7 +82,7 @@ class _PlanesInStretch:
 
 
 def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
-    """Position of a fixed sensor in the frame of its points, metres."""
+    """Return the position of a fixed sensor in the frame of its points, metres."""
     pose = camera.T_camera_world
     return np.zeros(3) if pose is None else np.linalg.inv(pose[0])[:3, 3]
 
@@ -90,7 +90,7 @@ def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
 def _planes_in_stretches(
     clouds: Sequence[np.ndarray], eye: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> list[_PlanesInStretch]:
-    """Ground and walls as they are seen in some stretches of the clip."""
+    """Find ground and walls separately in several parts of the clip."""
     length = max(1, round(_SHARE * len(clouds)))
     found: list[_PlanesInStretch] = []
     for first in np.linspace(0, len(clouds) - length, min(_PLACES, len(clouds))).astype(int):
@@ -108,7 +108,7 @@ def _planes_in_stretches(
 
 
 def _turn_to_z(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation that turns a direction to z."""
+    """Return a rotation matrix that turns a direction to the z axis."""
     across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     across /= np.linalg.norm(across)
     return np.stack((across, np.cross(up, across), up))
@@ -117,7 +117,7 @@ def _turn_to_z(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 def _plane_difference(
     one: Plane, other: Plane, middle: Float[np.ndarray, "3"]
 ) -> tuple[float, float]:
-    """Degrees between two planes, and metres between them at the middle of the scene."""
+    """Return angle (degrees) and distance at a point `middle` (metres) of two planes."""
     (a, far), (b, far_other) = one, other
     # choose the sign: a plane has two opposite normals
     sign = np.sign(a @ b)
