@@ -90,7 +90,7 @@ def observed_joints(
 def turned_joints(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, "time 22"]:
-    """Return a mask of joints that a visible marker turns: one on their bone or on one below."""
+    """Return a mask of joints whose rotation a visible marker on or below their bone shows."""
     shows = torch.tensor(
         [[bone in descendants(joint) for bone in bones] for joint in range(len(JOINTS))]
     )

@@ -26,7 +26,7 @@ _STEP = 1e-4
 _OUTLIER_AT_REST = 0.02
 """Scale (m) of the robust kernel of distances at rest: hands and faces of two bodies differ."""
 _ALONG = 0.15
-"""Weight of distances along the surface, over that of distances across it: points may slide."""
+"""Factor of residuals along the surface, relative to those across it: points may slide."""
 _SHAPE_STD, _TURN_STD = 0.02, 0.05
 """Distance (m) of one point that costs as much as a shape coefficient of 1, and as a joint's
 rotation by 1 radian; there are thousands of points."""
