@@ -35,8 +35,8 @@ _LONG_TRACK = 10
 _STILL_EXTENT = 0.006
 """Largest extent of a point's track before a still camera, over the image's longer side."""
 _MOVING_SHARE = 0.7
-"""Share of the long tracks that exceed this extent where the camera moves; those on people who
-were not found, on shadows and on cars are fewer."""
+"""Least share of the long tracks that exceed `_STILL_EXTENT` where the camera moves; those on
+people who were not found, on shadows and on cars are fewer."""
 
 
 @dataclass
@@ -131,7 +131,7 @@ def moving_background(seen: Background, people: Detections) -> tuple[Background 
 
 
 def _without_people(seen: Background, people: Detections) -> Background:
-    """Return points outside all people's boxes; one that a box covered is a new point after it."""
+    """Return points outside all people's boxes; one that a box covers has a new number after."""
     order = np.lexsort((seen.frame, seen.point))
     frame, point, pixels = seen.frame[order], seen.point[order], seen.pixels[order]
     covered = np.zeros(len(frame), bool)

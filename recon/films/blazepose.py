@@ -60,7 +60,7 @@ class Region:
         return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)
 
     def to_image(self, pixels: int) -> Float[np.ndarray, "2 3"]:
-        """Return the affine map to the image from the square, cut out with `pixels` to a side."""
+        """Return the affine map from the square, resampled to `pixels` a side, to the image."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         turn = np.array([[cos, -sin], [sin, cos]]) * self.side / pixels
         return np.column_stack((turn, self.centre - turn @ np.full(2, (pixels - 1) / 2)))

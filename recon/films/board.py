@@ -75,7 +75,7 @@ class Board:
         return np.stack((x, y, 0 * x), -1).reshape(-1, 3).astype(np.float32) * self.square
 
     def seen_in(self, image: UInt8[np.ndarray, "height width 3"]) -> Corners | None:
-        """Find the inner corners in an image, first one at a dark square; None if not all show."""
+        """Find the inner corners in an image, from one at a dark square on; None if not found."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, found = cv2.findChessboardCornersSB(grey, (self.columns, self.rows))
         if not there:
@@ -200,7 +200,7 @@ def _calibrated_camera(
 
 
 def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.ndarray, "4 4"]]:
-    """Return each T_camera_first, by way of the camera that shares most moments with it."""
+    """Return each T_camera_first (4 x 4), by pairs of cameras that see the board together."""
     if (board.columns + board.rows) % 2 == 0:
         raise ObservationError(
             f"board: one of {board.columns}x{board.rows} corners looks the same upside down, so "

@@ -63,7 +63,7 @@ def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
             yield file.read(size - 8)
         elif size >= 8:
             file.seek(size - 8, 1)
-        else:  # a box without an end, or no box
+        else:  # the last box, which has no size, or bytes that are no box
             return
 
 

@@ -84,7 +84,7 @@ def _likeliest_hypotheses(
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
     """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
-    # where image and mirror image agree on left and right, to exchange costs 2; else all cost 1
+    # exchanging left and right costs 2 where image and mirror image agree; else all cost 1
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )

@@ -197,7 +197,7 @@ def _explained_share(
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
-    # a plane that is nearly level shows no heading
+    # a plane that is nearly level determines no heading
     left = length * (1 - vertical) * (np.hypot(x, y) > 0.2)
     histogram = np.bincount(bins.ravel(), left.ravel(), _HEADINGS * len(ups))
     histogram = histogram.reshape(len(ups), _HEADINGS)
