@@ -133,7 +133,10 @@ def numbers_of_columns(
     values = np.full((len(rows), len(columns)), np.nan)
     for line, row in enumerate(rows):
         if not least <= len(row) <= most:
-            raise FormatError(f"{name}: row {line} has {len(row)} cells, the header {most}")
+            raise FormatError(
+                f"{name}: row {line} has {len(row)} cells, the header {most}; where numbers have "
+                "commas for points, put semicolons between cells"
+            )
         for k, column in enumerate(columns):
             if column < len(row) and row[column]:
                 try:

@@ -87,11 +87,14 @@ def test_tables_of_other_spreadsheets_are_read(tmp_path, mark, encoding):
     agrees(read(tmp_path / "b.csv", frame_rate=30.0)[0], x)
 
 
-@pytest.mark.parametrize("ticks", [1.0, 1e3, 1e6, 1e9])
-def test_times_may_count_parts_of_seconds(tmp_path, ticks):
+@pytest.mark.parametrize(
+    ("head", "ticks"),
+    [("time", 1.0), ("Time (s)", 1.0), ("time_ms", 1e3), ("Timestamp [us]", 1e6), ("t ns", 1e9)],
+)
+def test_times_may_count_parts_of_seconds(tmp_path, head, ticks):
     """Milliseconds were taken for seconds: a frame every 33 s, which ended in a traceback."""
     names, x = keypoint_names("coco17"), points("coco17")
-    header = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    header = [head, *(f"{name}_{axis}" for name in names for axis in "xyz")]
     with (tmp_path / "a.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(header)
