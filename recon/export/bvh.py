@@ -48,7 +48,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
     """Convert a motion with fingers as `skeleton_of` does; fingers have tips, wrists none."""
-    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
+    from recon.body.hands import finger_offsets, pose_fingers  # imported here: rarely used
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)

@@ -238,7 +238,7 @@ def _shifts_while_standing(
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one, the shift of that stand is kept
+            # before the first stance and after the last one, the offset of that stance is kept
             rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise

@@ -136,7 +136,7 @@ class Figure:
         squared = self.joint_std.detach().cpu().square()
         apart = squared - squared.amin(
             1, keepdim=True
-        )  # without the error of the body's place, common to all joints
+        )  # removes the error of the body's position, which all joints share
         return _limb_mask(apart > UNSURE_M**2) & ~self.inferred_limbs
 
 
