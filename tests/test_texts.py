@@ -14,3 +14,8 @@ def test_the_same_seed_draws_the_same_texts_of_all_kinds():
 def test_messages_are_those_of_errors():
     found = dict(messages("recon/core/arrays.py"))
     assert any("expected" in text for text in found.values())
+
+
+def test_programs_that_raise_the_exit_code_of_a_command_raise_no_message():
+    """`raise SystemExit(run_command(lambda: ...))` was drawn as the message of an error."""
+    assert not any("lambda" in text for _, text in messages("training/__main__.py"))

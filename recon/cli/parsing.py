@@ -76,6 +76,7 @@ def _parsed_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
         _exit_with_error(
             f"`recon {name}` has no option {word}{_did_you_mean(word, options)}; "
             f"`recon {name} --help` lists its options"
+            + (f"; a file of this name is ./{word}" if "." in word else "")
         )
     # let tyro report all other errors
     return ask()

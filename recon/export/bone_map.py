@@ -1,4 +1,4 @@
-"""Which bones of a character are which of our joints: by names, by VRM's table, by the tree."""
+"""Finds the bones of a character that stand for body joints, by VRM's table, names or tree."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -27,16 +27,16 @@ _LIMBS = {
     "ankle": ("ankle", "foot"),
     "foot": ("toebase", "toes", "toe", "ball", "foot"),
 }  # fmt: skip
-"""Names of every joint of a limb without side and separators, the surest first."""
+"""Words for the bone of each limb joint, without side and separators, the surest first."""
 _NEEDED = tuple(
     f"{side}_{name}" for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in SIDES
 )  # fmt: skip
-_OTHERS = frozenset((
+_HELPER_WORDS = frozenset((
     "ik", "fk", "pole", "ctrl", "control", "mch", "target", "end", "twist", "roll", "helper",
     "nub", "tip", "adj", "tweak", "socket", "prop", "weapon", "dyn", "jiggle", "eff", "effector",
 ))  # fmt: skip
-"""Words in names of bones that help others and are none of a person's."""
+"""Words in names of helper bones, such as IK targets and twist bones, which are no joints."""
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _FINGER_WORDS = {
     "thumb": "thumb", "index": "index", "middle": "middle", "mid": "middle", "ring": "ring",
@@ -52,16 +52,16 @@ class BoneMap:
     """The nodes of a character that stand for a person's joints."""
 
     nodes: Mapping[str, int]
-    """Of our joints, of which spine, neck and fingers may be missing."""
+    """Node of each body joint but those of spine and neck; fingers and toes may be missing."""
     spine: tuple[int, ...]
-    """From above the hips to the node that bears the arms."""
+    """Nodes of the spine, from the one above the hips to the one that bears the arms."""
     neck: tuple[int, ...]
-    """From there to below the head."""
+    """Nodes of the neck, between spine and head."""
     by_tree: tuple[str, ...]
-    """Joints that were found by the tree, as their names told nothing."""
+    """Joints whose bones were found by the branches of the tree, as names told nothing."""
 
     def names_by_joint(self, names: Sequence[str]) -> dict[str, str]:
-        """Names of the nodes by joint."""
+        """Return the names of the nodes, keyed by joint."""
         chains = {"spine": self.spine, "neck": self.neck}
         joined = {name: ", ".join(names[k] for k in chain) for name, chain in chains.items()}
         return {name: names[node] for name, node in self.nodes.items()} | {
@@ -78,16 +78,16 @@ def map_bones(
 ) -> BoneMap:
     """Find the nodes of a character that stand for a person's joints.
 
-    A file of the user goes before VRM's table, that before names, and names before the tree. Hips
-    are the lowest node above thighs and head, the spine leads from there to the node above both
-    arms.
+    A file of the user has precedence over VRM's table, that over names, and names over the tree.
+    Hips are the lowest node above thighs and head, the spine leads from there to the node above
+    both arms.
 
     Args:
-        tree: the nodes.
-        places: of the nodes in the character's rest pose, y up.
+        tree: names and parents of the nodes.
+        places: positions of the nodes in the character's rest pose, y up.
         document: the glTF file's JSON.
         path: of the file, for messages.
-        given: TOML file of lines `left_knee = "name of a node"`, by our names of joints.
+        given: TOML file of lines `left_knee = "name of a node"`, with recon's names of joints.
 
     Raises:
         ReconError: when bones are missing or two are the same; the message has their names.
@@ -135,7 +135,7 @@ def _completed_map(
     """Add hips, spine, neck and collars, which lie between the bones that were found.
 
     Raises:
-        ReconError: when these do not hang together as a body.
+        ReconError: when the bones are not connected as in a body.
     """
     legs, arms = ([found[f"{s}_{joint}"] for s in SIDES] for joint in ("hip", "shoulder"))
     hips = found.get("pelvis", tree.common([*legs, found["head"]]))
@@ -190,10 +190,10 @@ def _completed_map(
 
 
 def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
-    """Bones that the user named.
+    """Read the file in which the user named bones; return their nodes, keyed by joint.
 
     Raises:
-        ReconError: when a name is none of a joint or node, or of two nodes.
+        ReconError: when a name is no joint, or not the name of exactly one node.
     """
     found, known = {}, (*JOINTS, *HAND_JOINTS)
     for joint, name in read_toml(given).items():
@@ -214,7 +214,7 @@ def _bones_of_user(given: Path, tree: Tree) -> dict[str, int]:
 
 
 def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
-    """Bones by the table of a VRM 1.0 or 0.x; empty where the file is none."""
+    """Read the bones from the table of a VRM 1.0 or 0.x; empty for other files."""
     extensions = document.get("extensions")
     extensions = extensions if isinstance(extensions, dict) else {}
     ours = {theirs: joint for joint, theirs in names_of_joints()["vrm"].items()}
@@ -241,7 +241,7 @@ def _vrm_bones(document: Mapping[str, Any], count: int) -> dict[str, int]:
 
 
 def _side_and_words(name: str) -> tuple[str, list[str]]:
-    """Side of a bone ("left", "right" or "") and the words of its name in lower case."""
+    """Split a bone's name into a side ("left", "right" or "") and words in lower case."""
     plain = re.split(r"[:|]", name)[-1][-80:]
     words, side = [], ""
     for word in (one.lower() for one in _WORDS.findall(plain)):
@@ -253,13 +253,13 @@ def _side_and_words(name: str) -> tuple[str, list[str]]:
 
 
 def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
-    """Bones by their names.
+    """Find bones by their names; return nodes, keyed by joint.
 
     Raises:
-        ReconError: when two bones have names of the same one.
+        ReconError: when the names of two bones mean the same joint.
     """
     told = {k: _side_and_words(tree.names[k]) for k in sorted(tree.joints)}
-    told = {k: one for k, one in told.items() if not _OTHERS & set(one[1])}
+    told = {k: one for k, one in told.items() if not _HELPER_WORDS & set(one[1])}
     candidates: dict[str, list[tuple[int, int, int]]] = {}
     for node, (side, words) in told.items():
         trailing = 0
@@ -302,7 +302,7 @@ def _bones_by_names(tree: Tree, path: Path) -> dict[str, int]:
 def _fingers(
     tree: Tree, hand: int, side: str, told: Mapping[int, tuple[str, list[str]]]
 ) -> dict[str, int]:
-    """Joints of the fingers of one hand, by names and by their order along the fingers."""
+    """Find the finger joints of one hand, by names and by their order along the fingers."""
     rows: dict[str, list[tuple[int, int]]] = {finger: [] for finger in FINGERS}
     for node, (_, words) in told.items():
         if node == hand or not (below := tree.between(hand, node)):

@@ -1,4 +1,4 @@
-"""Bones of a character whose names tell nothing, by the branches of its tree and their places."""
+"""Finds bones of a character without telling names, by branches of its tree and positions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,38 +9,38 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Tree:
-    """Nodes of a glTF file that may be bones."""
+    """The tree of nodes in a glTF file, and which of them skins use as joints."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    """-1 for a node of the scene."""
+    """Parent of every node, -1 for a root."""
     joints: frozenset[int]
-    """Nodes that skins use."""
+    """Nodes that skins use as joints."""
 
     def path(self, node: int) -> list[int]:
-        """A node, its parent and so on up to the scene."""
+        """Return a node and its ancestors, up to the root."""
         found = [node]
         while (parent := self.parents[found[-1]]) >= 0:
             found.append(parent)
         return found
 
     def common(self, nodes: Sequence[int]) -> int:
-        """The lowest node that all others lie under or are; -1 where none is."""
+        """Return the lowest common ancestor of nodes, maybe one of them; -1 if there is none."""
         first, *others = (self.path(node) for node in nodes)
         rest = [set(one) for one in others]
         return next((one for one in first if all(one in above for above in rest)), -1)
 
     def between(self, top: int, node: int) -> list[int]:
-        """Nodes from below `top` down to `node`, which is the last."""
+        """Return the path from a child of `top` down to `node`; empty unless below `top`."""
         path = self.path(node)
         return path[: path.index(top)][::-1] if top in path else []
 
 
 def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str, int]:
-    """Find bones by the tree's branches and places: two legs down, two arms aside, a head above.
+    """Find bones by branches and positions: two legs down, two arms aside, a head above.
 
-    Hips are the joint under which two limbs reach the ground, the chest that from which two reach
-    farthest aside. Toes tell the front; where there are none it is +z, as glTF wants.
+    Hips are the joint below which two limbs reach the ground, the chest that from which two reach
+    farthest aside. Toes show the front; where there are none it is +z, as in glTF.
     """
     joints = sorted(tree.joints)
     children: dict[int, list[int]] = {k: [] for k in joints}
@@ -91,7 +91,7 @@ def bones_by_tree(tree: Tree, places: Float[np.ndarray, "nodes 3"]) -> dict[str,
 
 
 def _leg(chain: list[int], places: Float[np.ndarray, "nodes 3"]) -> list[int]:
-    """Hip, knee, ankle and toes (where there are some) of a chain; fewer when it is too short."""
+    """Choose hip, knee, ankle and maybe toes in a chain of nodes; none if it is too short."""
     if len(chain) < 3:
         return []
     heights = places[chain, 1] - places[chain[-1], 1]
@@ -109,7 +109,7 @@ def _arm(
     children: Mapping[int, list[int]],
     places: Float[np.ndarray, "nodes 3"],
 ) -> list[int]:
-    """Collar (-1 for none), shoulder, elbow and wrist of a chain from the chest to a tip."""
+    """Choose collar (-1 for none), shoulder, elbow and wrist in a chain from chest to tip."""
     chain = [k for k in chain if k in tree.joints]
     fork = [k for k, node in enumerate(chain) if len(children[node]) > 2]
     end = fork[0] if fork else len(chain) - 1

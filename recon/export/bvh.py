@@ -1,4 +1,4 @@
-"""Writes recordings and motions as BVH."""
+"""Writes skeleton recordings and motions as BVH files."""
 
 import warnings
 from dataclasses import replace
@@ -20,7 +20,7 @@ Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
 def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """The joints of a motion as a recorded skeleton, with the tips of its five end bones.
+    """Convert a motion to a skeleton recording, with the tips of its five end bones.
 
     The tip of a bone, `<joint>_end`, is the vertex of its skin that is farthest from the joint:
     the crown, the toes, the fingertips.
@@ -47,8 +47,8 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
 
 
 def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """As `skeleton_of`, with fingers that end in tips; wrists have no tips of their own then."""
-    from recon.body.hands import finger_offsets, pose_fingers  # few motions have fingers
+    """Convert a motion with fingers as `skeleton_of` does; fingers have tips, wrists none."""
+    from recon.body.hands import finger_offsets, pose_fingers  # imported here: rarely used
     from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
     alone = skeleton_of(motion.replace(hands=None), body, name)
@@ -74,9 +74,9 @@ def _skeleton_with_fingers(motion: Motion, body: BodyModel, name: str) -> Skelet
 
 
 def _end_of_bone(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
-    """Vector from a joint to the farthest vertex of its bone on the unposed body, metres.
+    """Return the vector from a joint to the farthest vertex of its bone at rest, metres.
 
-    It is zero where the bone carries no skin.
+    The vector is zero where the bone carries no skin.
     """
     own = (body.weights.argmax(-1) == joint).nonzero()[:, 0]
     if len(own) == 0:
@@ -93,11 +93,11 @@ def write_bvh(
     order: Order = "ZYX",
     bones: BoneNames = "smpl",
 ) -> None:
-    """Write a recording with y up and one Euler order; reading the file gives it back.
+    """Write a skeleton recording as BVH, y up, in one Euler order; reading it restores it.
 
     Joints that move within their parent get position channels; joints called `<parent>_end`
     become end sites. The root's OFFSET is zero: some programs add it to its position channels,
-    others take these instead of it. Of a motion's skeleton, `bones` says whose names joints have.
+    others take these instead of it. `bones` chooses another program's names for body joints.
     """
     # imported only here, since it loads slowly
     from scipy.spatial.transform import Rotation

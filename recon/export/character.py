@@ -1,4 +1,4 @@
-"""A rigged character of a glTF file: its bones, its rest pose, and points of its skin."""
+"""A rigged character from a glTF file: its bones, its rest pose, and points of its skin."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,9 +18,9 @@ from recon.export.glb_file import GltfFile, normalised
 from recon.export.nodes import chained, joints_of, nodes_of, parents_first
 
 _UNEVEN = 0.01
-"""Relative difference of scales along the axes of a bone that is refused."""
-_WAYS = 32
-"""Directions in which the farthest points of every bone's skin are kept."""
+"""Greatest relative difference of the scales along a bone's axes that is accepted."""
+_DIRECTIONS = 32
+"""Number of directions in which the farthest points of each bone's skin are kept."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Character:
     local: Float[np.ndarray, "nodes 4 4"]
     """Transform of every node to its parent, as the file has it."""
     world: Float[np.ndarray, "nodes 4 4"]
-    """And to the scene."""
+    """Transform of every node to the scene, as the file has it."""
     reference: Float[np.ndarray, "nodes 4 4"]
     """Transform of every node in the pose that the skin was modelled in, in axes of the skin;
     zeros of nodes that are no bones."""
@@ -43,7 +43,7 @@ class Character:
     def read(cls, path: Path, bones: Path | None = None) -> "Character":
         """Read a character and find its bones.
 
-        The rest pose is that in which the skin was bound, of a VRM that of its nodes.
+        The rest pose is that in which the skin was bound; for a VRM it is that of the nodes.
 
         Raises:
             FileNotFoundError: when there is no such file.
@@ -72,7 +72,7 @@ class Character:
 
     @cached_property
     def order(self) -> list[int]:
-        """Nodes, parents before children."""
+        """All nodes, parents before children."""
         return parents_first(self.tree.parents, self.file.path)
 
     @property
@@ -85,7 +85,7 @@ class Character:
         """Refuse bones with zero, negative or uneven scales, which rotations would distort.
 
         Raises:
-            ReconError: with the node.
+            ReconError: naming the bone.
         """
         inner = {above for k in self.driven for above in self.tree.path(k)}
         for k in sorted(inner):
@@ -111,7 +111,7 @@ class Character:
 
     @cached_property
     def frame(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation of axes of `reference` to ours: x to the person's left, y up, z ahead."""
+        """Rotation from `reference` to the body model's axes: x to its left, y up, z ahead."""
         nodes, place = self.bones.nodes, self.reference[:, :3, 3]
         legs = place[[nodes["left_hip"], nodes["right_hip"]]]
         arms = place[[nodes["left_shoulder"], nodes["right_shoulder"]]]
@@ -133,17 +133,17 @@ class Character:
 
     @cached_property
     def turns(self) -> Float[Tensor, "nodes 3 3"]:
-        """Rotation of every node in the rest pose to our axes of the body."""
+        """Rotation of every node in the rest pose, from its axes to the body model's."""
         return torch.from_numpy(self.frame) @ _rotations(self.reference)
 
     @cached_property
     def places(self) -> Float[np.ndarray, "nodes 3"]:
-        """Positions in the rest pose, our axes of the body, lengths of the scene."""
+        """Positions of all nodes in the rest pose, in body-model axes and lengths of the scene."""
         return self.reference[:, :3, 3] @ self.frame.T * self.scale
 
     @cached_property
     def scale(self) -> float:
-        """Length in the scene per length in `reference`."""
+        """Ratio of lengths in the scene to lengths in `reference`, by legs and upper arms."""
         nodes = self.bones.nodes
         pairs = [
             (nodes[f"{s}_{a}"], nodes[f"{s}_{b}"])
@@ -160,10 +160,10 @@ class Character:
 
     @cached_property
     def skin(self) -> dict[int, Float[np.ndarray, "points 3"]]:
-        """Points far out on the skin of every bone that is animated, in axes of its node.
+        """Outermost points on the skin of every animated bone, in the axes of its node.
 
-        They are relative to the node; multiplied by the size of the node they are lengths of the
-        scene. Empty where the mesh is compressed.
+        Multiplied by the scale of the node they are in lengths of the scene. There are none where
+        the mesh is compressed.
         """
         bearer: dict[int, int] = {}
         driven = set(self.driven)
@@ -183,7 +183,7 @@ class Character:
         return {node: _outermost_points(np.concatenate(points)) for node, points in found.items()}
 
     def _skinned_parts(self) -> list[tuple[list[int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Joints, inverse bind matrices, vertices and their main joints, by part of the mesh."""
+        """Read joints, inverse bind matrices, vertices and their main joints of all mesh parts."""
         file, parts = self.file, []
         meshes, skins = file.listed("meshes"), file.listed("skins")
         for node in file.listed("nodes"):
@@ -201,7 +201,7 @@ class Character:
 
     @cached_property
     def lowest(self) -> float | None:
-        """Height of the lowest vertex of the rest pose in `places`; None where it is not known."""
+        """Height of the lowest vertex in the rest pose, as in `places`; None if it is unknown."""
         up = self.frame[1] * self.scale
         if self.reference is not self.world and (box := self._bounds_of_skin()) is not None:
             corners = np.stack(np.meshgrid(*box.T), -1).reshape(-1, 3)
@@ -213,7 +213,7 @@ class Character:
         return points @ self.reference[node, :3, :3].T + self.reference[node, :3, 3]
 
     def _bounds_of_skin(self) -> Float[np.ndarray, "2 3"] | None:
-        """Smallest and largest coordinates of the vertices of the skin that has most bones."""
+        """Return smallest and largest coordinates of vertices of the skin with most bones."""
         file = self.file
         main, boxes = _main_skin(file, self.bones), []
         accessors, meshes = file.listed("accessors"), file.listed("meshes")
@@ -234,7 +234,7 @@ class Character:
 
 
 def _main_skin(file: GltfFile, bones: BoneMap) -> int:
-    """The skin that has most of the bones."""
+    """Return the number of the skin that has most of the bones."""
     used = set(bones.nodes.values())
     skins = [used & set(joints_of(file, skin)) for skin in file.listed("skins")]
     return max(range(len(skins)), key=lambda k: len(skins[k]))
@@ -243,7 +243,7 @@ def _main_skin(file: GltfFile, bones: BoneMap) -> int:
 def _inverse_bind_matrices(
     file: GltfFile, skin: dict[str, Any]
 ) -> Float[np.ndarray, "joints 4 4"] | None:
-    """Inverse bind matrices of a skin; None where they cannot be read."""
+    """Read the inverse bind matrices of a skin; None where they cannot be read."""
     count = len(joints_of(file, skin))
     if "inverseBindMatrices" not in skin:
         return np.tile(np.eye(4), (count, 1, 1))
@@ -261,7 +261,7 @@ def _inverse_bind_matrices(
 def _bind_pose(
     file: GltfFile, tree: Tree, order: list[int], local: np.ndarray, bones: BoneMap
 ) -> Float[np.ndarray, "nodes 4 4"] | None:
-    """The pose in which the skin was bound, in the skin's own axes; None where it is not known."""
+    """Return nodes' transforms to the skin's axes when it was bound; None if they are unknown."""
     skin = file.listed("skins")[_main_skin(file, bones)]
     binds = _inverse_bind_matrices(file, skin)
     if binds is None or "inverseBindMatrices" not in skin:
@@ -284,7 +284,7 @@ def _bind_pose(
 def _vertices_and_joints(
     file: GltfFile, one: Any, joints: int
 ) -> tuple[np.ndarray, Int[np.ndarray, " vertices"]] | None:
-    """Vertices and the joint that moves each most; None where they cannot be read."""
+    """Read vertices, and the joint that moves each most; None where they cannot be read."""
     attributes = one.get("attributes") if isinstance(one, dict) else None
     extensions = one.get("extensions") if isinstance(one, dict) else None
     if not isinstance(attributes, dict) or "KHR_draco_mesh_compression" in (extensions or {}):
@@ -306,9 +306,9 @@ def _vertices_and_joints(
 
 
 def _outermost_points(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "some 3"]:
-    """Points that are farthest in some direction."""
-    k = np.arange(_WAYS) + 0.5
-    height, angle = 1 - 2 * k / _WAYS, np.pi * (1 + 5**0.5) * k
+    """Keep the points that are farthest in one of `_DIRECTIONS` directions over the sphere."""
+    k = np.arange(_DIRECTIONS) + 0.5
+    height, angle = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + 5**0.5) * k
     level = np.sqrt(1 - height**2)
     ways = np.stack((level * np.cos(angle), level * np.sin(angle), height), 1)
     best = [(points @ way).argmax() for way in ways]
@@ -316,13 +316,13 @@ def _outermost_points(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray
 
 
 def _nearest_axis(way: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The axis of coordinates, or its opposite, that is nearest to a direction."""
+    """Return the coordinate axis, or its opposite, that is nearest to a direction."""
     at = int(np.abs(way).argmax())
     return np.eye(3)[at] * np.sign(way[at])
 
 
 def _rotations(matrices: Float[np.ndarray, "nodes 4 4"]) -> Float[Tensor, "nodes 3 3"]:
-    """Rotations of transforms without their scales; the identity for zeros."""
+    """Extract the rotations of transforms, without scales; the identity for zeros."""
     parts = torch.from_numpy(matrices[:, :3, :3].copy())
     sizes = parts.norm(dim=-2, keepdim=True)
     some = (sizes > 0).all(-1, keepdim=True)

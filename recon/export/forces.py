@@ -1,4 +1,4 @@
-"""Writes forces of the ground as OpenSim's external loads (.mot, .sto) or CSV."""
+"""Writes ground reaction forces and joint moments for OpenSim (.mot, .sto) or as CSV."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,12 +35,12 @@ def check_ending(option: str, path: Path | None) -> None:
 
 @dataclass(frozen=True)
 class Loads:
-    """Estimated forces of the ground, and those that plates measured."""
+    """Ground reaction forces that were estimated, and those that force plates measured."""
 
     estimated: GroundForces
     measured: MeasuredForces | None
     decisions: tuple[str, ...]
-    """What was said of reading the plates."""
+    """What was assumed when the plates were read, in sentences."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -48,20 +48,20 @@ class Loads:
         return (*self.estimated.warnings, *(self.measured.warnings if self.measured else ()))
 
     def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Differences of estimated from measured forces, by foot; empty without plates."""
+        """Compare estimated with measured forces, per foot; empty without plates."""
         return {"beside plates": self.measured.compared(self.estimated)} if self.measured else {}
 
     def report(self) -> dict[str, Any]:
-        """The report of a written file of forces, in plain values."""
+        """Return the entries about forces in the report of a written file."""
         decisions = (*self.estimated.notes, *self.decisions)
         return {"decisions": decisions, "warnings": self.warnings, **self.tables()}
 
 
 def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path | None) -> Loads:
-    """Forces on the feet of a motion, and those of the plates of its C3D file.
+    """Estimate ground reaction forces of a motion, and read those of plates in its C3D file.
 
     Raises:
-        ValueError: when there are none; the message says why.
+        ValueError: when forces cannot be estimated or read; the message says why.
     """
     found = ground_forces(file, body, mass=mass)
     if plates is None:
@@ -71,11 +71,11 @@ def loads_of(file: MotionFile, body: BodyModel, mass: float | None, plates: Path
 
 
 def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
-    """Write a row per frame, right foot first; newtons, metres, newton metres, y up.
+    """Write ground reaction forces, a row per frame, right foot first; N, m, N m, y up.
 
     `ground_force_r_vx` is the force on the right foot, `ground_force_r_px` its centre of pressure,
     `ground_torque_r_x` the moment about it (zero). `std_force_r_x` and `std_centre_r` are standard
-    deviations; no name of theirs begins as the identifiers of OpenSim's external loads do.
+    deviations, named so that OpenSim does not take them for external loads.
     With plates there are `plate_force_r_x`, `plate_centre_r_x` and `plate_known_r` (0 or 1), too.
     """
     forces, plates = loads.estimated, loads.measured
@@ -103,9 +103,9 @@ def write_forces(path: Path, motion: Motion, loads: Loads) -> None:
 def write_moments(
     path: Path, motion: Motion, body: BodyModel, loads: Loads, model: OpenSimModel
 ) -> None:
-    """Write moments of the legs' joints as OpenSim's inverse dynamics names them, newton metres.
+    """Write moments of the leg joints, N m, with the names of OpenSim's inverse dynamics.
 
-    `hip_flexion_r_moment` has its standard deviation in `hip_flexion_r_std`; `plate_known_r` is 1
+    The standard deviation of `hip_flexion_r_moment` is `hip_flexion_r_std`; `plate_known_r` is 1
     where a plate measured the force on that foot, and 0 where it is estimated.
     """
     found = joint_moments(motion, body, loads.estimated, loads.measured, model)
@@ -118,6 +118,6 @@ def write_moments(
 
 
 def _columns_by_axis(name: str, vectors: Tensor) -> dict[str, Float[np.ndarray, " time"]]:
-    """Coordinates of vectors (time 3) with y up, by name and axis."""
+    """Rotate vectors (time, 3) to y up; return their coordinates, keyed by name and axis."""
     turned = vectors.double().cpu().numpy() @ to_z_up("y")
     return {f"{name}{axis}": turned[:, k] for k, axis in enumerate("xyz")}

@@ -1,4 +1,4 @@
-"""Reads anybody's glTF or GLB file, and writes it again with an animation more.
+"""Reads glTF and GLB files of any program, and writes them again with an added animation.
 
 Everything that is not understood is kept as it is: the file's JSON is changed only where the
 animation is added, and its binary part only grows.
@@ -40,9 +40,9 @@ class GltfFile:
 
     path: Path
     document: dict[str, Any] = field(repr=False)
-    """Its JSON."""
+    """The parsed JSON."""
     binary: bytes | None = field(repr=False)
-    """The binary chunk of a GLB."""
+    """The binary chunk of a GLB; None for a .gltf."""
     buffers: tuple[bytes, ...] = field(repr=False)
     """Data of all buffers."""
 
@@ -83,16 +83,16 @@ class GltfFile:
         return cls(path, document, binary, tuple(buffers))
 
     def listed(self, key: str) -> list[dict[str, Any]]:
-        """The records of a list of the document; empty where it has none."""
+        """Return a list of records in the document, such as `nodes`; empty where it has none."""
         return records(self.document, key, self.path)
 
     def numbers(self, accessor: object) -> np.ndarray | None:
-        """The numbers of an accessor, a row per element; None where they are compressed.
+        """Read the numbers of an accessor, a row per element; None where they are compressed.
 
         Normalised integers become numbers from -1 or 0 to 1.
 
         Raises:
-            ValueError: when it is not in the file or does not fit into its buffer.
+            ValueError: when the accessor does not exist or does not fit into its buffer.
         """
         accessors, views = self.listed("accessors"), self.listed("bufferViews")
         one = accessors[self.index(accessor, len(accessors), "accessor")]
@@ -120,10 +120,10 @@ class GltfFile:
         return normalised(raw.copy(), one)
 
     def index(self, value: object, count: int, what: str) -> int:
-        """An index into a list of the document.
+        """Return a value after a check that it is an index into a list of `count` records.
 
         Raises:
-            ValueError: when it is none.
+            ValueError: when it is not.
         """
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
             raise FormatError(
@@ -139,14 +139,14 @@ class GltfFile:
         tracks: list[tuple[int, str, np.ndarray]],
         nodes: dict[int, dict[str, Any]],
     ) -> None:
-        """Write the file as GLB with one animation more.
+        """Write the file as GLB with one more animation.
 
         Args:
             path: file to write.
             name: of the animation.
             times: of its frames, seconds.
-            tracks: of every channel the node, the property and its values, a row per frame.
-            nodes: records that take the place of those of some nodes.
+            tracks: node, property and values (a row per frame) of every channel.
+            nodes: new records of some nodes, keyed by number.
         """
         document = dict(self.document)
         for kind in ("nodes", "accessors", "bufferViews", "buffers", "animations", "images"):
@@ -198,7 +198,7 @@ class GltfFile:
 
 
 def normalised(values: np.ndarray, accessor: dict[str, Any]) -> np.ndarray:
-    """Integers of an accessor that says that they are normalised, as numbers from -1 or 0 to 1."""
+    """Map an accessor's integers to [-1, 1] or [0, 1] where it says that they are normalised."""
     kind = np.dtype(_TYPES.get(accessor.get("componentType", 0), "<f4"))
     if accessor.get("normalized") is not True or kind.kind == "f":
         return values
@@ -206,10 +206,10 @@ def normalised(values: np.ndarray, accessor: dict[str, Any]) -> np.ndarray:
 
 
 def records(document: Any, key: str, path: Path) -> list[dict[str, Any]]:
-    """The list of records under a key of a document; empty where it has none.
+    """Return the list of records under a key of a document; empty where it has none.
 
     Raises:
-        ValueError: when it is something else.
+        ValueError: when the value is no list of records.
     """
     found = _record(document, path).get(key, [])
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
@@ -224,7 +224,7 @@ def _record(value: Any, path: Path, key: str = "the file") -> dict[str, Any]:
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
-    """JSON and binary part of a GLB.
+    """Split a GLB into its JSON and its binary part.
 
     Raises:
         ValueError: when it is cut off or damaged.
@@ -252,7 +252,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
 
 
 def _data_of(record: dict[str, Any], path: Path) -> bytes:
-    """The data that a buffer or image names: within the document, or a file beside it.
+    """Read the data that a buffer or image names: in the document, or in a file beside it.
 
     Raises:
         ValueError: when the name leads out of the folder, or the data are damaged.
@@ -274,7 +274,7 @@ def _data_of(record: dict[str, Any], path: Path) -> bytes:
 
 
 def _data_uri(data: bytes, name: str) -> str:
-    """The data of a file as text."""
+    """Encode the data of a file as a data URI (base64), with the media type of its name."""
     media = _MEDIA.get(Path(name).suffix.lower(), "application/octet-stream")
     return f"data:{media};base64,{base64.b64encode(data).decode()}"
 

@@ -20,12 +20,12 @@ from recon.export.skeleton import Skeleton, influences, one_clip, quaternions
 from recon.formats.replacing import replacing
 
 INFLUENCES = 4
-"""Joints per vertex: more are legal, but many readers take the first four."""
+"""Number of joints that move a vertex: more are legal, but many readers take the first four."""
 _HALF = 0.5**0.5
 
 
 def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "smpl") -> None:
-    """Write one clip, frame k at k / fps seconds; `asset.extras` has the start time.
+    """Write one clip as GLB, frame k at k / fps seconds; `asset.extras` has the start time.
 
     The node `z_up` above the skeleton turns our z up to glTF's y up. Vertices keep their four
     largest weights, scaled to sum to one. Corrective offsets of SMPL bodies are left out.
@@ -92,7 +92,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
 
 
 def _humanoid(bones: Sequence[str]) -> dict[str, Any]:
-    """Extensions of VRM 1.0 (glTF), which name the bones and the animation of a person."""
+    """Make the VRM 1.0 extensions of glTF that say which nodes are a person's bones."""
     humanoid = {"humanBones": {bone: {"node": k} for k, bone in enumerate(bones)}}
     told = {"specVersion": "1.0", "humanoid": humanoid}
     licence = "https://vrm.dev/licenses/1.0/"

@@ -1,4 +1,4 @@
-"""Legs and arms of a character that keep a person's contacts with the ground."""
+"""Moves legs and arms of a character so that they keep a person's ground contacts."""
 
 from dataclasses import dataclass
 
@@ -17,35 +17,35 @@ from recon.export.rig import CharacterRig, Posed
 
 LEG, ARM = ("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")
 _REACH = 0.9995
-"""Share of a limb's length to which it is stretched at most."""
+"""Greatest distance from a limb's start to its end, as a share of the length of its bones."""
 _NEAR = 0.04
-"""Metres above the ground up to which a foot or hand touches it."""
+"""Height above the ground, metres, up to which a foot or hand counts as touching it."""
 _LOW = 0.25
-"""Metres above that over which the height of our foot ceases to count for the character's."""
+"""Range of heights above `_NEAR`, metres, in which a foot ceases to follow the person's."""
 _SOFT = 0.002
-"""Metres of height over which points share that they are the lowest."""
+"""Scale of the soft minimum of heights, metres, that weights the lowest points."""
 _LEAVING = 3 * MAXIMUM_SPEED
-"""m/s of a foot that comes to its stand or leaves it."""
+"""Speed, m/s, below which a foot near the ground is landing, standing or leaving."""
 _EASE = 0.25
-"""Seconds in which a hand comes to its contact, and hips are raised or lowered."""
+"""Time, seconds, in which a hand moves to its contact, and hips are raised or lowered."""
 _BENT = 0.02
-"""Share of a leg's length by which the front of the thigh counts for the side of the knee."""
+"""Weight of the thigh's front in the direction to which a knee bends, per length of the leg."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where the skin of one of our feet or hands is near the ground."""
+    """Height, displacement and ground contact of a person's foot or hand, in every frame."""
 
     height: Float[Tensor, " time"]
-    """Of its lowest point above the ground, metres."""
+    """Height of its lowest point above the ground, metres."""
     steps: Float[Tensor, "time 2"]
-    """How this point moved over the ground since the frame before, metres; first zero."""
+    """Horizontal displacement of that point since the frame before, metres; zero at first."""
     stands: Bool[Tensor, " time"]
-    """Whether it touches and is slow."""
+    """Whether the foot or hand touches the ground and is slow."""
 
     @classmethod
     def of(cls, points: Float[Tensor, "time points 3"], fps: float) -> "Contacts":
-        """The contacts of skin over the ground z = 0."""
+        """Find the contacts of a foot's or hand's skin points with the ground z = 0."""
         height = points[..., 2].amin(1)
         steps = torch.nn.functional.pad(lowest_steps(points, points[..., 2]), (0, 0, 1, 0))
         speed = steps.norm(dim=-1) * fps
@@ -58,15 +58,15 @@ class PersonMotion:
     """Hips, leg length and contacts of the person whom a character follows; z up, metres."""
 
     middle: Float[Tensor, "time 3"]
-    """Between the hip joints."""
+    """Midpoint of the hip joints."""
     leg: float
-    """Length of the straight leg, with the height of the ankle."""
+    """Length of the straight leg, from the hip joint to the sole."""
     contacts: dict[str, Contacts]
-    """Of feet, by ankles, and of hands, by wrists."""
+    """Contacts of feet, keyed by ankle, and of hands, keyed by wrist."""
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel, ground: float) -> "PersonMotion":
-        """A person on level ground of some height."""
+        """Compute these for a motion on level ground of the height `ground`."""
         posed, rest = body.pose(motion), body.rest_joints(motion.shape)
         sole = body.rest_vertices(motion.shape)[:, 1].min()
         own, contacts = body.weights.argmax(-1), {}
@@ -84,11 +84,11 @@ class PersonMotion:
 
 @dataclass(frozen=True)
 class Limb:
-    """A leg or an arm of a character."""
+    """A leg or an arm of a character, with the person's contacts that it keeps."""
 
     rig: CharacterRig
     chain: tuple[int, ...]
-    """Its three nodes."""
+    """Nodes of hip, knee and ankle, or of shoulder, elbow and wrist."""
     tip: tuple[int, ...]
     """Animated nodes of the foot, or of the forearm and the hand."""
     contacts: Contacts
@@ -98,7 +98,7 @@ class Limb:
     def of(
         cls, rig: CharacterRig, side: str, names: tuple[str, ...], person: PersonMotion
     ) -> "Limb":
-        """The limb of a side, and the contacts that it has to keep."""
+        """Make the limb of a side from the rig and the person's contacts."""
         nodes, tree = rig.character.bones.nodes, rig.character.tree
         chain = tuple(nodes[f"{side}_{name}"] for name in names)
         # with a hand on the ground, the forearm may be lower than the wrist: it belongs to the tip
@@ -108,17 +108,17 @@ class Limb:
 
     @property
     def length(self) -> float:
-        """Of its two bones, in the scene."""
+        """Length of its two bones together, in the scene."""
         places = torch.from_numpy(self.rig.character.places)[list(self.chain)]
         return float(places.diff(dim=0).norm(dim=-1).sum())
 
     def goal(self, posed: Posed, fps: float, ratio: float, ground: float) -> Tensor:
         """Target positions of the limb's end joint in the scene, (time, 3).
 
-        While our foot stands, the character's lowest point moves with the speed of ours, times
-        `ratio` where that is below 1, and between two stands what this takes is spread. Near the
-        ground, and a hand about its contacts, it is as high as ours times `ratio`; nowhere is it
-        in the ground.
+        While the person's foot stands, the character's lowest point moves as the person's does,
+        times `ratio` where that is below 1; between stances the offsets that this takes are
+        blended. Near the ground, and for a hand around its contacts, its height is the person's
+        times `ratio`; it is never below the ground.
         """
         end, stands = posed[self.chain[2]][:, :3, 3], self.contacts.stands
         away = self._end_points(posed) - end[:, None]
@@ -136,7 +136,7 @@ class Limb:
         return end + torch.stack((shift[:, 0], high, shift[:, 1]), -1)
 
     def _end_points(self, posed: Posed) -> Float[Tensor, "time points 3"]:
-        """Points on the skin of the foot or hand; of the sole below joints if unreadable."""
+        """Return skin points of foot or hand; points below joints if the skin is unreadable."""
         points = self.rig.points(posed, list(self.tip))
         if points.shape[1]:
             return points
@@ -149,7 +149,7 @@ class Limb:
         return torch.stack(found, 1)
 
     def sink_needed(self, posed: Posed, goal: Float[Tensor, "time 3"]) -> Float[Tensor, " time"]:
-        """Distance that the hips must sink so that the limb reaches its goal, in every frame."""
+        """Return how far the hips must sink for the limb to reach its goal, in every frame."""
         joints = torch.stack([posed[k][:, :3, 3] for k in self.chain], 1)
         length = _REACH * joints.diff(dim=1).norm(dim=-1).sum(1)
         way = joints[:, 0] - goal
@@ -159,10 +159,10 @@ class Limb:
     def reaching(
         self, posed: Posed, goal: Float[Tensor, "time 3"]
     ) -> dict[int, Float[Tensor, "time 3 3"]]:
-        """World rotations of its two bones that take its end to a goal, or as near as it reaches.
+        """Return world rotations of both bones that move the end to a goal, or as near as it gets.
 
-        The middle joint keeps its side of the line between the ends, and a knee, which a straight
-        leg does not tell the side of, that of the thigh's front.
+        The middle joint stays on its side of the line between the ends; the knee of a straight
+        leg bends to the front of the thigh.
         """
         top, middle, last = (posed[k][:, :3, 3] for k in self.chain)
         a, b = (middle - top).norm(dim=-1), (last - middle).norm(dim=-1)
@@ -186,14 +186,14 @@ class Limb:
 def lowest_steps(
     points: Float[Tensor, "time points 3"], heights: Float[Tensor, "time points"]
 ) -> Float[Tensor, "steps 3"]:
-    """Displacement of the lowest point from frame to frame; a mean over points of like height."""
+    """Return the lowest point's displacement between frames, a mean over points of like height."""
     share = torch.softmax((heights.amin(1, keepdim=True) - heights) / _SOFT, 1)
     between = 0.5 * (share[1:] + share[:-1])
     return (between[..., None] * points.diff(dim=0)).sum(1)
 
 
 def envelope(values: Float[Tensor, " time"], fps: float) -> Float[Tensor, " time"]:
-    """A smooth curve that is nowhere below `values`, and zero far from non-zero ones."""
+    """Return a smooth curve that is nowhere below `values`, and zero far from non-zero ones."""
     reach = max(1, round(_EASE / 2 * fps))
     rows = values[None, None]
     high = torch.nn.functional.max_pool1d(
@@ -209,7 +209,7 @@ def _unit(vectors: Float[Tensor, "time 3"]) -> Float[Tensor, "time 3"]:
 def _runs_with_slow_frame(
     near: Bool[Tensor, " time"], slow: Bool[Tensor, " time"]
 ) -> Bool[Tensor, " time"]:
-    """The runs of `near` in which `slow` is true at least once."""
+    """Keep the runs of true `near` in which `slow` is true at least once."""
     kept = torch.zeros_like(near)
     for first, stop in runs(near.numpy()):
         kept[first:stop] = bool(slow[first:stop].any())
@@ -219,10 +219,10 @@ def _runs_with_slow_frame(
 def _shifts_while_standing(
     steps: Float[Tensor, "steps 2"], stands: Bool[Tensor, " time"], fps: float, fades: bool
 ) -> Float[Tensor, "time 2"]:
-    """Horizontal offsets to add to a foot: `steps` from frame to frame while it stands.
+    """Return horizontal offsets of a foot that change by `steps` per frame while it stands.
 
-    Their mean over every stance is zero. Between stances they pass smoothly from one to the
-    next; with `fades` they go to zero there.
+    Their mean over every stance is zero. Between stances they are blended from one to the next;
+    with `fades` they go to zero there.
     """
     found, frames = steps.new_zeros(len(stands), 2), len(stands)
     stretches = runs(stands.numpy())
@@ -238,7 +238,7 @@ def _shifts_while_standing(
             ease = max(1.0, _EASE * fps)
             fall, rise = _smooth_step(1 - count / ease), _smooth_step(1 - count.flip(0) / ease)
         else:
-            # before the first stand and after the last one, the shift of that stand is kept
+            # before the first stance and after the last one, the offset of that stance is kept
             rise = _smooth_step(count / (stop - first + 1)) if first else torch.ones_like(count)
             rise = rise if stop < frames else torch.zeros_like(count)
             fall = 1 - rise
@@ -247,6 +247,6 @@ def _shifts_while_standing(
 
 
 def _smooth_step(share: Tensor) -> Tensor:
-    """Smooth step: a cubic from 0 to 1 that is level at both ends."""
+    """Return the smooth step 3 s² - 2 s³ of a share clamped to [0, 1], level at both ends."""
     share = share.clamp(0.0, 1.0)
     return share * share * (3 - 2 * share)

@@ -29,7 +29,7 @@ class Exported:
     """The files that were written, with warnings and tables about them."""
 
     place: str
-    """Their paths."""
+    """Paths of the written files."""
     warnings: tuple[str, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
     """Tables of numbers, by title."""
@@ -72,7 +72,7 @@ def export_file(
         glb: glTF 2.0 with skinned mesh and animation.
         usd: USD with skinned mesh and animation (.usd, .usda, .usdc); needs usd-core.
         bvh: skeleton animation.
-        trc: markers for OpenSim and others; which of them says --markers.
+        trc: markers for OpenSim and others, those that --markers names.
         mot: coordinates of an OpenSim model, degrees and metres.
         forces: estimated forces of the ground on the feet and their centres of pressure, with
             standard deviations, as OpenSim's external loads (.mot, .sto) or CSV; N, m, y up.
@@ -89,7 +89,7 @@ def export_file(
             mannequin, of VRM 1.0 and Unity (a .glb is a VRM then), of Rigify or of Xsens.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
             markers, Plug-in Gait or the 105 markers of BSM (SKEL).
-        model: whose coordinates --mot and --moments have.
+        model: OpenSim model whose coordinates --mot and --moments have.
         mass: kg, for --forces and --moments; default: that of the body's shape.
         plates: C3D file of the motion's recording, whose force plates are written beside --forces,
             compared with it, and taken for --moments.

@@ -1,4 +1,4 @@
-"""Nodes of a glTF file: their tree, their transforms, and which of them are joints of skins."""
+"""Reads the nodes of a glTF file: their tree, transforms, and which are joints of skins."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from recon.export.glb_file import GltfFile
 
 
 def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
-    """Numbers of the nodes that are the joints of a skin.
+    """List the numbers of the nodes that are joints of a skin.
 
     Raises:
         ValueError: when these are no nodes of the file.
@@ -25,7 +25,7 @@ def joints_of(file: GltfFile, skin: dict[str, Any]) -> list[int]:
 
 
 def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
-    """The tree of all nodes, and the transform of each to its parent.
+    """Read the tree of all nodes, and the transform of each to its parent.
 
     Raises:
         ValueError: when there is no skin, or a node has two parents.
@@ -53,10 +53,10 @@ def nodes_of(file: GltfFile) -> tuple[Tree, Float[np.ndarray, "nodes 4 4"]]:
 
 
 def local_matrix(node: dict[str, Any], path: Path) -> Float[np.ndarray, "4 4"]:
-    """Transform of a node to its parent.
+    """Return the transform of a node to its parent, from its matrix or its separate parts.
 
     Raises:
-        ValueError: when it has other numbers than it may have.
+        ValueError: when it has too few or too many numbers, or they are not plausible.
     """
     if "matrix" in node:
         return _numbers(node["matrix"], 16, path).reshape(4, 4).T
@@ -78,7 +78,7 @@ def _numbers(value: Any, count: int, path: Path) -> np.ndarray:
 
 
 def parents_first(parents: tuple[int, ...], path: Path) -> list[int]:
-    """Numbers of all nodes, parents before children.
+    """List the numbers of all nodes, parents before children.
 
     Raises:
         ValueError: when nodes are their own ancestors.
@@ -97,7 +97,7 @@ def parents_first(parents: tuple[int, ...], path: Path) -> list[int]:
 def chained(
     parents: tuple[int, ...], order: list[int], local: Float[np.ndarray, "nodes 4 4"]
 ) -> Float[np.ndarray, "nodes 4 4"]:
-    """Transforms of nodes to the scene, from those to their parents."""
+    """Compute the transforms of nodes to the scene from those to their parents."""
     world = local.copy()
     for k in order:
         if parents[k] >= 0:

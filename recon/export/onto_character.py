@@ -27,9 +27,9 @@ class AnimatedCharacter:
     """How a character was animated: by which bones, at what scale, with what warnings."""
 
     bones: dict[str, str]
-    """Names of its nodes, by our joints."""
+    """Names of the character's nodes, keyed by body joint."""
     scale: float
-    """Ratio of its legs to the person's, by which the path was enlarged."""
+    """Ratio of the character's legs to the person's, by which the path was scaled."""
     warnings: tuple[str, ...]
 
 
@@ -42,20 +42,20 @@ def write_character(
     bones: Path | None = None,
     ground: float = 0.0,
 ) -> AnimatedCharacter:
-    """Write a user's character as GLB with a motion as one animation more.
+    """Write a user's character as GLB with a motion as one more animation.
 
     Mesh, materials, other animations and extensions stay as they are in the file.
 
     Args:
         path: file to write.
         motion: one clip without a batch axis.
-        body: whose motion it is.
+        body: the body model of the motion.
         character: a rigged .glb, .vrm or .gltf of any proportions, unit, rest pose and names.
         bones: TOML file of lines `left_knee = "name of a node"`, where names tell nothing.
         ground: height of the level ground in the motion, metres.
 
     Raises:
-        FileNotFoundError: when a file is not there.
+        FileNotFoundError: when a file does not exist.
         ValueError: when the character is damaged, has no skin, or bones are missing.
     """
     # in double precision, since steps of feet are small differences of large positions
@@ -89,12 +89,12 @@ def write_character(
 def carry(
     motion: Motion, body: BodyModel, character: Character, ground: float
 ) -> tuple[CharacterRig, CharacterPose, float]:
-    """Move a character as a person moves; also the ratio of its legs to the person's.
+    """Retarget a motion to a character; return rig, poses and the ratio of leg lengths.
 
-    Every bone turns as ours does, from a rest pose that is turned to ours. The middle of the hips
-    follows ours, enlarged by the ratio of the legs about its first place. Then feet that stand and
-    hands that touch the ground keep to it (`Limb.goal`): the hips sink where a leg is too short,
-    rise where other parts would be in the ground, and the two bones above follow.
+    Every bone turns as the person's does, from the same rest pose. The middle of the hips follows
+    the person's path, scaled by the ratio of the legs about its start. Then standing feet and
+    touching hands keep their contacts (`Limb.goal`) by inverse kinematics of the two bones above:
+    the hips sink where a leg is too short, and rise where other parts would be in the ground.
     """
     rig, person = CharacterRig.of(character, motion, body), PersonMotion.of(motion, body, ground)
     up = torch.from_numpy(to_z_up("y").T).to(motion.translation)
@@ -139,7 +139,7 @@ def _with_limbs_at_goals(
     ratio: float,
     ground: float,
 ) -> CharacterPose:
-    """The pose with the limbs turned so that their ends reach their goals."""
+    """Turn the limbs of a pose so that their ends reach their goals."""
     posed, turns = rig.posed(carried), dict(carried.turns)
     for one in limbs:
         goal = one.goal(posed, fps, ratio, ground)
@@ -149,7 +149,7 @@ def _with_limbs_at_goals(
 
 
 def _animated_nodes(character: Character, motion: Motion) -> list[int]:
-    """Nodes that the animation turns: fingers only where the motion has some."""
+    """List the nodes that the animation turns; fingers only where the motion has some."""
     idle = {
         node for joint, node in character.bones.nodes.items()
         if motion.hands is None and joint in HAND_JOINTS
@@ -158,7 +158,7 @@ def _animated_nodes(character: Character, motion: Motion) -> list[int]:
 
 
 def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "time 4 4"]:
-    """Pose of a node's parent in every frame; nodes between animated ones stay at rest."""
+    """Return a node's parent's pose in every frame; nodes between animated ones stay at rest."""
     character = rig.character
     path = character.tree.path(node)[1:]
     rest = character.world_turns
@@ -172,7 +172,7 @@ def _parent_poses(rig: CharacterRig, posed: Posed, node: int) -> Float[Tensor, "
 
 
 def _translation_rotation_scale(matrix: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
-    """Translation, rotation and scale of a matrix: animations move no matrices."""
+    """Split a matrix into translation, rotation and scale, as animations cannot move matrices."""
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     turn = torch.from_numpy(matrix[:3, :3] / sizes)
     return {
@@ -183,7 +183,7 @@ def _translation_rotation_scale(matrix: Float[np.ndarray, "4 4"]) -> dict[str, l
 
 
 def _warnings(character: Character, motion: Motion) -> tuple[str, ...]:
-    """Warnings about bones, soles and fingers that were guessed or left out."""
+    """Return warnings about bones, soles and fingers that were guessed or left out."""
     path, found = character.file.path, list(character.warnings)
     if character.bones.by_tree:
         found.append(

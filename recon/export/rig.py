@@ -1,4 +1,4 @@
-"""The rig of a character in our rest pose, posed frame by frame, and how a person turns it."""
+"""Poses a character's rig frame by frame, by the rotations of a person's joints."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,33 +17,33 @@ from recon.core.skeleton import JOINTS, joint_index
 from recon.export.character import Character
 
 Posed = dict[int, Float[Tensor, "time 4 4"]]
-"""Rotation (without size) and position of every animated node in the scene."""
+"""Rotation and position, without scale, of every animated node in the scene, in every frame."""
 
 
 @dataclass(frozen=True)
 class CharacterPose:
-    """Rotations and hips of a character in every frame; y up, lengths of its scene."""
+    """Node rotations and hip position of a character in every frame; y up, in its scene."""
 
     turns: dict[int, Float[Tensor, "time 3 3"]]
-    """World rotation of every animated node since our rest pose, in which a person stands."""
+    """World rotation of every animated node relative to the body model's rest pose."""
     hips: Float[Tensor, "time 3"]
     """Position of the hips' node."""
 
 
 @dataclass(frozen=True)
 class CharacterRig:
-    """A character with the rest rotations and offsets of its bones, to pose it."""
+    """A character with rest rotations and offsets of its bones, for forward kinematics."""
 
     character: Character
     rest: dict[int, Float[Tensor, "3 3"]]
-    """Rotation of every animated node when the person stands in our rest pose, our axes."""
+    """Rotation of every animated node in the body model's rest pose, in its axes."""
     shifts: dict[int, tuple[int, Float[Tensor, "3"]]]
-    """Of every animated node but the hips: the animated node above, and where it is from there,
-    along that node's axes and in lengths of the scene."""
+    """For every animated node but the hips: the animated node above, and the offset from there,
+    along the axes of the node above and in lengths of the scene."""
 
     @classmethod
     def of(cls, character: Character, motion: Motion, body: BodyModel) -> "CharacterRig":
-        """The rig of a character in the rest pose of a body."""
+        """Make the rig of a character in the rest pose of a body model."""
         found = _to_rest_pose(character, motion, body)
         rest = {node: turn @ character.turns[node] for node, turn in found.items()}
         driven, shifts = set(character.driven), {}
@@ -76,7 +76,7 @@ class CharacterRig:
         return found
 
     def points(self, posed: Posed, nodes: list[int]) -> Float[Tensor, "time points 3"]:
-        """Points far out on the skin of some nodes, in the scene."""
+        """Return the outermost skin points of some nodes, in the scene."""
         found = [so3.transform(posed[k], self._skin(k)) for k in nodes if k in self.character.skin]
         return torch.cat(found, 1) if found else posed[self.hips][:, :0, :3]
 
@@ -87,9 +87,9 @@ class CharacterRig:
 def turns_of(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "time 3 3"]]:
-    """World rotation since the rest pose that a motion gives every animated node, z up.
+    """Return the world rotations since the rest pose that a motion gives to nodes, z up.
 
-    A spine of another number of bones gets rotations between those of ours.
+    A spine with another number of bones gets rotations interpolated along the body's spine.
     """
     ours = body.pose(motion).orientations
     bones = character.bones
@@ -113,18 +113,18 @@ def turns_of(
 
 
 def _scale_of_node(character: Character, node: int) -> float:
-    """Lengths in the scene per length in a node's own axes."""
+    """Return the ratio of lengths in the scene to lengths in a node's own axes."""
     return float(np.linalg.norm(character.world[node, :3, :3], axis=0).mean())
 
 
 def _to_rest_pose(
     character: Character, motion: Motion, body: BodyModel
 ) -> dict[int, Float[Tensor, "3 3"]]:
-    """Rotation of every animated node from the character's rest pose to ours, our axes.
+    """Find each animated node's rotation from the character's rest pose to the body model's.
 
-    Arms, legs and fingers are turned until their bones point as ours do, each bone by the smallest
-    rotation; hands by knuckles too, half of whose turn about the forearm the forearm takes. Trunk,
-    head and feet stay: a person stands upright with flat feet in any rest pose.
+    Bones of arms, legs and fingers are turned by the smallest rotation to the directions of the
+    body model's; hands are also aligned by knuckles, and the forearm takes half of that twist.
+    Trunk, head and feet stay: in any rest pose a person stands upright with flat feet.
     """
     nodes, eye = character.bones.nodes, torch.eye(3, dtype=torch.float64)
     found = dict.fromkeys(character.driven, eye)
@@ -170,7 +170,7 @@ def _to_rest_pose(
 
 
 def _hand_axes(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Axes along a hand, across it and out of its palm, as columns."""
+    """Return axes along a hand, across it and out of its palm, as columns."""
     x = along / along.norm()
     z = torch.linalg.cross(along, across)
     z = z / z.norm().clamp(min=1e-12)
@@ -178,7 +178,7 @@ def _hand_axes(along: Float[Tensor, "3"], across: Float[Tensor, "3"]) -> Float[T
 
 
 def _half_twist(turn: Float[Tensor, "3 3"], way: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Half of the twist of a rotation about a direction."""
+    """Return half of the twist that a rotation makes about a direction."""
     axis = way / way.norm()
     side = torch.linalg.cross(axis, torch.eye(3, dtype=axis.dtype)[int(axis.abs().argmin())])
     side = side / side.norm()

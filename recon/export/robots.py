@@ -18,7 +18,7 @@ from recon.formats.smpl import load_smpl
 from recon.ingest.transfer import MotionOnOtherBody, align, carried_rotations, transfer
 
 FPS = 30.0
-"""Frames per second that the loader goes on with; it takes frames of other rates apart."""
+"""Frames per second of written motions, the rate at which GMR's loader keeps every frame."""
 _BETAS = 16
 _SMPLX_JOINTS = 55
 _GENDERS = ("female", "male", "neutral")
@@ -30,7 +30,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
     Args:
         path: `.npz` to write.
         motion: one clip without a batch axis.
-        body: whose motion it is.
+        body: the body model of the motion.
         smplx: the SMPL-X file of the body that the loader will pose; its name says the gender.
 
     Raises:
@@ -76,7 +76,7 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
 def _amass_arrays(
     motion: Motion, target: BodyModel, joints: int, gender: str
 ) -> dict[str, np.ndarray]:
-    """The arrays of a motion in AMASS layout; of joints beyond our 22, only fingers move."""
+    """Convert a motion to arrays in AMASS layout; beyond the 22 joints only fingers move."""
     poses = so3.log(motion.rotations.double()).float().numpy().reshape(motion.frames, -1)
     whole = np.zeros((motion.frames, 3 * joints), np.float32)
     whole[:, : poses.shape[1]] = poses
@@ -97,17 +97,17 @@ def _amass_arrays(
 
 
 def _gender(path: Path) -> str | None:
-    """The gender in the name of a body file."""
+    """Return the gender that the name of a body file states; None if it states none."""
     return next((one for one in _GENDERS if one in path.stem.lower()), None)
 
 
 def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
-    """The motion on another body, with equally oriented bones and soles on z = 0.
+    """Transfer a motion to another body at 30 Hz, with equal orientations and soles on z = 0.
 
     Args:
         motion: one clip without a batch axis.
-        body: whose motion it is.
-        target: the body to move, 16 of whose shape coefficients are used.
+        body: the body model of the motion.
+        target: the body to move; its first 16 shape coefficients are used.
     """
     motion = motion.resample(FPS)
     count = min(_BETAS, target.shape_size)
@@ -134,7 +134,7 @@ def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Motio
     Args:
         path: file to write.
         motion: one clip without a batch axis.
-        body: whose motion it is.
+        body: the body model of the motion.
         onto: the body file that will be posed.
 
     Raises:

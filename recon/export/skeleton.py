@@ -15,7 +15,7 @@ from recon.core.skeleton import JOINTS, PARENTS
 
 
 def one_clip(motion: Motion) -> Motion:
-    """The valid frames of a motion of one clip, on the CPU and without gradients.
+    """Return the valid frames of a motion of one clip, on the CPU and without gradients.
 
     Raises:
         ReconError: when it has a batch axis.
@@ -26,37 +26,37 @@ def one_clip(motion: Motion) -> Motion:
 
 
 def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
-    """Vector to every joint of the unposed body from its parent (the root: from the origin)."""
+    """Return the vector from parent to joint in the rest pose (root: from the origin), metres."""
     root = np.array(PARENTS)[:, None] < 0
     return rest - np.where(root, rest.dtype.type(0), rest[list(PARENTS)])
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """The joints of a motion for a file: 22 of the body, and 30 of fingers where it has any."""
+    """Joints, rotations and skinning of a motion for a file: 22 joints, 52 if it has fingers."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    """-1 for the root."""
+    """Parent of every joint, -1 for the root."""
     offsets: Float[np.ndarray, "joints 3"]
-    """From the parent in the rest pose, metres; of the root, from the origin."""
+    """Vector from the parent in the rest pose, metres; for the root, from the origin."""
     rotations: Float[Tensor, "time joints 3 3"]
-    """Relative to the parent."""
+    """Rotation of every joint relative to its parent."""
     weights: Float[Tensor, "vertices joints"]
-    """Of the skin."""
+    """Skinning weights."""
     binds: Float[np.ndarray, "joints 4 4"]
-    """From the unposed skin to the frame of every joint at rest."""
+    """Inverse bind matrices: from the unposed skin to the frame of every joint at rest."""
 
     @classmethod
     def of(cls, motion: Motion, body: BodyModel) -> "Skeleton":
-        """The skeleton of one clip; the rest pose of fingers is flat, that of the skin relaxed."""
+        """Make the skeleton of one clip; its fingers at rest are flat, the skin's are relaxed."""
         rest = body.rest_joints(motion.shape).detach().float().numpy()
         binds = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
         binds[:, :3, 3] = -rest
         offsets = rest_offsets(rest)
         if motion.hands is None:
             return cls(JOINTS, PARENTS, offsets, motion.rotations, body.weights, binds)
-        from recon.body.hands import finger_offsets, finger_skin  # few motions have fingers
+        from recon.body.hands import finger_offsets, finger_skin  # imported here: rarely used
         from recon.core.fingers import HAND_JOINTS, HAND_PARENTS
 
         count = len(HAND_JOINTS)
@@ -73,11 +73,11 @@ class Skeleton:
 def influences(
     weights: Float[Tensor, "vertices joints"], most: int | None = None
 ) -> tuple[Float[np.ndarray, "vertices some"], Int[np.ndarray, "vertices some"]]:
-    """The largest skinning weights of every vertex, scaled to sum to one, and their joints.
+    """Select the largest skinning weights per vertex, scaled to sum to one, and their joints.
 
     Args:
-        weights: of the skin.
-        most: weights of a vertex; None takes as many as the vertex with the most has.
+        weights: skinning weights.
+        most: number of weights per vertex; None takes as many as the vertex with the most has.
     """
     weights, joints = weights.double().cpu().sort(dim=-1, descending=True, stable=True)
     count = int((weights > 0).sum(-1).max()) if most is None else most
@@ -87,7 +87,7 @@ def influences(
 
 
 def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "time joints 4"]:
-    """Unit quaternions (x, y, z, w) whose sign never flips from one frame to the next.
+    """Convert rotations to unit quaternions (x, y, z, w) whose sign never flips between frames.
 
     Linear interpolation between q and -q' would take the long way round.
     """

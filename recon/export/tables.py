@@ -27,8 +27,8 @@ def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) 
     Args:
         path: file to write.
         motion: one clip without a batch axis.
-        body: whose motion it is; the bundled one.
-        model: whose coordinates are written.
+        body: the body model of the motion; the bundled one.
+        model: the OpenSim model whose coordinates are written.
 
     Raises:
         ValueError: when the body is another one.
@@ -48,7 +48,7 @@ def write_angles(
     Args:
         path: file to write.
         motion: one clip without a batch axis.
-        body: whose motion it is; the bundled one.
+        body: the body model of the motion; the bundled one.
         std: standard deviations of the angles in degrees, columns `NAME_std`; None leaves them
             out.
 
@@ -70,12 +70,12 @@ def write_storage(
     *,
     degrees: bool = False,
 ) -> None:
-    """Write columns over the motion's times as OpenSim's storage, or as CSV where PATH says so.
+    """Write columns over the motion's times as OpenSim's storage, or as CSV if the path says so.
 
     Args:
         path: file to write; .csv has no header but the names of the columns.
         title: first line of a storage.
-        motion: whose times they have.
+        motion: the motion whose times the rows have.
         columns: numbers of every frame, by name.
         degrees: whether angles are in degrees.
     """
@@ -114,13 +114,13 @@ MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "cmu", "bsm"]
 def markers_of(
     motion: Motion, body: BodyModel, markers: MarkerSetName, name: str
 ) -> MarkerRecording:
-    """Positions of a marker set on the moving body in every frame of a motion.
+    """Compute the positions of a marker set on the moving body in every frame of a motion.
 
     They lie on the skin; real markers stand about a centimetre off it.
 
     Args:
         motion: one clip without a batch axis.
-        body: whose motion it is.
+        body: the body model of the motion.
         markers: the set.
         name: of the recording.
 
@@ -151,7 +151,7 @@ def markers_of(
 
 
 def places_of(markers: str) -> dict[str, BodyPlace]:
-    """The place on the body of every marker of a marker set, keyed by label."""
+    """Return the place on the body of every marker of a marker set, keyed by label."""
     known = landmarks()
     return {
         label: BodyPlace(landmarks=(point,)) if point in known else PLACES[point]

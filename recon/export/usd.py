@@ -35,7 +35,7 @@ def write_usd(path: Path, motion: Motion, body: BodyModel, names: BoneNames = "s
     Args:
         path: file to write; .usda is text, .usd and .usdc are binary.
         motion: one clip without a batch axis.
-        body: whose motion it is.
+        body: the body model of the motion.
         names: of joints; USD allows letters, digits and underscores, others become underscores.
 
     Raises:
@@ -58,7 +58,7 @@ def joint_paths(
     joints: tuple[str, ...] = JOINTS,
     parents: tuple[int, ...] = PARENTS,
 ) -> list[str]:
-    """UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
+    """Return UsdSkel's name of every joint: its path in the tree, as pelvis/left_hip/left_knee."""
     paths: list[str] = []
     told = (re.sub(r"\W", "_", name) for name in joint_names_in(joints, names))
     for name, parent in zip(told, parents, strict=True):
@@ -67,7 +67,7 @@ def joint_paths(
 
 
 def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) -> None:
-    """Make a USD stage with one person and write it."""
+    """Write a USD stage with one person: skeleton, animation and skinned mesh."""
     pxr: Any = import_module("pxr")
     bones = Skeleton.of(motion, body)
     joints = joint_paths(names, bones.names, bones.parents)
@@ -86,10 +86,10 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) 
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
     # the rest pose, in the world (bind) and relative to the parents (rest)
     skeleton.CreateJointsAttr(pxr.Vt.TokenArray(joints))
-    skeleton.CreateBindTransformsAttr(_matrices(pxr, np.linalg.inv(bones.binds.astype(float))))
+    skeleton.CreateBindTransformsAttr(_usd_matrices(pxr, np.linalg.inv(bones.binds.astype(float))))
     apart = np.tile(np.eye(4), (len(joints), 1, 1))
     apart[:, :3, 3] = bones.offsets
-    skeleton.CreateRestTransformsAttr(_matrices(pxr, apart))
+    skeleton.CreateRestTransformsAttr(_usd_matrices(pxr, apart))
     animation = pxr.UsdSkel.Animation.Define(stage, "/person/motion")
     _write_animation(pxr, animation, motion, bones, joints)
     binding = pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
@@ -108,8 +108,8 @@ def _write_stage(path: Path, motion: Motion, body: BodyModel, names: BoneNames) 
     layer.Save()
 
 
-def _matrices(pxr: Any, transforms: Float[np.ndarray, "joints 4 4"]) -> Any:
-    """Transforms of columns as USD has them, which multiplies rows."""
+def _usd_matrices(pxr: Any, transforms: Float[np.ndarray, "joints 4 4"]) -> Any:
+    """Convert transforms to matrices of USD, transposed since USD multiplies row vectors."""
     rows = transforms.transpose(0, 2, 1).tolist()
     return pxr.Vt.Matrix4dArray(
         [pxr.Gf.Matrix4d(*(x for row in one for x in row)) for one in rows]

@@ -15,44 +15,44 @@ from jaxtyping import Float, Int, UInt8
 from recon.detections.records import Background, Detections
 
 _LONGEST_SIDE = 480
-"""Pixels to which images are reduced."""
+"""Longer side (pixels) to which images are reduced before points are followed."""
 _MOST_POINTS, _FEWEST_POINTS = 120, 90
-"""Points that are followed at once, and number below which new ones are looked for."""
+"""Most points followed at once, and number of points below which new ones are detected."""
 _APART = 12
-"""Pixels between two points."""
+"""Least distance (pixels of the reduced image) of a newly detected point from all others."""
 _CORNER, _CORNER_BLOCK, _CORNER_SHAPE = 0.001, 9, 0.1
-"""Least strength of a corner as a share of the strongest, pixels of its neighbourhood, and Harris'
-k, which refuses structure tensors whose eigenvalues differ by a factor above about 8."""
+"""Least corner strength as a share of the strongest, side (pixels) of its neighbourhood, and
+Harris' k, which refuses structure tensors whose eigenvalues differ by more than about 8 times."""
 _WINDOW, _LEVELS = (15, 15), 3
-_RETURN = 0.5
-"""Pixels by which a point that is followed there and back may be off."""
-_AROUND = 0.12
-"""Share of a person's larger side by which their box is widened: hair, clothes, hands."""
+_MOST_RETURN_ERROR = 0.5
+"""Largest error (pixels) of a point that is followed into the next image and back again."""
+_BOX_MARGIN = 0.12
+"""Margin around the box of a person's keypoints, over its longer side, for hair and clothes."""
 _FEWEST_BEHIND = 8
-"""Points of the background in most pictures without which nothing is told."""
-_LONG = 10
-"""Pictures through which a point is followed that tells whether the camera moves."""
-_STAYS = 0.006
-"""Share of the image's longer side within which the background of a still camera stays."""
-_MOST_MOVE = 0.7
-"""Share of the long followed points that leave their place where the camera moves; people who were
-not found, shadows and cars are fewer."""
+"""Fewest background points per picture, and fewest long tracks, that tell of a camera's motion."""
+_LONG_TRACK = 10
+"""Fewest pictures of a point's track that tells whether the camera moves."""
+_STILL_EXTENT = 0.006
+"""Largest extent of a point's track before a still camera, over the image's longer side."""
+_MOVING_SHARE = 0.7
+"""Least share of the long tracks that exceed `_STILL_EXTENT` where the camera moves; those on
+people who were not found, on shadows and on cars are fewer."""
 
 
 @dataclass
 class FollowedPoints:
-    """Points that are followed from picture to picture of a film."""
+    """Background points that are followed from picture to picture of a film."""
 
     frames: list[Int[np.ndarray, " points"]] = field(default_factory=list)
     numbers: list[Int[np.ndarray, " points"]] = field(default_factory=list)
     pixels: list[Float[np.ndarray, "points 2"]] = field(default_factory=list)
-    """Of the images as they were given; a list has an item for every picture."""
+    """Positions in the images as they were given; each of the lists has one array per picture."""
     _grey: UInt8[np.ndarray, "height width"] | None = None
     _shot: int = -1
     _next: int = 0
 
     def step(self, image: UInt8[np.ndarray, "height width 3"], frame: int, shot: int) -> None:
-        """Follow the points into the next picture; nothing is followed across a cut."""
+        """Follow the points into the next picture, and detect new ones; begin anew at a cut."""
         scale = max(1.0, max(image.shape[:2]) / _LONGEST_SIDE)
         size = tuple(max(1, round(side / scale)) for side in image.shape[1::-1])
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -63,7 +63,7 @@ class FollowedPoints:
             places, kept = self._tracked_into(grey, before)
             places, numbers = places[kept], self.numbers[-1][kept]
         if len(places) < _FEWEST_POINTS:
-            fresh = _corners(grey, places)
+            fresh = _new_corners(grey, places)
             places = np.concatenate((places, fresh))
             numbers = np.concatenate((numbers, self._next + np.arange(len(fresh))))
             self._next += len(fresh)
@@ -75,11 +75,11 @@ class FollowedPoints:
     def _tracked_into(
         self, grey: UInt8[np.ndarray, "height width"], before: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], np.ndarray]:
-        """Places of the points in the next image, and which of them are found."""
+        """Return the points' positions in the next image, and which return when followed back."""
         there, found, _ = _optical_flow(self._grey, grey, before)
         back, again, _ = _optical_flow(grey, self._grey, there)
         inside = ((there >= 0) & (there < grey.shape[::-1])).all(-1)
-        returned = np.linalg.norm(back - before, axis=-1) < _RETURN
+        returned = np.linalg.norm(back - before, axis=-1) < _MOST_RETURN_ERROR
         return there, (found[:, 0] > 0) & (again[:, 0] > 0) & inside & returned
 
 
@@ -89,10 +89,10 @@ def _optical_flow(one: Any, other: Any, places: np.ndarray) -> Any:
     )
 
 
-def _corners(
+def _new_corners(
     grey: UInt8[np.ndarray, "height width"], places: Float[np.ndarray, "points 2"]
 ) -> Float[np.ndarray, "corners 2"]:
-    """Corners of an image away from these places."""
+    """Detect corners (pixels) of an image that are not close to points already followed."""
     free = np.full(grey.shape, 255, np.uint8)
     for x, y in places.round().astype(int).tolist():
         cv2.circle(free, (x, y), _APART, 0, -1)
@@ -104,13 +104,13 @@ def _corners(
 
 
 def moving_background(seen: Background, people: Detections) -> tuple[Background | None, str]:
-    """The background behind the people of a film; None where the camera stands still.
+    """Return points of the background if the camera moves, else None; and a note.
 
-    Also a note, where too few points tell; the camera is taken as standing still then.
+    The note, otherwise empty, says that too few points tell; the camera then counts as still.
 
     Args:
         seen: all followed points, pixels of the film.
-        people: of the film, whose image size is known.
+        people: everybody in the film, whose points are left out; with the size of its images.
     """
     assert people.image_size is not None
     behind = _without_people(seen, people)
@@ -124,14 +124,14 @@ def moving_background(seen: Background, people: Detections) -> tuple[Background 
     low, high = np.full((len(count), 2), np.inf), np.full((len(count), 2), -np.inf)
     np.minimum.at(low, behind.point, behind.pixels)
     np.maximum.at(high, behind.point, behind.pixels)
-    extent = np.linalg.norm(high - low, axis=-1)[count >= _LONG]
-    moved = extent > _STAYS * max(people.image_size)
-    moves = len(moved) >= _FEWEST_BEHIND and moved.mean() > _MOST_MOVE
+    extent = np.linalg.norm(high - low, axis=-1)[count >= _LONG_TRACK]
+    moved = extent > _STILL_EXTENT * max(people.image_size)
+    moves = len(moved) >= _FEWEST_BEHIND and moved.mean() > _MOVING_SHARE
     return (behind if moves else None), ""
 
 
 def _without_people(seen: Background, people: Detections) -> Background:
-    """Points outside everybody's box; a point that a person covered gets a new number after it."""
+    """Return points outside all people's boxes; one that a box covers has a new number after."""
     order = np.lexsort((seen.frame, seen.point))
     frame, point, pixels = seen.frame[order], seen.point[order], seen.pixels[order]
     covered = np.zeros(len(frame), bool)
@@ -140,9 +140,9 @@ def _without_people(seen: Background, people: Detections) -> Background:
         if not (sure > 0).any():
             continue
         low, high = person[sure > 0].min(0), person[sure > 0].max(0)
-        wide = _AROUND * (high - low).max()
+        margin = _BOX_MARGIN * (high - low).max()
         rows = by_frame[slice(*np.searchsorted(frame[by_frame], (number, number + 1)))]
-        covered[rows] |= ((pixels[rows] > low - wide) & (pixels[rows] < high + wide)).all(1)
+        covered[rows] |= ((pixels[rows] > low - margin) & (pixels[rows] < high + margin)).all(1)
     parts = np.stack((point, np.cumsum(covered)))[:, ~covered]
     again = np.unique(parts, axis=1, return_inverse=True)[1].ravel()
     return Background(frame[~covered], again, pixels[~covered])

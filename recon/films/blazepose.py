@@ -1,8 +1,8 @@
-"""The networks of BlazePose: where people are in an image, and 33 landmarks of each.
+"""Runs the networks of BlazePose, which find people in an image and 33 landmarks of each.
 
 Bazarevsky et al., "BlazePose: On-device Real-time Body Pose tracking" (2020). A small detector
-gives, for a square image, the middle of the hips of everybody and a circle around the body; the
-square about this circle, turned so that the trunk is upright, is cut out for a second network.
+gives, for a square image, the mid hips of every person and a circle around the body; the square
+about this circle, turned so that the trunk is upright, is cut out for a second network.
 """
 
 import os
@@ -21,52 +21,52 @@ from recon.core.errors import ReconError
 Image = UInt8[np.ndarray, "height width 3"]
 LANDMARKS = 33
 _POINTS = 39
-"""Of the second network: landmarks, then two that give the next region, and four of hands."""
-_NEXT = slice(33, 35)
+"""Points from the second network: 33 landmarks, 2 for the next region, and 4 of the hands."""
+_NEXT_REGION = slice(33, 35)
 _DETECTOR_SIDE, _SIDE, _HEAT = 224, 256, 64
-"""Pixels of the networks' inputs, and of the heat maps."""
+"""Sides (pixels) of both networks' square inputs, and of the heat maps."""
 _ANCHORS = {28: 2, 14: 2, 7: 6}
-"""Cells of a side of each of the detector's grids, and boxes per cell."""
+"""Boxes per cell of each of the detector's grids, by the number of cells along a side."""
 _LEAST_SCORE = 0.5
 _OVERLAP = 0.3
-"""Intersection over union from which on two boxes show the same."""
+"""Intersection over union above which two detected boxes are taken for one object."""
 _GROWTH = 1.25
-"""Side of the region per diameter of the circle around the body."""
+"""Side of a person's region over the diameter of the circle around the body."""
 _REACH = 3
-"""Pixels of the heat map about a landmark whose centre of mass refines it."""
+"""Cells of the heat map on each side of a landmark whose centre of mass refines its position."""
 _LEAST_HEAT = 0.5
 MIRRORED = np.array(
     [0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9, *(k + 1 if k % 2 else k - 1 for k in range(11, 33))]
 )
-"""Which landmark each is in a mirror: left and right exchanged."""
+"""Index of each landmark's counterpart on the other side of the body."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """A turned square in an image that holds a person."""
+    """A rotated square in an image, around a person or a hand."""
 
     centre: Float[np.ndarray, "2"]
-    """Pixels."""
+    """Position in the image, pixels."""
     side: float
-    """Pixels."""
+    """Length of a side, pixels."""
     angle: float
-    """Radians by which the square's upper edge is turned clockwise from that of the image."""
+    """Clockwise rotation of the square in the image, radians."""
 
     @classmethod
     def of_points(cls, hips: Float[np.ndarray, "2"], rim: Float[np.ndarray, "2"]) -> "Region":
-        """The square about a person, from the mid hips and a point of the circle around them."""
-        way = rim - hips
-        angle = float(np.arctan2(way[0], -way[1]))
-        return cls(hips, 2 * _GROWTH * float(np.linalg.norm(way)), angle)
+        """Return the square around a person, given the mid hips and the top of the circle."""
+        up = rim - hips
+        angle = float(np.arctan2(up[0], -up[1]))
+        return cls(hips, 2 * _GROWTH * float(np.linalg.norm(up)), angle)
 
     def to_image(self, pixels: int) -> Float[np.ndarray, "2 3"]:
-        """The affine map from the square's cut-out of so many pixels to the image."""
+        """Return the affine map from the square, resampled to `pixels` a side, to the image."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         turn = np.array([[cos, -sin], [sin, cos]]) * self.side / pixels
         return np.column_stack((turn, self.centre - turn @ np.full(2, (pixels - 1) / 2)))
 
     def cut(self, image: Image, pixels: int) -> UInt8[np.ndarray, "pixels pixels 3"]:
-        """The square as an upright image; black beyond the border of the image."""
+        """Return the square as an upright image of its own; black beyond the original's border."""
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(
             cv2.warpAffine(image, self.to_image(pixels), (pixels, pixels), flags=how)
@@ -75,26 +75,26 @@ class Region:
 
 @dataclass(frozen=True)
 class Pose:
-    """Landmarks that the second network finds in a region, and their scores."""
+    """The 33 landmarks of a person that BlazePose's second network finds in a region."""
 
     pixels: Float[np.ndarray, "33 2"]
-    """In the image, guessed also for what it does not show."""
+    """Positions in the image; those of landmarks that are not seen are guessed."""
     visibility: Float[np.ndarray, " 33"]
-    """How likely a landmark is seen and not covered."""
+    """Probability that a landmark is seen and not covered."""
     presence: Float[np.ndarray, " 33"]
-    """How likely it is in the region."""
+    """Probability that a landmark lies in the region."""
     inside: Bool[np.ndarray, " 33"]
-    """Whether it is in the region; the network cannot say more than that it lies beyond."""
+    """Whether a landmark's position is in the region; beyond it, positions are unreliable."""
     score: float
-    """How likely the region holds a person."""
+    """Probability that the region holds a person."""
     region: Region
-    """That was looked at."""
+    """Square of the image in which the landmarks were looked for."""
     next_points: Float[np.ndarray, "2 2"]
-    """The hips and a point of the circle around the body, for the region of the next frame."""
+    """Mid hips and top of the circle around the body, for the region of the next frame."""
 
 
 class BlazePose:
-    """The two networks of BlazePose, run by LiteRT."""
+    """BlazePose's detector of people and its network for their landmarks, run by LiteRT."""
 
     def __init__(self, landmarks: Path | None = None) -> None:
         """Load both networks.
@@ -111,7 +111,7 @@ class BlazePose:
         self._anchors = anchors_of_grids(_ANCHORS)
 
     def find(self, image: Image, square: Region | None = None) -> list[tuple[Region, float]]:
-        """People in an image, or in a square of it, with their scores; the surest first."""
+        """Return a region and score for each person in an image or a square, best first."""
         height, width = image.shape[:2]
         if square is None:
             square = Region(np.array([width - 1, height - 1]) / 2, float(max(width, height)), 0.0)
@@ -125,9 +125,9 @@ class BlazePose:
         return found
 
     def poses(self, image: Image, region: Region) -> tuple[Pose, Pose]:
-        """Landmarks of the person in a region, found in the image and in its mirror image.
+        """Find a person's landmarks twice: in a region of the image and in its mirror image.
 
-        A mirror image gives the same person: places are mirrored back, left and right named anew.
+        Those from the mirror image are mirrored back, with left and right exchanged.
         """
         cut = region.cut(image, _SIDE)
         return self._pose(cut, region, mirror=False), self._pose(cut[:, ::-1], region, mirror=True)
@@ -149,12 +149,12 @@ class BlazePose:
             inside=inside[:LANDMARKS],
             score=float(score[0]),
             region=region,
-            next_points=pixels[_NEXT],
+            next_points=pixels[_NEXT_REGION],
         )
 
 
 def bundled_folder() -> Path:
-    """The folder of the model files.
+    """Return the folder in which the extra `film` installed its networks.
 
     Raises:
         ReconError: when the extra `film` is not installed.
@@ -171,7 +171,7 @@ def bundled_folder() -> Path:
 
 
 class Network:
-    """A network in a file of TensorFlow Lite."""
+    """A neural network that is read from a TensorFlow Lite file and run by LiteRT."""
 
     def __init__(self, path: Path, first: tuple[int, ...]) -> None:
         from ai_edge_litert.interpreter import Interpreter
@@ -193,9 +193,9 @@ class Network:
             )
 
     def __call__(self, image: np.ndarray, *more: tuple[int, ...]) -> list[np.ndarray]:
-        """Outputs for an image: that of the shape `first`, then those of the shapes `more`.
+        """Run the network on an image; return its outputs of the shapes `first` and `more`.
 
-        Of several outputs of one shape it is the first by their names.
+        Of several outputs of one shape, the first by name is returned.
         """
         self._run.set_tensor(self._input, image[None].astype(np.float32))
         self._run.invoke()
@@ -204,7 +204,7 @@ class Network:
 
 @contextmanager
 def _without_stderr() -> Iterator[None]:
-    """Context in which libraries write nothing to stderr, as LiteRT does for every network."""
+    """Silence stderr in a `with` block, since LiteRT writes to it for every network it loads."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
@@ -216,20 +216,20 @@ def _without_stderr() -> Iterator[None]:
 
 
 def _sigmoid(logits: np.ndarray) -> np.ndarray:
-    """Probabilities of a network's scores."""
+    """Return probabilities for a network's logits."""
     return 1 / (1 + np.exp(-np.clip(logits.astype(float), -80, 80)))
 
 
-def mapped(points: Float[np.ndarray, "n 2"], way: Float[np.ndarray, "2 3"]) -> np.ndarray:
-    """Points after an affine map."""
-    return points @ way[:, :2].T + way[:, 2]
+def mapped(points: Float[np.ndarray, "n 2"], affine: Float[np.ndarray, "2 3"]) -> np.ndarray:
+    """Return 2D points transformed by an affine map."""
+    return points @ affine[:, :2].T + affine[:, 2]
 
 
 def anchors_of_grids(boxes: Mapping[int, int]) -> Float[np.ndarray, "anchors 2"]:
-    """Centres that a detector's boxes are relative to, as fractions of its image.
+    """Return the centres of a detector's anchor boxes, as fractions of the image's side.
 
     Args:
-        boxes: number of boxes in each cell, by the cells of a side of a grid over the image.
+        boxes: boxes per cell of each grid over the image, by the number of cells along a side.
     """
     grids = [
         np.repeat(np.mgrid[:side, :side].reshape(2, -1)[::-1].T + 0.5, count, axis=0) / side
@@ -243,9 +243,9 @@ def detected_boxes(
     image: Float32[np.ndarray, "side side 3"],
     anchors: Float[np.ndarray, "anchors 2"],
 ) -> Iterator[tuple[Float[np.ndarray, "points 2"], float]]:
-    """Centre, size and keypoints of everything that a detector finds, surest first; and scores.
+    """Yield centre, size and keypoints of each detected box, and its score, highest first.
 
-    Places and sizes are fractions of the image; boxes that overlap are averaged by their scores.
+    All are fractions of the image's side; overlapping boxes are averaged, weighted by scores.
     """
     boxes, logits = detector(image, (len(anchors), 1))
     scores = _sigmoid(logits[:, 0])
@@ -261,9 +261,9 @@ def detected_boxes(
 def _overlapping_boxes(
     middles: Float[np.ndarray, "n 2"], sizes: Float[np.ndarray, "n 2"], scores: np.ndarray
 ) -> list[np.ndarray]:
-    """Groups of boxes that overlap the most confident box not yet in a group.
+    """Group overlapping boxes; return each group's indices, by descending score.
 
-    Their indices, by descending confidence.
+    A group holds the boxes that overlap the highest-scoring box that is not yet in a group.
     """
     low, high, area = middles - sizes / 2, middles + sizes / 2, sizes.prod(1)
     left, groups = np.argsort(-scores), list[np.ndarray]()
@@ -281,7 +281,7 @@ def _overlapping_boxes(
 def _refined_by_heatmap(
     places: Float[np.ndarray, "39 2"], heat: Float[np.ndarray, "64 64 39"]
 ) -> Float[np.ndarray, "39 2"]:
-    """Places moved to the centre of mass of the heat about them, where it is hot enough."""
+    """Move each point to the nearby centre of mass of its heat map, if that has a clear peak."""
     step = _SIDE // _HEAT
     cells = np.floor(places / step).astype(int)
     own = ((cells >= 0) & (cells < _HEAT)).all(1)
@@ -295,9 +295,9 @@ def _refined_by_heatmap(
         np.clip(columns, 0, _HEAT - 1)[:, None],
         np.arange(_POINTS)[:, None, None],
     ]
-    warmth = np.where(there, _sigmoid(patch), 0.0)
-    total = warmth.sum((1, 2))
-    x = (warmth * columns[:, None]).sum((1, 2)) / np.maximum(total, 1e-9)
-    y = (warmth * rows[:, :, None]).sum((1, 2)) / np.maximum(total, 1e-9)
-    hot = own & (warmth.max((1, 2)) >= _LEAST_HEAT)
-    return np.where(hot[:, None], np.stack((x, y), -1) * step, places)
+    probability = np.where(there, _sigmoid(patch), 0.0)
+    total = probability.sum((1, 2))
+    x = (probability * columns[:, None]).sum((1, 2)) / np.maximum(total, 1e-9)
+    y = (probability * rows[:, :, None]).sum((1, 2)) / np.maximum(total, 1e-9)
+    clear = own & (probability.max((1, 2)) >= _LEAST_HEAT)
+    return np.where(clear[:, None], np.stack((x, y), -1) * step, places)

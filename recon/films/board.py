@@ -1,4 +1,4 @@
-"""Lenses and poses of cameras from films of a checkerboard (Zhang 2000, by OpenCV)."""
+"""Calibrates lenses and poses of cameras from films of a checkerboard (Zhang 2000, by OpenCV)."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -17,27 +17,27 @@ from recon.films.decoding import Film, open_film
 from recon.formats.cameras import CameraArrays, guessed_camera
 
 _RATE = 5.0
-"""Moments per second at which the board is looked for."""
+"""Moments per second, in each of which the board is looked for in one picture."""
 _MOST, _FEWEST, _FEWEST_SHARED = 50, 8, 3
-"""Moments that a lens is found from at most and at least, and those in which two cameras must see
-the board."""
-_SURE = 0.02
-"""Relative standard deviation of a focal length up to which it is told."""
-_FAR_OFF = 3.0
-"""A moment whose corners are so many times farther off than usual is left out: it is blurred."""
+"""Most and fewest moments from which a lens is calibrated, and fewest moments at which two cameras
+must both see the board."""
+_MOST_DEVIATION = 0.02
+"""Largest relative standard deviation of a focal length that is accepted."""
+_BLURRED = 3.0
+"""Multiple of the median corner error of all moments above which one is left out as blurred."""
 _STILL, _STILL_S = 0.5, 1.0
-"""Pixels by which corners of a board on the floor move from moment to moment at most, and seconds
-that it lies there at least."""
+"""Largest movement (pixels) from moment to moment of the corners of a board that lies still, and
+least seconds that it must lie on the floor."""
 _MOVED = 5.0
-"""Pixels by which a corner has moved, at least, since the last moment that counts for a lens."""
+"""Least movement (pixels) of a corner from one moment to the next of those used for a lens."""
 _LENS = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
 Corners = Float[np.ndarray, "rows columns 2"]
-"""Inner corners of a board in an image, pixels."""
+"""Positions of a board's inner corners in an image, pixels."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A checkerboard."""
+    """A checkerboard for calibration: numbers of its inner corners and size of its squares."""
 
     columns: int
     """Inner corners along a row."""
@@ -47,10 +47,10 @@ class Board:
 
     @classmethod
     def of(cls, board: str, square: str | None) -> "Board":
-        """The board of "9x6" inner corners with squares of "25mm".
+        """Read a board from texts: "9x6", its inner corners, and "25mm", the side of a square.
 
         Raises:
-            ObservationError: when these are not what they should be.
+            ObservationError: when a text has another form, or a number is out of range.
         """
         size = re.fullmatch(r"(\d{1,2})\s*[xX]\s*(\d{1,2})", board.strip())
         side = re.fullmatch(
@@ -70,12 +70,12 @@ class Board:
 
     @property
     def points(self) -> Float[np.ndarray, "corners 3"]:
-        """The corners on the board, row by row, metres."""
+        """Inner corners in the board's own frame, row by row, metres; z is 0."""
         y, x = np.mgrid[: self.rows, : self.columns]
         return np.stack((x, y, 0 * x), -1).reshape(-1, 3).astype(np.float32) * self.square
 
     def seen_in(self, image: UInt8[np.ndarray, "height width 3"]) -> Corners | None:
-        """The corners in an image, beginning with the one at which a dark square lies."""
+        """Find the inner corners in an image, from one at a dark square on; None if not found."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, found = cv2.findChessboardCornersSB(grey, (self.columns, self.rows))
         if not there:
@@ -94,19 +94,19 @@ class Board:
 
 @dataclass(frozen=True)
 class _Lens:
-    """One camera: its lens, and the corners of the board that it saw at each moment."""
+    """A camera with a calibrated lens, and the corners of the board that it saw."""
 
     seen: Mapping[int, Corners]
-    """By moment."""
+    """Corners by the number of the moment at which they were seen."""
     camera: CameraArrays
     error: float
-    """Distance of corners from where they should be, pixels."""
+    """Root mean square reprojection error of the corners, pixels."""
     std: float
     """Relative standard deviation of the focal length."""
 
     @property
     def lens(self) -> tuple[np.ndarray, np.ndarray]:
-        """The camera matrix and distortion."""
+        """Camera matrix and distortion coefficients, as OpenCV takes them."""
         assert self.camera.distortion is not None
         return self.camera.camera_matrix, self.camera.distortion
 
@@ -114,23 +114,23 @@ class _Lens:
 def cameras_of_board(
     paths: Sequence[Path], board: Board
 ) -> tuple[dict[str, CameraArrays], float, tuple[str, ...]]:
-    """Lenses from films of a board, and poses where several cameras see it at once.
+    """Calibrate the lenses of cameras from films of a board, and the poses of several cameras.
 
-    Several films begin at one moment. The ground is where the board lies still for a second.
+    Several films begin at one time. The ground is where the board lies still for a second.
 
     Args:
-        paths: of films; their names are those of the cameras.
-        board: that is moved and tilted before them.
+        paths: of films, one for each camera, whose names become those of the cameras.
+        board: the checkerboard that is moved and tilted before the cameras.
 
     Returns:
-        The cameras by name, the mean distance of a corner from where it should be, as a share of
-        the focal length, and what was found.
+        The cameras by name, the mean reprojection error of corners, as a share of the focal
+        length, and notes on what was found.
 
     Raises:
         FileNotFoundError: when there is no such film.
-        ObservationError: when it does not show enough of the board; says what to do.
+        ObservationError: when a film does not show enough of the board; says what to do.
     """
-    lenses = {path.stem: _lens(open_film(path), board) for path in paths}
+    lenses = {path.stem: _calibrated_lens(open_film(path), board) for path in paths}
     if len(lenses) < len(paths):
         raise ObservationError(
             f"expected one name for each camera, got {', '.join(one.stem for one in paths)}"
@@ -151,7 +151,7 @@ def cameras_of_board(
     return cameras, float(np.mean(shares)), tuple(said)
 
 
-def _lens(film: Film, board: Board) -> _Lens:
+def _calibrated_lens(film: Film, board: Board) -> _Lens:
     seen: dict[int, Corners] = {}
     last = -1
     for frame in film:
@@ -174,13 +174,13 @@ def _lens(film: Film, board: Board) -> _Lens:
     chosen = moved[:: -(-len(moved) // _MOST)]
     found = _calibrated_camera(film, board, [seen[k] for k in chosen])
     off = found[1]
-    kept = [k for k, one in zip(chosen, off, strict=True) if one <= _FAR_OFF * np.median(off)]
+    kept = [k for k, one in zip(chosen, off, strict=True) if one <= _BLURRED * np.median(off)]
     camera, off, std = _calibrated_camera(film, board, [seen[k] for k in kept])
-    if std > _SURE:
+    if std > _MOST_DEVIATION:
         raise ObservationError(
             f"{film.path}: the focal length is uncertain by {std:.0%}, expected at most "
-            f"{_SURE:.0%}; tilt the board by 30 to 45 degrees each way, and bring it near, into "
-            "every part of the image"
+            f"{_MOST_DEVIATION:.0%}; tilt the board by 30 to 45 degrees each way, and bring it "
+            "near, into every part of the image"
         )
     return _Lens(seen, camera, float(np.sqrt(np.mean(np.square(off)))), std)
 
@@ -188,7 +188,7 @@ def _lens(film: Film, board: Board) -> _Lens:
 def _calibrated_camera(
     film: Film, board: Board, seen: Sequence[Corners]
 ) -> tuple[CameraArrays, Float[np.ndarray, " moments"], float]:
-    """The camera, the error of every moment, pixels, and the focal length's relative deviation."""
+    """Fit a camera; return it, errors of moments (pixels) and its focal length's relative std."""
     places = [one.reshape(-1, 1, 2).astype(np.float32) for one in seen]
     guess = guessed_camera(film.image_size, film.stated_focal)
     _, matrix, distortion, _, _, stds, _, off = cv2.calibrateCameraExtended(
@@ -200,7 +200,7 @@ def _calibrated_camera(
 
 
 def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.ndarray, "4 4"]]:
-    """Poses in the frame of the first camera, each by that with which it shares most moments."""
+    """Return each T_camera_first (4 x 4), by pairs of cameras that see the board together."""
     if (board.columns + board.rows) % 2 == 0:
         raise ObservationError(
             f"board: one of {board.columns}x{board.rows} corners looks the same upside down, so "
@@ -233,7 +233,7 @@ def _relative_poses(lenses: Mapping[str, _Lens], board: Board) -> list[Float[np.
 
 
 def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
-    """Moments at which both see the board, at most so many, evenly spread."""
+    """Return at most 50 evenly spread moments at which two cameras both see the board."""
     both = sorted(one.seen.keys() & other.seen.keys())
     step = max(1, -(-len(both) // _MOST))
     return both[::step]
@@ -242,7 +242,7 @@ def _moments_both_see(one: _Lens, other: _Lens) -> list[int]:
 def _above_floor(
     poses: Sequence[Float[np.ndarray, "4 4"]], lenses: Sequence[_Lens], board: Board
 ) -> tuple[list[Float[np.ndarray, "4 4"]], str]:
-    """T_camera_world above the floor on which the board lies longest, and a note on it."""
+    """Return each T_camera_world, z = 0 being where the board lies still longest, and a note."""
     rests = [_longest_rest(lens.seen) for lens in lenses]
     moments = max(rests, key=_duration)
     if _duration(moments) < _STILL_S:
@@ -266,9 +266,9 @@ def _above_floor(
 
 
 def _longest_rest(seen: Mapping[int, Corners]) -> list[int]:
-    """The moments of the longest time in which the board does not move.
+    """Return the moments of the longest period in which the board does not move.
 
-    Pictures that repeat the one before are no moments, and neither are those that somebody hides.
+    A gap of up to a second, in which the board is hidden, does not end the period.
     """
     runs: list[list[int]] = []
     for moment in sorted(seen):
@@ -282,5 +282,5 @@ def _longest_rest(seen: Mapping[int, Corners]) -> list[int]:
 
 
 def _duration(moments: Sequence[int]) -> float:
-    """Seconds from the first to the last moment."""
+    """Return the seconds from the first to the last moment."""
     return (moments[-1] - moments[0]) / _RATE

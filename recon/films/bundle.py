@@ -1,10 +1,9 @@
-"""Refines poses of pictures, points, and a focal length together: bundle adjustment.
+"""Refines camera poses, background points and a focal length together (bundle adjustment).
 
 After Triggs et al. 2000. A picture of rotation R and translation t sees the point X = (x, y, z, w)
 at f π(R (x, y, z) + w t), π(a, b, c) = (a, b) / c. Points are homogeneous and of length one, so
 that those far away do no harm. Damped Gauss-Newton steps, points eliminated, lower the sum of
-Geman-McClure functions r² / (1 + r²) of the distances r between where points are and should be
-seen, over their noise.
+Geman-McClure functions r² / (1 + r²), r being reprojection errors over their standard deviation.
 """
 
 from collections.abc import Callable
@@ -21,56 +20,56 @@ from scipy.spatial.transform import Rotation
 from recon.core import rotations as so3
 
 NOISE = 0.001
-"""Radians by which points agree."""
+"""Standard deviation of an observed point, as a tangent (about radians)."""
 _MISFIT = 4.0
-"""Multiples of the noise by which a misfit is off; a point is given up with half of them."""
+"""Reprojection error, in multiples of the noise, above which an observation is a misfit."""
 _CLOSEST = 1e-6
-"""Least depth of what is in front of a camera, in lengths of a point."""
+"""Least depth of a homogeneous point of length one that lies in front of a camera."""
 _RIDGE = 1e-9
-"""Added to the diagonal of normal matrices, for pictures and points that nothing holds."""
+"""Added to the diagonal of normal matrices, which observations may leave singular."""
 _MOST_DAMPING, _LEAST_DAMPING = 1e6, 1e-7
 _SMALL_GAIN = 1e-4
-"""Share of the cost by which a last step lowers it."""
+"""Relative decrease of the objective in a step, below which a refinement ends."""
 _MOST_ZOOM = 0.1
-"""Most change of the logarithm of the focal length in a step."""
+"""Largest change of the logarithm of the focal length in a step."""
 
 
 @dataclass
 class SeenBackground:
-    """Pictures, points of the background, and where they are seen."""
+    """Camera poses of pictures, background points in space, and observations of these points."""
 
     picture: Int[np.ndarray, " seen"]
     point: Int[np.ndarray, " seen"]
     places: Float[np.ndarray, "seen 2"]
-    """x/z and y/z for the focal length that was given."""
+    """Observed x/z and y/z in the camera's frame, by the focal length that was given."""
     R: Float[np.ndarray, "pictures 3 3"]
-    """From the world to the camera, as t."""
+    """Rotations from the world to the cameras; `t` are the translations."""
     t: Float[np.ndarray, "pictures 3"]
     X: Float[np.ndarray, "points 4"]
     placed: Bool[np.ndarray, " pictures"]
-    """Pictures whose poses are known."""
+    """Whether the pose of each picture is known."""
     known: Bool[np.ndarray, " points"]
     focal: float = 1.0
-    """Over the one that was given."""
+    """Focal length as a multiple of the one that was given."""
     normal: Float[np.ndarray, "n n"] = field(default_factory=lambda: np.zeros((0, 0)))
-    """Normal matrix of the last refinement of points: a turn and a shift of every picture that
-    moved, and the logarithm of the focal length if it was free."""
+    """Normal matrix of the last refinement of points, which are eliminated: rotation and
+    translation of every moved picture, and the logarithm of the focal length if it was free."""
 
     def usable(self) -> Bool[np.ndarray, " seen"]:
-        """Observations of known points in placed pictures."""
+        """Return which observations are of known points in pictures with known poses."""
         return self.placed[self.picture] & self.known[self.point]
 
     def centres(self) -> Float[np.ndarray, "pictures 3"]:
-        """Places of the cameras in the world."""
+        """Return the cameras' positions in the world."""
         return -np.einsum("kji,kj->ki", self.R, self.t)
 
     def in_cameras(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, "rows 3"]:
-        """Points of some observations in the frames of their cameras, times w."""
+        """Return observed points in the frames of their cameras, times their homogeneous w."""
         k, X = self.picture[rows], self.X[self.point[rows]]
         return np.einsum("nij,nj->ni", self.R[k], X[:, :3]) + self.t[k] * X[:, 3:]
 
     def errors(self, rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-        """Reprojection errors on the plane z = 1; infinite for points behind a camera."""
+        """Return reprojection errors over the given focal length; infinite behind a camera."""
         there = self.in_cameras(rows)
         front = there[:, 2] > _CLOSEST
         seen = there[:, :2] / np.where(front, there[:, 2], 1.0)[:, None]
@@ -79,7 +78,7 @@ class SeenBackground:
         )
 
     def triangulate(self) -> None:
-        """Place all further points that two placed pictures see, by linear least squares."""
+        """Locate the points not yet known that two or more placed pictures see (linearly)."""
         rows = np.flatnonzero(self.placed[self.picture] & ~self.known[self.point])
         P = np.concatenate((self.R, self.t[:, :, None]), 2)[self.picture[rows]]
         A = (self.places[rows] / self.focal)[:, :, None] * P[:, 2:] - P[:, :2]
@@ -95,7 +94,7 @@ class SeenBackground:
         self.drop_misfits()
 
     def drop_misfits(self) -> None:
-        """Forget points that half of their pictures contradict."""
+        """Mark a point as unknown if it fits in fewer than two, or half, of its pictures."""
         rows = np.flatnonzero(self.usable())
         fits = rows[self.errors(rows) < _MISFIT * NOISE]
         of_all, of_fits = (
@@ -113,15 +112,16 @@ class SeenBackground:
         wider: float = 1.0,
         steps: int = 10,
     ) -> None:
-        """Lower the cost by poses, and by points and the focal length.
+        """Minimise robust reprojection errors over poses, and over points and focal length.
 
         Args:
-            moved: the pictures whose poses change.
+            moved: which pictures' poses change.
             points: whether points move.
             focal: standard deviation of the logarithm of the focal length; None keeps it.
-            steady: that of second differences of the places of cameras; None is without.
+            steady: standard deviation of second differences of cameras' positions; None is
+                without this term.
             wider: multiple of the noise beyond which observations count little.
-            steps: most steps.
+            steps: largest number of steps.
         """
         problem = _Adjustment(
             self, np.flatnonzero(self.usable() & (moved[self.picture] | points)), moved,
@@ -149,7 +149,7 @@ class SeenBackground:
 
 @dataclass(frozen=True)
 class _Adjustment:
-    """The sum of squared reprojection errors that `SeenBackground.refine` lowers."""
+    """The objective of `SeenBackground.refine`: robust reprojection errors and priors."""
 
     scene: SeenBackground
     rows: Int[np.ndarray, " rows"]
@@ -160,21 +160,21 @@ class _Adjustment:
     scale: float
 
     def cost(self) -> float:
-        """The objective."""
+        """Return the value of the objective for the present scene."""
         square = (self.scene.errors(self.rows) / self.scale) ** 2
         total = float((1 - 1 / (1 + square)).sum())
         if self.focal is not None:
             total += (np.log(self.scene.focal) / self.focal) ** 2
         if self.steady is not None:
-            total += float((self.bends() ** 2).sum())
+            total += float((self.second_differences() ** 2).sum())
         return total
 
-    def bends(self) -> Float[np.ndarray, "inner 3"]:
-        """Second differences of the places of cameras over their standard deviation."""
+    def second_differences(self) -> Float[np.ndarray, "inner 3"]:
+        """Return second differences of cameras' positions over their standard deviation."""
         return np.diff(self.scene.centres()[self.moved], n=2, axis=0) / self.steady
 
     def linearised(self) -> Callable[[float], None]:
-        """Gauss-Newton about the present scene: a function that takes the step of a damping."""
+        """Linearise the present scene; return a function that takes a step of given damping."""
         it, rows = self.scene, self.rows
         k, p = it.picture[rows], it.point[rows]
         there = it.in_cameras(rows)
@@ -204,16 +204,16 @@ class _Adjustment:
             row = np.arange(inner).repeat(3)
             column = row + np.tile([0, 1, 2], inner)
             values = np.tile([1.0, -2.0, 1.0], inner)
-            bend = sparse.csr_array((values, (row, column)), shape=(inner, count))
+            diff = sparse.csr_array((values, (row, column)), shape=(inner, count))
             shift = [np.hstack((np.zeros((3, 3)), -own.T)) for own in it.R[self.moved]]
-            bent = sparse.kron(bend, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
-            H, g = H + bent.T @ bent, g + bent.T @ self.bends().ravel()
+            Jd = sparse.kron(diff, sparse.eye_array(3)) @ sparse.block_diag(shift) / self.steady
+            H, g = H + Jd.T @ Jd, g + Jd.T @ self.second_differences().ravel()
         if self.focal is not None:
             last = np.zeros(len(g))
             last[-1] = 1 / self.focal
             H, g = H + sparse.csr_array(np.diag(last**2)), g + last**2 * np.log(it.focal)
         if not self.points:
-            return lambda damping: self._take(
+            return lambda damping: self._apply(
                 -spsolve((H + sparse.diags_array(damping * H.diagonal() + _RIDGE)).tocsc(), g),
                 None,
             )
@@ -233,16 +233,16 @@ class _Adjustment:
 
         it.normal = without_points(0.0)[2]
 
-        def take(damping: float) -> None:
+        def take_step(damping: float) -> None:
             inverse, WV, S = without_points(damping)
             damped = S + np.diag(damping * S.diagonal() + _RIDGE)
             step = -np.linalg.solve(damped, g - WV @ gp.ravel())
             own = -np.einsum("pij,pj->pi", inverse, gp + (W.T @ step).reshape(-1, 3))
-            self._take(step, (used, np.einsum("pij,pj->pi", basis, own)))
+            self._apply(step, (used, np.einsum("pij,pj->pi", basis, own)))
 
-        return take
+        return take_step
 
-    def _take(
+    def _apply(
         self, step: Float[np.ndarray, " n"], points: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
         it = self.scene
@@ -261,7 +261,7 @@ class _Adjustment:
 
 
 def _sparse_blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, count: int) -> Any:
-    """Sparse matrix of blocks (2, n): block k stands in rows 2 k and column `number[k]`."""
+    """Return a sparse matrix of 2 x n blocks: block k is in block column `number[k]`, row k."""
     rows, _, n = values.shape
     columns = np.broadcast_to(n * number[:, None, None] + np.arange(n), values.shape)
     ends = np.arange(0, values.size + 1, n)
@@ -269,7 +269,7 @@ def _sparse_blocks(values: Float[np.ndarray, "rows 2 n"], number: np.ndarray, co
 
 
 def _perpendicular_bases(X: Float[np.ndarray, "points 4"]) -> Float[np.ndarray, "points 4 3"]:
-    """Orthonormal bases of the complements of unit vectors, by Householder reflections."""
+    """Return orthonormal bases of the spaces perpendicular to unit vectors (Householder)."""
     v = X + np.where(X[:, :1] >= 0, 1.0, -1.0) * np.eye(4)[0]
     v /= np.linalg.norm(v, axis=1, keepdims=True)
     return (np.eye(4) - 2 * v[:, :, None] * v[:, None, :])[:, :, 1:]

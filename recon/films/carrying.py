@@ -1,4 +1,4 @@
-"""The path of a carried camera, up to its unit, from points of the background.
+"""Finds the path of a carried camera, up to scale, from points of the background.
 
 Structure from motion: two pictures between which points move otherwise than by a rotation are
 placed by their essential matrix (Nistér 2004), the others one after the other by the points that
@@ -16,28 +16,28 @@ from recon.films.bundle import NOISE, SeenBackground
 from recon.films.turning import CameraMotion, turned_onto
 
 _EVERY, _MOST_KEYS, _FEWEST_KEYS = 3, 150, 5
-"""Pictures from one key picture to the next, and how many of these there may be."""
+"""Fewest pictures from one key picture to the next; most and fewest key pictures of a film."""
 _FEWEST_SHARED = 20
-"""Points that two pictures must share to begin with them."""
+"""Fewest points that two pictures must share to start a reconstruction."""
 _PAIRS = 3
-"""Pairs of pictures from which the path is begun; the one that explains most is kept."""
+"""Pairs of pictures that start a reconstruction each; that which explains most is kept."""
 _TRIED = 12
-"""Key pictures with which pairs begin."""
+"""About how many key pictures are tried as the first of such a pair."""
 _IN_FRONT = 0.7
-"""Share of the points of a pair that must fit it and lie in front of both."""
+"""Least share of a pair's points that fit its essential matrix, in front of both cameras."""
 _FEWEST_POINTS = 6
-"""Known points by which a picture is placed."""
+"""Fewest known points in a picture to find its pose."""
 _REFINED_EVERY = 4
-"""Pictures after whose placing all are refined."""
+"""Pictures whose poses are found before all poses and points are refined again."""
 _WIDER = (30.0, 8.0, 2.0, 1.0)
-"""Multiples of the noise in the rounds of placing a picture."""
+"""Widths of the robust kernel, in multiples of the noise, in the rounds of finding a pose."""
 _FOCAL_DEVIATION, _FOCAL_TOLD = 0.15, 0.04
-"""Standard deviation of the logarithm of a guessed focal length, and of one that points tell."""
+"""Standard deviation of the log of a guessed focal length, and largest of a measured one."""
 _FITS, _FEWEST_FIT = 3.0, 0.5
-"""Multiples of the noise within which observations fit, and their least share."""
-_SURE = 0.05
-"""Most standard deviation of places, as a share of the path's extent: paths of rendered films of
-validation people err by up to four times that."""
+"""Largest error of an observation that fits, in multiples of the noise, and their least share."""
+_MOST_DEVIATION = 0.05
+"""Largest standard deviation of camera positions, over the path's extent: in rendered films of
+validation people, errors are up to four times as large."""
 _ACCELERATION = 0.5
 """Standard deviation of a carried camera's acceleration, distances of the background per s²."""
 
@@ -51,14 +51,14 @@ def find_path(
     known: bool,
     rate: float,
 ) -> CameraMotion | str:
-    """The motion of a carried camera, up to the unit of its path; else why it is unknown.
+    """Find the motion of a carried camera, its path up to scale; else say why it is unknown.
 
     Args:
-        frame: number of the picture of each row.
-        point: number of its point.
-        pixels: from the principal point, without the lens' distortion.
+        frame: number of the picture of each observation.
+        point: number of the observed point.
+        pixels: its position from the principal point, without the lens' distortion.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether it is known; if not, it is refined.
+        known: whether the focal length is known; if not, it is refined.
         rate: frames per second.
     """
     frames, picture = np.unique(frame, return_inverse=True)
@@ -71,8 +71,8 @@ def find_path(
     best, first = max(grown, key=lambda one: _share_that_fits(one[0]))
     if _share_that_fits(best) < _FEWEST_FIT:
         return "points of its background do not agree on a path"
-    place, zoom = _deviations(best, _placed_except(best, first), focal=not known)
-    if place > _SURE:
+    place, zoom = _standard_deviations(best, _placed_except(best, first), focal=not known)
+    if place > _MOST_DEVIATION:
         return "it moves too little for the distance of its background"
     whole = _all_pictures_placed(best, seen, keys, len(frames), rate)
     R, places = whole.R[whole.placed], whole.centres()[whole.placed]
@@ -87,14 +87,14 @@ def find_path(
 
 @dataclass(frozen=True)
 class _Observations:
-    """Where points are seen in pictures that are numbered from 0."""
+    """Observations of points in pictures, which are numbered from 0."""
 
     picture: Int[np.ndarray, " rows"]
     point: Int[np.ndarray, " rows"]
     places: Float[np.ndarray, "rows 2"]
 
     def scene(self, pictures: int, points: int) -> SeenBackground:
-        """Pictures none of which is placed."""
+        """Return a scene with these observations, in which no pose and no point is known."""
         return SeenBackground(
             self.picture, self.point, self.places, np.tile(np.eye(3), (pictures, 1, 1)),
             np.zeros((pictures, 3)), np.zeros((points, 4)), np.zeros(pictures, bool),
@@ -102,7 +102,7 @@ class _Observations:
         )  # fmt: skip
 
     def of(self, keys: Int[np.ndarray, " keys"]) -> "_Observations":
-        """The observations of some pictures, which are numbered from 0 again."""
+        """Return the observations in the key pictures, which are numbered from 0 anew."""
         number = np.full(self.picture.max() + 1, -1)
         number[keys] = np.arange(len(keys))
         kept = number[self.picture] >= 0
@@ -112,9 +112,9 @@ class _Observations:
 def _reconstructions(
     seen: _Observations, keys: Int[np.ndarray, " keys"], *, known: bool
 ) -> Iterator[tuple[SeenBackground, int]]:
-    """Reconstruct the key pictures and their points from each pair that may begin them.
+    """Reconstruct key pictures and points from each starting pair; also yield its first picture.
 
-    Also the first picture of the pair, which does not move.
+    The frame of this picture is the world's.
     """
     own, points = seen.of(keys), int(seen.point.max()) + 1
     table = np.full((len(keys), points, 2), np.nan)
@@ -132,12 +132,12 @@ def _reconstructions(
 def _starting_pairs(
     table: Float[np.ndarray, "pictures points 2"],
 ) -> Iterator[tuple[int, int, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
-    """Pairs of pictures, and R and t from the first one's frame to the second's; the best first.
+    """Yield pairs of pictures to start from, with R and t from the first's frame to the second's.
 
-    Those are best whose points move most beside a rotation, and are many.
+    Pairs with many points come first, and with points that a mere rotation explains badly.
 
     Args:
-        table: where points are seen; NaN where they are not.
+        table: x/z and y/z of each point in each picture; NaN where it is not seen.
     """
     rays = np.concatenate((table, np.ones((*table.shape[:2], 1))), 2)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
@@ -168,7 +168,7 @@ def _starting_pairs(
 
 
 def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
-    """Place further pictures, given the poses of two: those between them first, then outwards."""
+    """Find the poses of all pictures, given those of two: first between these, then outwards."""
     scene.placed[[one, other]] = True
     scene.triangulate()
     scene.refine(_placed_except(scene, one))
@@ -191,22 +191,22 @@ def _place_pictures(scene: SeenBackground, one: int, other: int) -> None:
 
 
 def _placed_except(scene: SeenBackground, one: int) -> Bool[np.ndarray, " pictures"]:
-    """The placed pictures but one, whose frame is the world's."""
+    """Return which pictures have known poses, except one, whose frame is the world's."""
     return scene.placed & (np.arange(len(scene.placed)) != one)
 
 
 def _share_that_fits(scene: SeenBackground) -> float:
-    """Share of all observations that agree with the path."""
+    """Return the share of all observations whose reprojection errors are small."""
     rows = np.flatnonzero(scene.usable())
     return float((scene.errors(rows) < _FITS * NOISE).sum() / len(scene.picture))
 
 
-def _deviations(
+def _standard_deviations(
     scene: SeenBackground, moved: Bool[np.ndarray, " pictures"], *, focal: bool
 ) -> tuple[float, float]:
-    """Standard deviation of places over the path's extent, and of the focal length's logarithm.
+    """Return standard deviations of positions, over the path's extent, and of log focal length.
 
-    Those of all but the unit, which no point tells.
+    The scale of the path, which no point determines, is taken as known.
     """
     H = scene.normal
     poses = H[:-1, :-1] if focal else H
@@ -226,7 +226,7 @@ def _all_pictures_placed(
     pictures: int,
     rate: float,
 ) -> SeenBackground:
-    """Place all pictures by the points that key pictures determine, on a smooth path."""
+    """Find the poses of all pictures on a smooth path, by the points of the key pictures."""
     whole = seen.scene(pictures, len(best.X))
     whole.X, whole.known, whole.focal = best.X, best.known, best.focal
     stand = np.flatnonzero(best.placed)

@@ -1,4 +1,4 @@
-"""The even clock of a film whose pictures were taken at any times."""
+"""Finds evenly spaced frames for a film whose pictures may have been taken unevenly."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from jaxtyping import Float
 from recon.detections.records import Row
 
 _EVEN = 0.2
-"""Frames that the times of a film may be off an even clock; phones round theirs by less."""
+"""Largest distance (frames) of pictures from an even clock; phones round their times by less."""
 _GAP = 2.5
-"""Frames between two pictures across which keypoints are not interpolated."""
+"""Largest distance (frames) of two pictures between which keypoints are interpolated."""
 
 
 @dataclass(frozen=True)
 class FilmClock:
-    """Evenly spaced times near those of the pictures."""
+    """Evenly spaced frames, numbered from 0, that stand for the pictures of a film."""
 
     rate: float
     """Frames per second of the recording."""
@@ -33,18 +33,18 @@ class FilmClock:
         return self.off <= _EVEN
 
     def time(self, stamp: float) -> float:
-        """Seconds of the recording at a time stamp, both since the first picture."""
+        """Convert a time stamp to seconds of the recording, both since the first picture."""
         return stamp / self.speed
 
     def number(self, time: float) -> int:
-        """The nearest frame of the clock to a time of the recording."""
+        """Return the number of the frame nearest to a time (s) of the recording."""
         return round(time * self.rate)
 
 
 def clock_of_stamps(
     stamps: Float[np.ndarray, " pictures"], recorded_rate: float | None = None
 ) -> FilmClock:
-    """The clock of pictures with these time stamps, seconds, rising.
+    """Find the even clock of pictures from their rising time stamps (s).
 
     A step between two pictures counts as many frames as it has median steps, so that a dropped
     picture leaves a gap, and rounded stamps (33, 33, 34 ms) do not add up.
@@ -65,12 +65,12 @@ def clock_of_stamps(
 
 
 def at_even_times(rows: list[Row], times: Mapping[int, float], rate: float) -> list[Row]:
-    """The keypoints of one person at the frames of an even clock, linearly between the pictures.
+    """Interpolate one person's keypoints from the times of pictures to frames of an even clock.
 
     Args:
-        rows: of the person, by frame.
+        rows: keypoints of the person in pictures, by frame.
         times: when the picture of every frame was taken, seconds.
-        rate: of the clock, Hz.
+        rate: frames of the clock per second.
     """
     if len(rows) < 2:
         return rows

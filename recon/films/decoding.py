@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 _FORMATS = "mov,matroska,webm,avi,mpegts,mpeg,asf,flv,mxf,gif,ogg"
 """FFmpeg's names of formats that hold films; it would open texts, pictures and playlists, too."""
 _MAX_SIDE = 4096
-"""Pixels of the longer side of an image; larger films are shrunk."""
+"""Longest side (pixels) of the images that are returned; larger films are shrunk."""
 _MAX_PIXELS = 5e7
-"""Pixels of a stored picture; 8K has 3.3e7, and a decoder keeps about ten of them."""
+"""Most pixels of a stored picture; 8K has 3.3e7, and a decoder keeps about ten pictures."""
 _OTHER_SPEED = 1.5
 """Ratio of the rates of recording and playing from which a film is slow motion or time lapse."""
 _THREADS = 2
-"""Threads of the decoder, which decode ahead while the caller looks at an image."""
+"""Threads of the decoder, which decode ahead while the caller processes an image."""
 _CAPTURE_RATE = "com.android.capture.fps"
-"""Metadata in which phones write the rate of recording."""
+"""Name of the metadata item in which phones write the rate of recording."""
 _TURNS = {
     90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE
 }  # fmt: skip
@@ -46,15 +46,15 @@ _TRANSFER_PQ, _TRANSFER_HLG = 16, 18
 
 @dataclass(frozen=True)
 class FilmFrame:
-    """One picture of a film."""
+    """One decoded picture of a film, with its time and frame number."""
 
     image: UInt8[np.ndarray, "height width 3"]
     """RGB, upright as one looks at it, with square pixels."""
     time: float
     """Seconds of the recording since the first picture."""
     number: int
-    """Frame of the film's even clock, from 0; there is none where the camera dropped a frame or
-    a picture repeats the one before."""
+    """Number in the film's even clock, from 0; numbers are missing where the camera dropped a
+    frame or a picture repeats the one before."""
     shot: int
     """Number of the shot, from 0, which rises by one at every cut."""
 
@@ -74,9 +74,9 @@ class Film:
     stated_focal: float | None = None
     """Focal length for 35 mm film that the camera wrote, millimetres."""
     notes: list[str] = field(default_factory=list)
-    """What was assumed; what was damaged is added when a loop has come to the end."""
+    """Assumptions made when opening; damage is added when a loop has reached the end."""
     shots: tuple[int, ...] = ()
-    """Frames with which shots after the first begin, when a loop has come to the end."""
+    """First frames of all shots but the first, known when a loop has reached the end."""
 
     @property
     def frame_rate(self) -> float:
@@ -89,11 +89,11 @@ class Film:
         return self.clock.frames
 
     def in_film(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
-        """Pixels of the film for those of an image, which may have been shrunk."""
+        """Convert pixels of an image, which may have been shrunk, to pixels of the film."""
         return pixels * self.shrunk + (self.shrunk - 1) / 2
 
     def in_image(self, pixels: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
-        """Pixels of an image, which may have been shrunk, for those of the film."""
+        """Convert pixels of the film to pixels of an image, which may have been shrunk."""
         return (pixels - (self.shrunk - 1) / 2) / self.shrunk
 
     def __iter__(self) -> Iterator[FilmFrame]:
@@ -111,7 +111,7 @@ class Film:
         self.notes += [note for note in losses if note not in self.notes]
 
     def _pictures(self, losses: list[str]) -> Iterator[Picture]:
-        """Upright images and times as they are decoded; what was damaged is noted in `losses`."""
+        """Yield upright images and their times (s), without repeated ones; add to `losses`."""
         last, repeated = None, 0
         for frame, time in self.decoded(losses):
             image = self.image_of(frame)
@@ -124,9 +124,9 @@ class Film:
             losses.append(f"{repeated} pictures that repeat the one before were left out")
 
     def decoded(self, losses: list[str]) -> Iterator[tuple["VideoFrame", float]]:
-        """Pictures that are not yet images, repeated ones too, and their times, seconds.
+        """Yield decoded pictures in FFmpeg's format, repeated ones too, and their times (s).
 
-        What was damaged is noted in `losses` at the end.
+        The number of damaged pictures is noted in `losses` at the end.
         """
         with _open_film(self.path) as container:
             stream = _video_stream(container, self.path)
@@ -134,7 +134,7 @@ class Film:
                 yield frame, self.clock.time(stamp)
 
     def image_of(self, frame: "VideoFrame") -> UInt8[np.ndarray, "height width 3"]:
-        """The upright image of a decoded frame."""
+        """Convert a picture in FFmpeg's format to an upright RGB image."""
         width, height = (side // self.shrunk for side in self.image_size)
         if self.turned_by % 180 == 90:
             width, height = height, width
@@ -151,7 +151,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
     """Open a film and read its time stamps; only its first picture is decoded.
 
     Args:
-        path: of a film that FFmpeg's decoders know.
+        path: file of a film that FFmpeg can decode.
         frame_rate: pictures per second that the camera took, where the film is played at another
             rate and does not tell; None is the rate of its time stamps or of its metadata.
 
@@ -201,7 +201,7 @@ def open_film(path: Path | str, *, frame_rate: float | None = None) -> Film:
 
 
 def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
-    """A film whose size and rotation are read from its first picture."""
+    """Make a `Film`, whose size and rotation are read from its first picture."""
     with _open_film(path) as container:
         stream = _video_stream(container, path)
         found = next(_decoded_pictures(container, stream, []), None)
@@ -237,10 +237,10 @@ def _film_of(path: Path, clock: FilmClock, notes: list[str]) -> Film:
 
 @contextmanager
 def _open_film(path: Path) -> Iterator["InputContainer"]:
-    """The container of a film.
+    """Open the container of a film for a `with` block.
 
     Raises:
-        FormatError: when it is none.
+        FormatError: when the file is no readable film.
     """
     import av
     from av.error import FFmpegError
@@ -256,7 +256,7 @@ def _open_film(path: Path) -> Iterator["InputContainer"]:
 
 
 def _reason_unreadable(path: Path) -> str:
-    """Why a file cannot be opened as a film, and what to do."""
+    """Say why a file cannot be opened as a film, and what the user can do."""
     with path.open("rb") as file:
         unfinished = file.read(12)[4:8] == b"ftyp"
     if unfinished:
@@ -270,7 +270,7 @@ def _reason_unreadable(path: Path) -> str:
 
 
 def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
-    """The first stream of pictures that is no cover of music, set up for decoding.
+    """Return the first video stream that is no cover art of music, set up for decoding.
 
     Raises:
         FormatError: when there is none, or pictures are larger than 8K.
@@ -299,7 +299,7 @@ def _video_stream(container: "InputContainer", path: Path) -> "VideoStream":
 
 
 def _packets(container: "InputContainer", stream: "VideoStream") -> Iterator["Packet"]:
-    """The packets of a stream up to the first place that cannot be read."""
+    """Yield the packets of a stream up to the first that cannot be read."""
     from av.error import FFmpegError
 
     packets = container.demux(stream)
@@ -315,14 +315,14 @@ def _packets(container: "InputContainer", stream: "VideoStream") -> Iterator["Pa
 
 
 def _has_no_time_stamps(container: "InputContainer") -> bool:
-    """Whether pictures have no time stamps of their own, but follow each other evenly."""
+    """Return whether a container stores no time stamps (AVI), so that pictures follow evenly."""
     return container.format.name == "avi"
 
 
 def _time_stamps(
     container: "InputContainer", stream: "VideoStream"
 ) -> Float[np.ndarray, " pictures"]:
-    """Time stamps of all pictures that are shown, seconds, rising."""
+    """Return the rising time stamps (s) of all pictures that are shown."""
     base, rate = float(stream.time_base or 1), float(stream.average_rate or 25)
     if _has_no_time_stamps(container):
         return np.arange(sum(1 for _ in _packets(container, stream))) / rate
@@ -333,9 +333,9 @@ def _time_stamps(
 def _decoded_pictures(
     container: "InputContainer", stream: "VideoStream", losses: list[str]
 ) -> Iterator[tuple["VideoFrame", float]]:
-    """Decoded pictures and their time stamps since the first, seconds.
+    """Yield decoded pictures and their time stamps since the first (s).
 
-    Damaged ones are left out and said in `losses` at the end.
+    Damaged ones are left out; their number is noted in `losses` at the end.
     """
     from av.error import FFmpegError
 
@@ -360,7 +360,7 @@ def _decoded_pictures(
 
 
 def _recorded_rate(container: "InputContainer", stream: "VideoStream") -> float | None:
-    """The rate of recording that a camera wrote, Hz, or None."""
+    """Return the rate of recording (Hz) that a camera wrote into the metadata, or None."""
     text = {**container.metadata, **stream.metadata}.get(_CAPTURE_RATE, "")
     try:
         return float(text) if FRAME_RATE.holds(float(text)) else None
@@ -369,12 +369,12 @@ def _recorded_rate(container: "InputContainer", stream: "VideoStream") -> float 
 
 
 def _equal_images(a: UInt8[np.ndarray, "..."], b: UInt8[np.ndarray, "..."]) -> bool:
-    """Whether two images are equal; quick, as most differ in a few pixels already."""
+    """Return whether two images are equal; for speed, every 16th pixel is compared first."""
     return np.array_equal(a[::16, ::16], b[::16, ::16]) and np.array_equal(a, b)
 
 
 def _tone_curve(transfer: int) -> UInt8[np.ndarray, " 256"] | None:
-    """Values of a usual film for those of one with a high dynamic range; None if it has none.
+    """Return a table from values of high dynamic range to usual ones; None for usual films.
 
     White paper, 203 cd/m2 (ITU-R BT.2408), becomes white; what is brighter is clipped.
     """

@@ -1,8 +1,8 @@
-"""The networks of MediaPipe Hands: where palms are in an image, and 21 points of each hand.
+"""Runs the networks of MediaPipe Hands, which find palms in an image and points of each hand.
 
 Zhang et al., "MediaPipe Hands: On-device Real-time Hand Tracking" (2020). A detector gives, for a
 square image, a box about every palm, the wrist and the knuckle of the middle finger; the square
-about the hand, turned so that fingers point up, is cut out for a second network.
+about the hand, turned so that fingers point up, is cut out for a second network (21 points).
 """
 
 from dataclasses import dataclass
@@ -22,45 +22,45 @@ from recon.films.blazepose import (
 )
 
 POINTS = 21
-"""Of a hand, in the order of `recon.core.fingers.FINGER_POINTS`."""
+"""Number of points of a hand, in the order of `recon.core.fingers.FINGER_POINTS`."""
 _DETECTOR_SIDE, _SIDE = 192, 224
-"""Pixels of the networks' inputs."""
+"""Sides (pixels) of both networks' square inputs."""
 _ANCHORS = {24: 2, 12: 6}
-"""Cells of a side of each of the detector's grids, and boxes per cell."""
+"""Boxes per cell of each of the detector's grids, by the number of cells along a side."""
 _WRIST, _MIDDLE = 0, 2
-"""Keypoints of a palm that tell where its fingers are."""
+"""Indices of a palm's keypoints: wrist and knuckle of the middle finger, from palm to fingers."""
 _PALM_GROWTH, _PALM_SHIFT = 2.6, 0.5
 """Side of a hand's region per side of its palm's box, and how far the region lies ahead of the box
 towards the fingers, in sides of the box."""
 _GROWTH, _SHIFT = 2.0, 0.1
-"""The same per side of the box about the points of a palm that were found before."""
+"""The same for a hand that is followed, in sides of the box about its `_PALM_POINTS`."""
 _PALM_POINTS = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
-"""Points that finger tips do not move."""
+"""Indices of the points of a hand without those that move most when fingers bend."""
 
 
 @dataclass(frozen=True)
 class Palm:
-    """A palm that the detector found."""
+    """A palm that the detector found in an image."""
 
     region: Region
-    """Of its hand."""
+    """Square around the whole hand."""
     wrist: Float[np.ndarray, "2"]
-    """Pixels."""
+    """Position in the image, pixels."""
     score: float
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Points that the second network finds in a region."""
+    """The 21 points of a hand that the second network finds in a region."""
 
     pixels: Float[np.ndarray, "21 2"]
-    """In the image, guessed also for what it does not show."""
+    """Positions in the image; those of points that are not seen are guessed."""
     score: float
-    """How likely the region holds a hand."""
+    """Probability that the region holds a hand."""
 
     @property
     def region(self) -> Region:
-        """Where to look for the hand in the next frame."""
+        """Square of the image in which to look for the hand in the next frame."""
         knuckles = self.pixels[[5, 13]].mean(0) / 2 + self.pixels[9] / 2
         ahead = knuckles - self.pixels[0]
         angle = float(np.arctan2(ahead[0], -ahead[1]))
@@ -73,14 +73,14 @@ class Hand:
 
 
 class HandNetworks:
-    """Both networks, run by LiteRT."""
+    """The detector of palms and the network for points of hands, run by LiteRT."""
 
     def __init__(self) -> None:
-        """Load both.
+        """Load both networks.
 
         Raises:
-            ReconError: when the extra `film` is not installed, or its models are those of before
-                hands were looked for.
+            ReconError: when the extra `film` is not installed, or a version of it that is too old
+                to have networks for hands.
         """
         folder = bundled_folder()
         if not (folder / "hand_landmark_full.tflite").is_file():
@@ -93,7 +93,7 @@ class HandNetworks:
         self._anchors = anchors_of_grids(_ANCHORS)
 
     def palms(self, image: Image, square: Region) -> list[Palm]:
-        """Palms in a square of an image, the surest first."""
+        """Return the palms that are found in a square of an image, highest score first."""
         cut = square.cut(image, _DETECTOR_SIDE) / np.float32(255.0)
         to_image, found = square.to_image(_DETECTOR_SIDE), list[Palm]()
         for points, score in detected_boxes(self._detector, cut, self._anchors):
@@ -110,7 +110,7 @@ class HandNetworks:
         return found
 
     def hand(self, image: Image, region: Region) -> Hand:
-        """The points of the hand in a region."""
+        """Find the 21 points of the hand in a region of an image."""
         cut = region.cut(image, _SIDE) / np.float32(255.0)
         raw, (score,) = self._landmarks(cut, (1,))
         places = raw.reshape(POINTS, 3)[:, :2].astype(float)

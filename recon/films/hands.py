@@ -1,8 +1,8 @@
 """Finds the hands of people whose bodies were found in a film.
 
-A hand is looked for about every wrist of a body, so that it is known whose and which it is, and
-how large it may be. It is followed from frame to frame by its own points; palms are looked for
-where none is followed.
+A hand is looked for about every wrist of a body, which tells its person, its side, and the size
+to expect. It is followed from frame to frame by its own points; where none is followed, palms are
+looked for.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,25 +24,25 @@ _SEGMENTS = {
     ("hip", "knee"): 0.245, ("knee", "ankle"): 0.246,
 }  # fmt: skip
 """Lengths of segments as shares of the body's height (Winter, 2009)."""
-_HAND = 0.108
-"""The same of a hand, from the wrist to the tip of the middle finger."""
+_HAND_LENGTH = 0.108
+"""Length of a hand, from wrist to tip of the middle finger, as a share of the body's height."""
 _LEAST_PIXELS = 20.0
-"""Length of a hand below which fingers cannot be told apart."""
+"""Length of a hand (pixels) below which its fingers cannot be told apart."""
 _SEEN = 0.1
-"""Confidence of a keypoint from which on it is used."""
+"""Confidence above which a keypoint of the body is used."""
 _SQUARE, _AHEAD = 3.2, 0.35
 """Side of the square in which a palm is looked for, and how far its middle is from the wrist along
 the forearm, lengths of a hand."""
 _SEARCH_S = 1 / 30
-"""Seconds between two looks for a palm at a wrist whose hand is not followed."""
+"""Seconds between two searches for a palm at a wrist whose hand is not followed."""
 _FAR = 0.6
-"""Distance of a hand from the body's wrist from which on it is another's, lengths of a hand."""
+"""Distance from the body's wrist above which a hand is another person's, lengths of a hand."""
 _SMALLEST, _LARGEST = 0.25, 1.6
-"""Distance of its farthest point from its wrist, lengths of a hand."""
+"""Bounds of the distance of a hand's farthest point from its wrist, in expected lengths."""
 _LEAST_SCORE, _LEAST_CONFIDENCE = 0.5, 0.05
 """Score of a region below which it holds no hand, and least confidence of points of a hand."""
 _SAME_HAND = 0.3
-"""Mean distance of the points of two hands, lengths of a hand, below which they are one."""
+"""Mean distance of the points of two hands, lengths of a hand, below which they are the same."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +50,28 @@ class _Wrist:
     """A wrist of a body in one frame, at which a hand is looked for."""
 
     row: int
-    """Row of the detections that the body is."""
+    """Row of the person in the detections."""
     side: int
     """Index in `_SIDES`."""
     place: Float[np.ndarray, "2"]
-    """Pixels of the image."""
+    """Position in the image, pixels."""
     length: float
-    """Length of the hand that the size of the body lets expect, pixels."""
+    """Expected length of the hand by the size of the body, pixels."""
     ahead: Float[np.ndarray, "2"]
     """Unit vector from the elbow to the wrist; zero where the forearm points at the camera."""
 
     def away(self, place: Float[np.ndarray, "2"]) -> float:
-        """The distance of a place from the wrist, lengths of the hand."""
+        """Return the distance of a position from this wrist, in expected lengths of the hand."""
         return float(np.linalg.norm(place - self.place)) / self.length
 
     def owns(self, hand: Hand) -> bool:
-        """Whether this may be the hand at this wrist: by its score, its place and its size."""
+        """Return whether a found hand may be this wrist's, by its score, position and size."""
         reach = float(np.linalg.norm(hand.pixels - hand.pixels[0], axis=1).max()) / self.length
         near = self.away(hand.pixels[0]) < _FAR
         return hand.score >= _LEAST_SCORE and near and _SMALLEST < reach < _LARGEST
 
     def square(self) -> Region:
-        """The square in which a palm is looked for."""
+        """Return the square of the image in which this wrist's palm is looked for."""
         middle = self.place + _AHEAD * self.length * self.ahead
         return Region(middle, _SQUARE * self.length, 0.0)
 
@@ -79,16 +79,16 @@ class _Wrist:
 def with_hands(
     film: Film, frames: Iterable[FilmFrame], found: Detections, networks: HandNetworks
 ) -> Detections:
-    """Detections with the points of hands that are large enough, and with notes on them.
+    """Find hands in a film; return its detections with their points, and with notes on them.
 
     All points of a hand have the same confidence. Of a film whose pictures were taken unevenly,
     points are those of the picture nearest to the frame.
 
     Args:
-        film: that was looked at.
+        film: in which people were detected.
         frames: its frames, in which hands are looked for.
-        found: everybody in it.
-        networks: that find palms and points.
+        found: the detections of people.
+        networks: that find palms and points of hands.
 
     Raises:
         ReconError: when the keypoints have no wrists.
@@ -126,19 +126,19 @@ def with_hands(
 
 
 def _confidence(hand: Hand) -> float:
-    """Confidence of the points of a hand: their usual error over the one expected at its score.
+    """Return a hand's confidence: usual error of its points over that expected at its score.
 
     In real films of three calibrated cameras, points of hands with scores from 0.6 to 0.9 were
-    about three times as far from where the two other views see them as those of surer hands.
+    about three times as far from where the two other views see them as those of higher scores.
     """
     return max((2 * hand.score - 1) ** 2, _LEAST_CONFIDENCE)
 
 
 def _wrists(film: Film, found: Detections) -> tuple[list[_Wrist], Bool[np.ndarray, " rows"]]:
-    """All wrists whose hand is large enough, and which people are too small.
+    """Return all wrists whose hands are large enough to find, and which people are too small.
 
-    The length of a hand follows from that of the body's longest segment in relation to its usual
-    length, since a segment seems shorter in an image but not longer.
+    A hand's length follows from the segment of the body that appears largest in relation to its
+    usual length, since foreshortening makes segments shorter in an image, never longer.
     """
     at = {name: k for k, name in enumerate(keypoint_names(found.layout))}
     if any(f"{side}_wrist" not in at for side in _SIDES):
@@ -152,7 +152,7 @@ def _wrists(film: Film, found: Detections) -> tuple[list[_Wrist], Bool[np.ndarra
             if a is not None and b is not None:
                 length = np.linalg.norm(pixels[:, a] - pixels[:, b], axis=-1) / share
                 lengths.append(np.where(seen[:, a] & seen[:, b], length, 0.0))
-    length = _HAND * np.max(lengths, 0)
+    length = _HAND_LENGTH * np.max(lengths, 0)
     large = length >= _LEAST_PIXELS
     wrists = []
     for number, side in enumerate(_SIDES):
@@ -176,13 +176,13 @@ def _hands_at(
     *,
     search: bool,
 ) -> Iterator[tuple[_Wrist, Hand]]:
-    """The hand at every wrist where there is one: that of the last frame, or at a palm.
+    """Yield the hand at every wrist that has one, found by the last frame's or by a palm.
 
     Args:
-        wrists: of one image.
-        image: in which they are.
+        wrists: of all people in one image.
+        image: in which the hands are looked for.
         followed: hands of the last frame and their wrists.
-        networks: that find palms and points.
+        networks: that find palms and points of hands.
         search: whether palms are looked for where no hand is followed.
     """
     for wrist in wrists:
@@ -199,7 +199,7 @@ def _hands_at(
 
 
 def _without_duplicates(seen: list[tuple[_Wrist, Hand]]) -> list[tuple[_Wrist, Hand]]:
-    """Hands without duplicates: one that was found at two wrists is that of the nearer one."""
+    """Return hands without duplicates: one found at two wrists is left to the nearer wrist."""
     seen.sort(key=lambda it: it[0].away(it[1].pixels[0]))
     kept: list[tuple[_Wrist, Hand]] = []
     for wrist, hand in seen:

@@ -1,4 +1,4 @@
-"""The focal length that a phone writes into its film.
+"""Reads the focal length that a phone wrote into its film.
 
 Apple's phones state the focal length of the lens that would show as much on 35 mm film, in a
 metadata item of the film or of its track of pictures ("Metadata atom" of the QuickTime File
@@ -14,21 +14,21 @@ from recon.core.limits import FILM_FOCAL_LENGTH
 
 _KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _MAX_INDEX = 1 << 26
-"""Bytes of an index of a film (`moov`) that is looked into; hours of film have some millions."""
+"""Largest index of a film (box `moov`) that is read, bytes; that of hours has some millions."""
 _MAX_BOXES = 10_000
-"""Boxes of a file that are looked at."""
+"""Most boxes of a file that are looked at."""
 _HOLDERS = {b"trak", b"udta", b"meta"}
-"""Boxes inside an index that may hold metadata, or boxes with metadata."""
+"""Kinds of boxes in an index that hold metadata, directly or in boxes of these kinds."""
 _TEXT, _NUMBERS = 1, {21: "i", 22: "u", 23: "f", 24: "f", 65: "i", 66: "i", 67: "i",
                       74: "i", 75: "u", 76: "u", 77: "u", 78: "u"}  # fmt: skip
 """Apple's well-known types of values: text in UTF-8, and big-endian numbers."""
 
 
 def stated_focal_length(path: Path) -> tuple[float | None, str]:
-    """The focal length for 35 mm film that a film states, millimetres, and a note.
+    """Return the focal length (mm, for 35 mm film) that a film states, or None; and a note.
 
-    None, without a note, where it states none, or its container is not of QuickTime or MP4; with
-    one where the value is none of a lens.
+    The note is empty where the film states none, or is not in QuickTime or MP4 format; else it
+    tells the value, or why it is not used.
     """
     with path.open("rb") as file:
         values = [
@@ -50,7 +50,7 @@ def stated_focal_length(path: Path) -> tuple[float | None, str]:
 
 
 def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
-    """Contents of the boxes `moov` of a file; none of a file of other containers."""
+    """Yield the contents of the indices (boxes `moov`) of a QuickTime or MP4 file."""
     for _ in range(_MAX_BOXES):
         header = file.read(8)
         if len(header) < 8:
@@ -63,12 +63,12 @@ def _contents_of_moov(file: BinaryIO) -> Iterator[bytes]:
             yield file.read(size - 8)
         elif size >= 8:
             file.seek(size - 8, 1)
-        else:  # a box without an end, or no box
+        else:  # the last box, which has no size, or bytes that are no box
             return
 
 
 def _boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Kind, first byte and end of the content of every box in a part of an index."""
+    """Yield the kind, and first and end byte of the content, of each box in part of an index."""
     for _ in range(_MAX_BOXES):
         if start + 8 > end:
             return
@@ -82,7 +82,7 @@ def _boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]
 def _focal_length_values(
     data: bytes, start: int, end: int, *, depth: int
 ) -> Iterator[tuple[int, bytes]]:
-    """Types and bytes of the values of the focal length in a part of an index."""
+    """Yield the type and bytes of each focal length that is stated in part of an index."""
     boxes = list(_boxes(data, start, end))
     spans = {kind: (first, last) for kind, first, last in boxes}
     if {b"keys", b"ilst"} <= spans.keys():
@@ -97,7 +97,7 @@ def _focal_length_values(
 def _focal_length_items(
     data: bytes, keys: tuple[int, int], items: tuple[int, int]
 ) -> Iterator[tuple[int, bytes]]:
-    """Values of the items whose key is the focal length's."""
+    """Yield the type and bytes of each metadata item whose key is the focal length's."""
     names = [data[first:last] for _, first, last in _boxes(data, keys[0] + 8, keys[1])]
     for number, first, last in _boxes(data, *items):
         place = int.from_bytes(number)
@@ -109,7 +109,7 @@ def _focal_length_items(
 
 
 def _as_number(kind: int, raw: bytes) -> float | None:
-    """A value as a number; None where it is none."""
+    """Decode a metadata value as a number; return None where it is none."""
     try:
         if kind == _TEXT:
             return float(raw.decode().strip("\0 ").removesuffix("mm"))

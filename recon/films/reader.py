@@ -1,4 +1,4 @@
-"""Reads films: people are detected in every frame, followed, and written down as 2D keypoints."""
+"""Reads films: detects and follows people from frame to frame, and returns their 2D keypoints."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,36 +27,36 @@ from recon.formats.opening import existing_file, load_arrays
 from recon.formats.replacing import file_checksum, save_arrays, value_checksum
 
 Watch = Callable[[int, int], None]
-"""Called with the number of frames that were looked at, and of all."""
+"""A function that is called with the number of frames read so far and the number of all frames."""
 Detector = Callable[[Iterable[FilmFrame]], Iterable[Row]]
-"""Gives a row for every person and frame: frame number, x, y (pixels of its image) and confidence
-of every keypoint, and the person's number or -1."""
+"""A function from frames to rows, one per person and frame: frame number, x, y (pixels of the
+image) and confidence of every keypoint, and the person's number or -1."""
 _VERSION = 5
-"""Rises when the same film gives other detections, so that kept ones are made again."""
+"""Raised when the same film gives other detections, so that stored ones are computed again."""
 _HANDS_VERSION = "hands 1"
-"""The same of hands."""
+"""Changed when the same film gives other points of hands, so that these are computed again."""
 _NETWORK = ".tflite"
 _SAVED_EVERY = 500
-"""Frames."""
+"""Frames after which detections are saved, so that an interrupted run can go on."""
 _IMAGES_WITH_LINES = 5
-"""Images of a film in which straight lines are looked for."""
+"""Number of images of a film in which straight lines are looked for."""
 
 
 @dataclass(frozen=True)
-class _Kept:
-    """The file in which detections of a film are kept."""
+class _StoreFile:
+    """The file in a user's folder that stores the detections of a film."""
 
     film: Path
     folder: Path
     key: str
-    """Checksum of all on which the detections depend."""
+    """Checksum of everything that the detections depend on."""
 
     @property
     def file(self) -> Path:
         return self.folder / f"{self.film.stem}-{self.key[:8]}.npz"
 
     def load(self) -> Detections | None:
-        """The detections; None where there are none, or others."""
+        """Return the stored detections; None where there are none, or they have another key."""
         if not self.file.is_file():
             return None
         arrays = load_arrays(self.file)
@@ -67,7 +67,7 @@ class _Kept:
         return replace(seen, name=self.film.name, decisions=(*notes, *more))
 
     def save(self, found: Detections, notes: Sequence[str]) -> None:
-        """Save detections, and what was decided besides what their reader decides."""
+        """Save detections, with notes that reading the file does not make by itself."""
         self.folder.mkdir(parents=True, exist_ok=True)
         arrays = {"made_of": np.array(self.key), "notes": np.array(notes, str)}
         save_arrays(self.file, {**detection_arrays(found), **arrays})
@@ -83,32 +83,32 @@ def read_film(
     kept: Path | None = None,
     watch: Watch | None = None,
 ) -> Detections:
-    """The 2D keypoints of everybody in a film.
+    """Detect the 2D keypoints of all people in a film.
 
     Hands are looked for in a second pass, at the wrists that the first one found.
 
     Args:
-        path: of the film.
+        path: file of the film.
         frame_rate: pictures per second that the camera took, where the film does not tell.
         layout: of the keypoints of a detector of your own, where their number does not tell.
-        detector: None is BlazePose with its landmarks `full`; or the file of others of its
-            landmarks (.tflite), or a `Detector`: "package.module:Class" or a registered name.
+        detector: None is BlazePose with its network `full` for landmarks; else the file of another
+            of these networks (.tflite), a registered name or "package.module:Class" (`Detector`).
         fingers: whether hands are looked for, too, where the detector does not find them itself.
-        kept: folder in which detections are kept, so that the next call finds them, or goes on
-            where this one is interrupted; None keeps nothing.
-        watch: told of the progress.
+        kept: folder in which detections are stored, so that the next call finds them, or goes on
+            where this one is interrupted; None stores nothing.
+        watch: called with the progress.
 
     Raises:
         FileNotFoundError: when there is no such film.
-        FormatError: when it cannot be decoded or nobody is in it.
+        FormatError: when the film cannot be decoded or shows nobody.
         ReconError: when the detector is not installed.
     """
     existing_file(path)
     key = "" if kept is None else _key(path, frame_rate, layout, detector)
-    people = None if kept is None else _Kept(path, kept, key)
+    people = None if kept is None else _StoreFile(path, kept, key)
     if not fingers:
         return _detections_without_hands(path, frame_rate, layout, detector, people, watch)
-    both = None if kept is None else _Kept(path, kept, value_checksum([key, _HANDS_VERSION]))
+    both = None if kept is None else _StoreFile(path, kept, value_checksum([key, _HANDS_VERSION]))
     if both is not None and (found := both.load()) is not None:
         return found
     networks = HandNetworks()
@@ -122,7 +122,7 @@ def read_film(
 
 
 def _with_progress(film: Film, watch: Watch | None) -> Iterator[FilmFrame]:
-    """The frames of a film; `watch` is called after each of them."""
+    """Yield the frames of a film, and call `watch` after each of them."""
     for frame in film:
         yield frame
         if watch is not None:
@@ -134,10 +134,10 @@ def _detections_without_hands(
     frame_rate: float | None,
     layout: str | None,
     detector: str | None,
-    kept: _Kept | None,
+    kept: _StoreFile | None,
     watch: Watch | None,
 ) -> Detections:
-    """Detections without hands, if the detector does not find them itself; as `read_film`."""
+    """Do the first pass of `read_film`, which finds hands only if the detector does so itself."""
     if kept is not None and (found := kept.load()) is not None:
         return found
     film = open_film(path, frame_rate=frame_rate)
@@ -176,7 +176,7 @@ def _detections_without_hands(
 
 @dataclass
 class _Watched:
-    """Iterates over the frames of a film, reports progress and records their times."""
+    """Iterates over a film's frames; reports progress, records times, lines and background."""
 
     film: Film
     watch: Watch | None
@@ -184,7 +184,7 @@ class _Watched:
     segments: dict[int, tuple[int, Float[np.ndarray, "segments 2 2"]]] = field(
         default_factory=dict
     )
-    """Shot and straight segments, pixels of the film, of some frames by their numbers."""
+    """Shot and straight segments (ends in pixels of the film) of some frames, by frame number."""
     followed: FollowedPoints = field(default_factory=FollowedPoints)
 
     def __iter__(self) -> Iterator[FilmFrame]:
@@ -198,7 +198,7 @@ class _Watched:
             self.times[frame.number] = frame.time
 
     def lines(self) -> tuple[Float[np.ndarray, "lines 2 2"], Int[np.ndarray, " lines"]]:
-        """The segments of the shot that has most of these images, and the frame of each."""
+        """Return straight segments of the shot with most searched frames, and their frames."""
         shots = Counter(shot for shot, _ in self.segments.values())
         chosen = shots.most_common(1)[0][0] if shots else 0
         own = {n: ends for n, (shot, ends) in self.segments.items() if shot == chosen}
@@ -207,7 +207,7 @@ class _Watched:
         return ends, np.repeat(np.array(list(own), dtype=np.int64), count)
 
     def background(self) -> Background:
-        """All points that were followed, pixels of the film."""
+        """Return all points that were followed through the film, in pixels of the film."""
         it = self.followed
         pixels = np.concatenate([np.zeros((0, 2)), *it.pixels])
         frames, numbers = (
@@ -219,7 +219,7 @@ class _Watched:
 def _detect_everybody(
     frames: Iterable[FilmFrame], rate: float, networks: BlazePose, unfinished: Unfinished | None
 ) -> list[Sight]:
-    """Detect everybody in every frame; what was found is kept if the run is interrupted."""
+    """Detect all people in every frame; save what was found if the run is interrupted."""
     tracker = Tracker(networks, rate)
     sights, state = ([], None) if unfinished is None else unfinished.load()
     if state is not None:
@@ -246,9 +246,9 @@ def _detect_everybody(
 def _detections(
     film: Film, times: Mapping[int, float], people: list[list[Row]], layout: str | None
 ) -> Detections:
-    """Detections in pixels of the film, whose frames may have been shrunk, at even times.
+    """Convert rows of people to detections at even times, in pixels of the film, not of images.
 
-    What lies beyond the image's border is guessed, and is not seen.
+    Keypoints beyond the image's border are guesses: they get a confidence of 0.
     """
     numbers = list(times)
     if not film.clock.even:
@@ -279,15 +279,15 @@ def _detections(
 
 
 def _is_one_person(rows: list[Row]) -> bool:
-    """Whether rows are of one person: none of a frame twice."""
+    """Return whether rows can be of one person, that is, no frame occurs twice."""
     return len({number for number, _, _ in rows}) == len(rows)
 
 
 def _own_detector(name: str) -> Detector:
-    """A detector of the caller.
+    """Make the detector that a caller chose by a registered name or package.module:Class.
 
     Raises:
-        ReconError: when there is none of this name.
+        ReconError: when there is no detector of this name.
     """
     known = registered_places(DETECTORS)
     if name not in known and ":" not in name:
@@ -299,7 +299,7 @@ def _own_detector(name: str) -> Detector:
 
 
 def _key(path: Path, frame_rate: float | None, layout: str | None, detector: str | None) -> str:
-    """Checksum of all on which the detections of a film depend."""
+    """Return a checksum of everything that the detections of a film depend on."""
     network = detector is not None and detector.endswith(_NETWORK)
     return value_checksum(
         [

@@ -13,28 +13,28 @@ Picture = tuple[UInt8[np.ndarray, "height width 3"], float]
 _Small = Float32[np.ndarray, "32 32 3"]
 
 _SIDE = 32
-"""Pixels of a side of the small images that are compared."""
-_KNOCK = 2
-"""Of these pixels by which a camera may be knocked from one picture to the next."""
+"""Side (pixels) of the small images that are compared."""
+_MOST_SHIFT = 2
+"""Largest shift (pixels of small images) between pictures that a knock to the camera explains."""
 _AROUND = 3
-"""Steps before and after a cut that it is compared with; longer than a flash."""
+"""Steps before and after a cut with which it is compared; more pictures than a flash lasts."""
 _DIFFERENT = 0.05
 """Difference of two pictures from which there may be a cut between them: 0.01 is reached by people
 near the camera at 60 Hz, 0.05 to 0.7 by two views of one room."""
 _BLACKOUT = 0.15
-"""The same across blank pictures, during which people go on moving."""
-_ALONE = 4.0
-"""A cut differs by so many times what the steps around it do."""
+"""Difference from which there may be a cut in blank pictures, while people go on moving."""
+_LEAST_RATIO = 4.0
+"""Least ratio of the difference at a cut to the largest difference at the steps around it."""
 _BLANK = 4.0
-"""Standard deviation, of 255, up to which a picture shows nothing."""
+"""Standard deviation of colours (of 255) up to which a picture counts as blank."""
 
 
 def with_shots(pictures: Iterable[Picture]) -> Iterator[tuple[Picture, int]]:
-    """Pictures with the number of their shot, which rises by one at every cut.
+    """Yield each picture with the number of its shot, which rises by one at every cut.
 
     A cut is a step between two pictures far larger than the steps around it, after which the
     pictures stay different. So pans, fast people, flashes, knocks of the camera and lights that
-    are switched are none; a dissolve is none either. Three pictures are held back.
+    are switched are no cuts; nor are dissolves. The output lags three pictures behind.
     """
     shot = 0
     shown: _Small | None = None
@@ -58,12 +58,12 @@ def with_shots(pictures: Iterable[Picture]) -> Iterator[tuple[Picture, int]]:
 
 
 def _is_cut(shown: _Small, past: Sequence[_Small | None], coming: Sequence[_Small | None]) -> bool:
-    """Whether a shot begins with the first of the coming pictures.
+    """Return whether a new shot begins with the first of the coming pictures.
 
     Args:
-        shown: the latest picture that shows something.
-        past: the pictures before the cut, None where one is blank.
-        coming: those after it.
+        shown: the latest picture that is not blank.
+        past: the pictures before the possible cut, None where one is blank.
+        coming: the pictures after it.
     """
     if coming[0] is None:
         return False
@@ -76,13 +76,13 @@ def _is_cut(shown: _Small, past: Sequence[_Small | None], coming: Sequence[_Smal
     if past[-1] is None:
         return True
     around = [*pairwise(past), *pairwise(coming)]
-    return step > _ALONE * max(
+    return step > _LEAST_RATIO * max(
         (_difference(a, b) for a, b in around if a is not None and b is not None), default=0.0
     )
 
 
 def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> _Small | None:
-    """The image as a few pixels; None where it shows nothing."""
+    """Shrink an image to 32 x 32 pixels; return None where it is blank."""
     step = max(1, min(image.shape[:2]) // (4 * _SIDE))
     part = np.ascontiguousarray(image[::step, ::step])
     small = cv2.resize(part, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -90,6 +90,6 @@ def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> _Small | None:
 
 
 def _difference(a: _Small, b: _Small) -> float:
-    """One minus the correlation of two images, shifted onto each other: 0 alike, 1 unrelated."""
-    inner = b[_KNOCK:-_KNOCK, _KNOCK:-_KNOCK]
+    """Return 1 - correlation of two images, shifted to match best: 0 is alike, 1 unrelated."""
+    inner = b[_MOST_SHIFT:-_MOST_SHIFT, _MOST_SHIFT:-_MOST_SHIFT]
     return 1.0 - float(cv2.matchTemplate(a, inner, cv2.TM_CCOEFF_NORMED).max())

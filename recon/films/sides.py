@@ -1,10 +1,10 @@
 """Decides over the whole film which side of the body is left, and how sure every keypoint is.
 
-The network sees single images, in which left and right are easily mistaken, for whole stretches.
-Of every frame there are four hypotheses: what it says of the image, what it says of the mirror
-image, and both with left and right exchanged. Limbs do not jump to the other side of the body from
-one frame to the next, so that the sequence in which they move least tells which names belong
-together; which of the two sides is left is then decided by the majority of all frames.
+The network sees single images, and mistakes left for right, often in many frames on end. Every
+frame has four hypotheses: the landmarks found in the image, those found in its mirror image, and
+both with left and right exchanged. Limbs do not jump to the other side of the body from one frame
+to the next, so that the sequence in which they move least tells which names belong together;
+which of the two sides is left is then decided by the majority of all frames.
 """
 
 import numpy as np
@@ -17,34 +17,34 @@ from recon.films.tracking import Sight
 from recon.solver.viterbi import cheapest_path
 
 _SPREADS = (0.01, 0.05)
-"""Least and largest distance that landmarks usually move from frame to frame, in sizes of the
+"""Bounds of the median distance that landmarks move from frame to frame, in sizes of the
 body."""
 _FARTHEST = 3.0
-"""Multiples of it beyond which a landmark costs no more."""
+"""Movement, over this median, beyond which a landmark's cost no longer grows."""
 _INDEPENDENT = 0.25
 """Share of the landmarks that err independently of each other."""
 _VOTE = 0.05
-"""Logarithm of the odds by which a frame's names are believed: errors last for many frames."""
-_BODY = 0.5
-"""Size of the body in sides of its region."""
+"""Cost of exchanging left and right in one frame (log odds): small, as errors last for long."""
+_BODY_SIZE = 0.5
+"""Size of the body, as a share of the side of its region."""
 _AGREEMENT = 0.1
-"""Distance of two landmarks, in sizes of the body, up to which their mean is taken."""
+"""Distance of two estimates of a landmark, in sizes of the body, up to which they are averaged."""
 _USUAL, _HIDDEN, _PER_DISTANCE = 0.02, 0.06, 0.3
-"""Error of a landmark that is surely seen, in sizes of the body, how much larger that of one is
-which is not, and its share of the distance from other places where it may be; told by the
-distances from OpenPose's keypoints in three films of one person (Pose2Sim, 100 frames each)."""
+"""Error of a landmark that is surely seen, additional error of a hidden one (sizes of the body),
+and error per distance from other estimates of the same landmark; all from the distances to
+OpenPose's keypoints in three films of one person (Pose2Sim, 100 frames each)."""
 _LEAST_SEEN = 0.05
-"""Visibility times presence from which on a landmark counts as seen."""
+"""Visibility times presence above which a landmark counts as seen."""
 
 
 def rows_of_sights(sights: list[Sight]) -> list[Row]:
-    """A row for every frame in which one person was seen.
+    """Return one person's keypoints and confidences, one row for each frame with a detection.
 
     Args:
-        sights: of the person, by frame.
+        sights: detections of the person, by frame.
     """
     seen = np.stack([(sight.pose.pixels, sight.mirrored.pixels) for sight in sights])
-    size = _BODY * np.array([sight.pose.region.side for sight in sights])
+    size = _BODY_SIZE * np.array([sight.pose.region.side for sight in sights])
     frames = np.array([sight.frame for sight in sights])
     chosen, other = _with_sides_named(seen, size, frames)
     apart = np.linalg.norm(chosen - other, axis=-1) / size[:, None]
@@ -59,15 +59,15 @@ def _with_sides_named(
     size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],
 ) -> tuple[Float[np.ndarray, "frames 33 2"], Float[np.ndarray, "frames 33 2"]]:
-    """The landmarks of a person with left and right as decided, and a second opinion on each.
+    """Decide left and right; return each landmark's position, and a second estimate of it.
 
     The first come from the image or from its mirror image; the second from the other of these two,
     with left and right named so that both lie nearer together.
 
     Args:
-        seen: by the image and by its mirror image, pixels.
+        seen: landmarks found in the image and in its mirror image, pixels.
         size: of the body, pixels.
-        frames: their numbers, rising.
+        frames: numbers of the frames, rising.
     """
     hypotheses = np.concatenate((seen, seen[:, :, MIRRORED]), 1)
     path = _likeliest_hypotheses(hypotheses, size, frames)
@@ -83,8 +83,8 @@ def _likeliest_hypotheses(
     size: Float[np.ndarray, " frames"],
     frames: Int[np.ndarray, " frames"],
 ) -> Int[np.ndarray, " frames"]:
-    """The hypothesis of every frame with which the landmarks move least."""
-    # image and mirror image agree on left and right: to exchange them costs 2; else all cost 1
+    """Return the hypothesis (0 to 3) of each frame, such that landmarks move least in the film."""
+    # exchanging left and right costs 2 where image and mirror image agree; else all cost 1
     named, exchanged = (
         np.linalg.norm(hypotheses[:, 0] - hypotheses[:, k], axis=-1).mean(-1) for k in (1, 3)
     )
@@ -104,7 +104,7 @@ def _likeliest_hypotheses(
 def _median_in_time(
     pixels: Float[np.ndarray, "frames 33 2"],
 ) -> Float[np.ndarray, "frames 33 2"]:
-    """The median of every coordinate over five frames, which removes jumps of two frames."""
+    """Return each coordinate's median over five frames, which removes jumps of two frames."""
     padded = np.pad(pixels, ((2, 2), (0, 0), (0, 0)), mode="edge")
     return np.median(np.stack([padded[k : k + len(pixels)] for k in range(5)]), axis=0)
 
@@ -112,12 +112,12 @@ def _median_in_time(
 def _confidence(
     sights: list[Sight], apart: Float[np.ndarray, "frames 33"]
 ) -> Float[np.ndarray, "frames 33"]:
-    """The usual error of a landmark divided by the expected one.
+    """Return confidences: the error of a surely seen landmark over that expected of this one.
 
     Args:
-        sights: of one person.
-        apart: distance of the two places of every landmark from each other, and of their mean from
-            the frames before and after, sizes of the body.
+        sights: detections of one person.
+        apart: distance of the two estimates of every landmark, plus that of their mean from the
+            frames before and after, sizes of the body.
     """
     visible, present = (
         np.min([(getattr(one.pose, name), getattr(one.mirrored, name)) for one in sights], axis=1)

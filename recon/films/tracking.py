@@ -9,44 +9,44 @@ from jaxtyping import Float
 from recon.films.blazepose import MIRRORED, BlazePose, Image, Pose, Region
 
 _SEARCH_S = 0.5
-"""Seconds between two looks for people who are not followed."""
+"""Seconds between two searches for people who are not followed yet."""
 _LEAST_SCORE = 0.5
 """Score of a region from which on it holds a person."""
 _SAME_PLACE = 0.25
-"""Hips of two regions so near, in sides of the smaller, are of one person."""
+"""Distance of the hips of two regions below which they are of one person, sides of the smaller."""
 _SAME_BODY = 0.1
-"""Two bodies so near to each other, in sides of the smaller region, are one."""
-_LARGE = [11, 12, *range(23, 29)]
-"""Landmarks of shoulders, hips, knees and ankles: faces and hands of two people may be near."""
+"""Distance of two bodies below which they are of one person, sides of the smaller region."""
+_TRUNK_LEGS = [11, 12, *range(23, 29)]
+"""Landmarks by which bodies are compared: shoulders, hips, knees, ankles; hands may meet."""
 _CUTOFF_HZ, _SPEED_CUTOFF, _RATE_CUTOFF_HZ = 0.01, 10.0, 1.0
-"""Of the filter of regions: its cut-off frequency at rest, how much it rises per region's side per
-second, and the cut-off of the speed."""
+"""Filter of the regions' movement: cut-off frequency at rest (Hz), its increase per side of the
+region per second, and the cut-off frequency of the speed."""
 _TILE_STEP = 0.6
-"""Distance of neighbouring tiles, in sides."""
+"""Largest distance of neighbouring tiles' centres, in sides of a tile."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """One person in one frame."""
+    """One person detected in one frame: landmarks from the image and from its mirror image."""
 
     frame: int
     track: int
     """Number of the person's track, which ends when they are lost."""
     pose: Pose
     mirrored: Pose
-    """The same from the mirror image."""
+    """The pose found in the mirror image, mirrored back."""
 
 
 @dataclass(frozen=True)
 class TrackerState:
-    """The state of a tracker after a frame, from which another one can continue."""
+    """The state of a `Tracker` after a frame, from which another one can continue."""
 
     frame: int
     shot: int
     fresh: int
     """Number of the next track."""
     next_search: int
-    """Frame of the next look for new people."""
+    """Frame of the next search for new people."""
     tracks: Float[np.ndarray, "tracks 79"]
     """Number, region (centre, side, angle), filtered points, their speed and the landmarks of the
     last frame of every track."""
@@ -57,14 +57,14 @@ class _Track:
     number: int
     region: Region
     points: Float[np.ndarray, "2 2"] | None = None
-    """Filtered hips and rim; None before the first frame."""
+    """Filtered mid hips and top of the circle about the body; None before the first frame."""
     speed: Float[np.ndarray, "2 2"] = field(default_factory=lambda: np.zeros((2, 2)))
-    """Filtered, in sides of the region per second."""
+    """Filtered speed of these points, in sides of the region per second."""
     body: Float[np.ndarray, "33 2"] | None = None
     """Landmarks of the last frame; None before the first."""
 
     def jump(self, pose: Pose) -> float:
-        """Distance of a body from that of the last frame, in sides of the region."""
+        """Return the distance of a pose from the last frame's, in sides of the region."""
         if self.body is None:
             return 0.0
         return _distance_of_bodies(pose.pixels, self.body) / self.region.side
@@ -83,12 +83,12 @@ class _Track:
 
 
 def _filter_weight(cutoff: float | np.ndarray, rate: float) -> float | np.ndarray:
-    """The weight of a new value in an exponential filter of this cut-off frequency."""
+    """Return the weight of a new value in an exponential filter with a cut-off frequency (Hz)."""
     return 1 / (1 + rate / (2 * np.pi * cutoff))
 
 
 class Tracker:
-    """Follows everybody in a film from frame to frame."""
+    """Detects all people in a film and follows them from frame to frame."""
 
     def __init__(self, networks: BlazePose, rate: float) -> None:
         self._networks = networks
@@ -100,7 +100,7 @@ class Tracker:
         self._frame = -1
 
     def state(self) -> TrackerState:
-        """The state from which a later tracker can continue."""
+        """Return the state from which a later tracker can continue."""
         rows = [
             (
                 one.number, *one.region.centre, one.region.side, one.region.angle,
@@ -126,7 +126,7 @@ class Tracker:
         ]  # fmt: skip
 
     def step(self, image: Image, frame: int, shot: int) -> list[Sight]:
-        """Detect everybody in the next frame; returns a sight per person."""
+        """Detect all people in the next frame; return a `Sight` for each."""
         self._frame = frame
         if shot != self._shot:
             self._tracks, self._shot, self._next_search = [], shot, frame
@@ -153,10 +153,10 @@ class Tracker:
                 self._fresh += 1
 
     def _tracks_still_seen(self, image: Image, frame: int) -> Iterator[tuple[_Track, Sight]]:
-        """Tracks whose person is still in the region, each with the new detection.
+        """Yield tracks whose person is still in the region, each with the new detection.
 
-        Where the image and its mirror image show different bodies, of two people who overlap, the
-        one counts that moved less since the last frame.
+        Where the landmarks of the image and of its mirror image are of different bodies, of two
+        people who overlap, the body that moved less since the last frame is taken.
         """
         for one in self._tracks:
             both = self._networks.poses(image, one.region)
@@ -168,7 +168,7 @@ class Tracker:
             yield one, Sight(frame, one.number, pose, mirrored)
 
     def _without_duplicates(self, seen: list[tuple[_Track, Sight]]) -> list[tuple[_Track, Sight]]:
-        """One track for every body: of several on one body, the one that moved least."""
+        """Return tracks without duplicates: of several on one body, that which moved least."""
         seen.sort(key=lambda it: (it[0].body is None, it[0].jump(it[1].pose)))
         kept: list[tuple[_Track, Sight]] = []
         for track, sight in seen:
@@ -189,13 +189,13 @@ def _same_body(one: Pose, other: Pose) -> bool:
 
 
 def _distance_of_bodies(one: Float[np.ndarray, "33 2"], other: Float[np.ndarray, "33 2"]) -> float:
-    """Median distance of trunk and legs of two bodies, whichever side is left, pixels."""
-    away = (np.linalg.norm((one - way)[_LARGE], axis=1) for way in (other, other[MIRRORED]))
+    """Return the median distance (pixels) of trunk and legs, whichever side each calls left."""
+    away = (np.linalg.norm((one - it)[_TRUNK_LEGS], axis=1) for it in (other, other[MIRRORED]))
     return min(float(np.median(distances)) for distances in away)
 
 
 def _tiles(image: Image) -> Iterator[Region]:
-    """Overlapping squares that cover an image."""
+    """Yield overlapping squares that together cover an image."""
     height, width = image.shape[:2]
     side, long = min(width, height), max(width, height)
     count = max(1, int(np.ceil(long / (_TILE_STEP * side))))

@@ -1,4 +1,4 @@
-"""How a camera on one spot turns, and its focal length, from points of the background.
+"""Finds rotations and focal length of a camera on one spot, from points of the background.
 
 A point far away, or any point seen from one spot, keeps its direction in the world. The rotation
 of a picture is the one that turns the directions of its points onto those known from the pictures
@@ -14,41 +14,41 @@ from scipy.interpolate import interp1d
 from scipy.spatial.transform import Rotation, Slerp
 
 _NOISE = 0.0015
-"""Radians by which points agree."""
+"""Standard deviation of a point's observed direction, radians."""
 _WIDER = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
-"""Multiples of it in the rounds of reweighting of a picture."""
+"""Widths of the robust kernel, in multiples of the noise, in the rounds of fitting a rotation."""
 _FEWEST_POINTS = 6
-"""Points of a picture below which it is taken to be turned like the one before."""
+"""Fewest points to fit a picture's rotation; with fewer it keeps that of the one before."""
 _LEAST_TURN = np.radians(6.0)
-"""Turn from which on a rotation is told from a small path."""
+"""Least rotation over a film (radians) that differs clearly from a small shift of the camera."""
 _FOCAL_TURN = np.radians(10.0)
-"""Turn from which on it tells the focal length."""
+"""Least rotation over a film (radians) that determines the focal length."""
 _FOCAL_FACTORS = np.geomspace(0.7, 1.43, 13)
 _MOST_OFF = 0.0025
-"""Median angle, radians, by which points disagree with a camera that only turns."""
+"""Largest median residual (radians) of points before a camera that only rotates."""
 
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """The poses of a camera in the frame of its first picture."""
+    """Poses and focal length of a moving camera, in the frame of its first picture."""
 
     frames: Int[np.ndarray, " pictures"]
     R_first_camera: Float[np.ndarray, "pictures 3 3"]
-    """From the camera's frame to that of the first picture."""
+    """Rotations from the camera's frame to that of the first picture."""
     places: Float[np.ndarray, "pictures 3"]
-    """In the first picture's frame and an unknown unit; zero where the camera stands on a spot."""
+    """Positions in the first picture's frame, in an unknown unit; zero if it stays on one spot."""
     focal: float
-    """Pixels."""
+    """Focal length, pixels."""
     focal_told: bool
-    """Whether the turning told it."""
+    """Whether the focal length follows from the motion, instead of being given or guessed."""
 
     @property
     def angle(self) -> float:
-        """The largest turn from the first picture, radians."""
+        """The largest angle of rotation from the first picture, radians."""
         return _largest_turn(self.R_first_camera)
 
     def at(self, frames: Int[np.ndarray, " wanted"]) -> Float[np.ndarray, "wanted 4 4"]:
-        """T_first_camera at any frames, between the pictures by the shortest way."""
+        """Interpolate the poses T_first_camera at any frames, by shortest rotations."""
         T = np.tile(np.eye(4), (len(frames), 1, 1))
         if len(self.frames) < 2:
             return T
@@ -68,14 +68,14 @@ def find_turning(
     *,
     known: bool,
 ) -> CameraMotion | None:
-    """The rotation of a camera over time; None where it hardly turns, or leaves its place.
+    """Find a camera's rotation over time; None where it hardly rotates, or leaves its spot.
 
     Args:
-        frame: number of the picture of each row.
-        point: number of its point.
-        pixels: from the principal point, without the lens' distortion.
+        frame: number of the picture of each observation.
+        point: number of the observed point.
+        pixels: its position from the principal point, without the lens' distortion.
         focal: focal length in pixels; its guess where it is not known.
-        known: whether it is known; if not, it is looked for.
+        known: whether the focal length is known; if not, it is looked for.
     """
     order = np.argsort(frame, kind="stable")
     frame, point, pixels = frame[order], point[order], pixels[order]
@@ -106,7 +106,7 @@ def find_turning(
 
 
 def _largest_turn(rotations: Float[np.ndarray, "pictures 3 3"]) -> float:
-    """The largest angle from the first picture, radians."""
+    """Return the largest angle of rotation from the first picture, radians."""
     return float(Rotation.from_matrix(rotations).magnitude().max())
 
 
@@ -115,12 +115,12 @@ def turned_onto(
     goal: Float[np.ndarray, "points 3"],
     R: Float[np.ndarray, "3 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """The rotation R rays = goal of most unit vectors, how far each is off, and its weight.
+    """Fit the rotation R rays = goal robustly; return it, and each vector's residual and weight.
 
     Args:
-        rays: unit vectors.
-        goal: unit vectors.
-        R: where to begin; None is no rotation.
+        rays: unit vectors before the rotation.
+        goal: the same vectors after it.
+        R: first guess; None is no rotation.
     """
     R, off, weight = np.eye(3) if R is None else R, np.zeros(len(rays)), np.ones(len(rays))
     for wider in _WIDER:
@@ -136,12 +136,12 @@ def _chained_rotations(
     places: Float[np.ndarray, "rows 2"],
     starts: Int[np.ndarray, " later"],
 ) -> tuple[Float[np.ndarray, "pictures 3 3"], Float[np.ndarray, " compared"]]:
-    """Rotations of the pictures, and the angles by which points are off; none of one picture.
+    """Return the rotation of each picture to the first, and residuals (radians) of all points.
 
     Args:
-        point: number of the point of each row, by picture.
-        places: x/z and y/z in the camera's frame.
-        starts: rows with which pictures after the first begin.
+        point: number of the observed point in each row, sorted by picture.
+        places: x/z and y/z of each observation in the camera's frame.
+        starts: first rows of all pictures but the first.
     """
     rays = np.concatenate((places, np.ones((len(places), 1))), 1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

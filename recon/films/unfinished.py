@@ -13,8 +13,8 @@ from recon.formats.opening import load_arrays
 from recon.formats.replacing import save_arrays
 
 _SIZES = (2 * LANDMARKS, LANDMARKS, LANDMARKS, LANDMARKS, 1, 2, 1, 1, 4)
-"""Numbers of the fields of a pose: pixels, visibility, presence, inside, score, the centre, side
-and angle of the region, and points of the next one."""
+"""Lengths of a pose's fields in an array: pixels, visibility, presence, inside, score, the centre,
+side and angle of the region, and points of the next one."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,16 @@ class Unfinished:
 
     folder: Path
     key: str
-    """Checksum of what the sights depend on."""
+    """Checksum of everything that the detections depend on."""
 
     def add(self, sights: list[Sight], before: int, state: TrackerState) -> None:
         """Save the next part of the detections, from which an interrupted run goes on.
 
         Args:
-            sights: those that no part has.
-            before: number of sights in all parts before; a part with as many before it is
+            sights: detections that no part has yet.
+            before: number of detections in all parts before; a part with as many before it is
                 replaced.
-            state: after the last frame of this part.
+            state: of the tracker after the last frame of this part.
         """
         rows = [(*_numbers_of_pose(one.pose), *_numbers_of_pose(one.mirrored)) for one in sights]
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -48,7 +48,7 @@ class Unfinished:
         )
 
     def load(self) -> tuple[list[Sight], TrackerState | None]:
-        """Detections and tracker state of all parts; none where a part is of another film."""
+        """Load detections and tracker state of all parts; nothing if one is of another film."""
         sights, state = list[Sight](), None
         for path in sorted(self.folder.glob("*.npz")):
             arrays = load_arrays(path)

@@ -1,4 +1,4 @@
-"""The vertical and the focal length of a still camera, from straight lines in its images.
+"""Finds the vertical and focal length of a still camera from straight lines in its images.
 
 Edges of walls, doors, windows and furniture are mostly vertical, or along two horizontal
 directions at right angles (Coughlan and Yuille, "Manhattan World", 1999). A segment in an image
@@ -16,38 +16,38 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 _LONGEST_SIDE = 1280
-"""Pixels to which larger images are reduced before segments are looked for."""
+"""Longer side (pixels) to which larger images are reduced before segments are looked for."""
 _SHORTEST_SEGMENT = 0.03
-"""Share of the image's longer side."""
+"""Least length of a segment, as a share of the image's longer side."""
 _FEWEST_SEGMENTS = 20
 _TOLERANCE = np.radians(1.2)
 """Standard deviation of the angle between the plane of a segment and the direction it shows."""
 _MOST_TILTED = np.radians(50.0)
-"""Angle between the vertical and the image's own up axis up to which it is looked for."""
+"""Largest angle between the vertical and the image's own up axis that is considered."""
 _ROLL, _PITCH, _PITCH_SPREAD = np.radians(20.0), np.radians(8.0), np.radians(30.0)
 """Standard deviation of a camera's roll; mean and standard deviation of the angle by which it
-looks down. Lines that tell a camera far from these are mostly those of furniture or textures."""
+looks down. Lines that imply a camera far from these are mostly those of furniture or textures."""
 _FOCAL_LENGTHS = np.geomspace(0.55, 1.65, 23)
-"""Focal lengths tried, of the longer side: fields of view from 85 to 34 degrees along it."""
+"""Focal lengths tried, over the longer side: fields of view from 85 to 34 degrees along it."""
 _MOST_OFF = 3.0
-"""Standard deviations by which a focal length may be off its guess."""
+"""Largest difference of a focal length from its guess, in standard deviations."""
 _PAIRS = 300
 """Pairs of segments that propose a vertical for each focal length."""
 _HEADINGS = 90
-"""Bins of the quarter turn in which the horizontal directions lie."""
+"""Bins of the quarter turn in which the heading of a horizontal direction lies."""
 _LEAST_VERTICAL = 0.05
 """Share of the length of all segments that the vertical must explain by itself."""
 _BEYOND_CHANCE = 0.12
-"""Explained share beyond that of segments turned at random, from which on lines tell anything."""
+"""Least explained share, beyond that of segments turned at random, at which a vertical counts."""
 _RANDOM_TURNS = 5
 _RIVAL, _APART = 0.8, np.radians(10.0)
-"""Share beyond chance that another vertical, at least this angle away, may explain of what the
-best one explains beyond chance; else lines tell no single vertical."""
+"""Largest share beyond chance explained by another vertical, over that of the best one, and least
+angle between both; where it explains more, lines determine no single vertical."""
 _STEP, _PEAK = 0.12, 0.92
 """Logarithm of a change of the focal length by which the explained share must fall, to this share
 of its greatest value, for lines to tell the focal length."""
 _EVERY_IMAGE = 0.6
-"""Share of its mean over images that each must explain; a camera that turns explains less."""
+"""Least explained share in an image, over the mean of all; if a camera turns, it is lower."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def find_vertical(
     focal: float,
     focal_std: float,
 ) -> Vertical | None:
-    """The vertical in images of one still camera; None where lines do not determine it.
+    """Find the vertical in images of one still camera; None where lines do not determine it.
 
     They do not where there are few, where they explain little more than lines turned at random,
     where another vertical explains nearly as many, and where images disagree because the camera
@@ -109,7 +109,7 @@ def find_vertical(
 def straight_segments(
     image: UInt8[np.ndarray, "height width 3"],
 ) -> Float[np.ndarray, "segments 2 2"]:
-    """Ends of the long straight segments of an image, pixels."""
+    """Find the long straight segments of an image; return their ends, pixels."""
     longer = max(image.shape[:2])
     scale = min(1.0, _LONGEST_SIDE / longer)
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -123,7 +123,7 @@ def straight_segments(
 
 
 def _may_be_vertical(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
-    """Which segments may be vertical."""
+    """Return which segments are steep enough in the image to be vertical in the world."""
     along = np.abs(segments[:, 1] - segments[:, 0])
     return np.arctan2(along[:, 0], along[:, 1]) < _MOST_TILTED
 
@@ -131,7 +131,7 @@ def _may_be_vertical(segments: Float[np.ndarray, "segments 2 2"]) -> np.ndarray:
 def _turned_at_random(
     segments: Float[np.ndarray, "segments 2 2"], chance: np.random.Generator
 ) -> Float[np.ndarray, "segments 2 2"]:
-    """The segments, each turned about its middle by a random angle."""
+    """Return the segments, each turned about its middle by a random angle."""
     middle = segments.mean(1, keepdims=True)
     angle = chance.uniform(0, np.pi, len(segments))
     turns = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -143,7 +143,7 @@ def _share_by_chance(
     lengths: Float[np.ndarray, " focals"],
     chance: np.random.Generator,
 ) -> float:
-    """The largest share explained among several copies of the segments, turned at random."""
+    """Return the largest explained share in several copies of segments, turned at random."""
     turned = [_turned_at_random(segments, chance) for _ in range(_RANDOM_TURNS)]
     return max(_best_vertical(one, focal, chance)[1] for one in turned for focal in lengths)
 
@@ -151,10 +151,10 @@ def _share_by_chance(
 def _best_vertical(
     segments: Float[np.ndarray, "segments 2 2"], focal: float, chance: np.random.Generator
 ) -> tuple[Float[np.ndarray, "3"], float, float]:
-    """The vertical that explains most among those of random pairs, and the share it explains.
+    """Return the vertical proposed by pairs of segments that explains most, and its share.
 
-    Also the largest share that one in another direction explains. Shares are multiplied by how
-    likely cameras are held so.
+    Also returned is the largest share of one in another direction. Shares are multiplied by the
+    likelihood of the camera's roll and pitch.
     """
     length, normals = _lengths(segments), _plane_normals(segments, focal)
     steep = np.flatnonzero(_may_be_vertical(segments))
@@ -167,14 +167,14 @@ def _best_vertical(
     ups = ups[-ups[:, 1] > np.cos(_MOST_TILTED)]
     if len(ups) == 0:
         return np.array([0.0, -1.0, 0.0]), 0.0, 0.0
-    share = _explained_share(segments, focal, ups) * _likelihood(ups)
+    share = _explained_share(segments, focal, ups) * _camera_likelihood(ups)
     best = int(share.argmax())
     rival = share[ups @ ups[best] < np.cos(_APART)].max(initial=0.0)
     return ups[best], float(share[best]), float(rival)
 
 
-def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
-    """Normal density of roll and pitch of cameras with these up directions; one at its mean."""
+def _camera_likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
+    """Return the likelihood of a camera's roll and pitch, given its up direction; at most 1."""
     roll, down = np.arctan2(ups[:, 0], -ups[:, 1]), np.arcsin(np.clip(-ups[:, 2], -1, 1))
     return np.exp(-0.5 * ((roll / _ROLL) ** 2 + ((down - _PITCH) / _PITCH_SPREAD) ** 2))
 
@@ -182,9 +182,9 @@ def _likelihood(ups: Float[np.ndarray, "ups 3"]) -> Float[np.ndarray, " ups"]:
 def _explained_share(
     segments: Float[np.ndarray, "segments 2 2"], focal: float, ups: Float[np.ndarray, "ups 3"]
 ) -> Float[np.ndarray, " ups"]:
-    """Share of the segments' length along each vertical and its two best horizontal directions.
+    """Return the share of segments' length that each vertical and two horizontals explain.
 
-    Zero where the vertical explains too little by itself.
+    It is zero where the vertical explains too little by itself.
     """
     length, normals = _lengths(segments), _plane_normals(segments, focal)
     off = np.arcsin(np.clip(ups @ normals.T, -1, 1)) / _TOLERANCE
@@ -197,7 +197,7 @@ def _explained_share(
     x, y = aside @ normals.T, -(ahead @ normals.T)
     heading = np.arctan2(y, x) % (np.pi / 2) * (2 / np.pi * _HEADINGS)
     bins = heading.astype(np.int64) % _HEADINGS + _HEADINGS * np.arange(len(ups))[:, None]
-    # a plane that is nearly level shows no heading
+    # a plane that is nearly level determines no heading
     left = length * (1 - vertical) * (np.hypot(x, y) > 0.2)
     histogram = np.bincount(bins.ravel(), left.ravel(), _HEADINGS * len(ups))
     histogram = histogram.reshape(len(ups), _HEADINGS)
@@ -214,7 +214,7 @@ def _lengths(segments: Float[np.ndarray, "segments 2 2"]) -> Float[np.ndarray, "
 def _plane_normals(
     segments: Float[np.ndarray, "segments 2 2"], focal: float
 ) -> Float[np.ndarray, "segments 3"]:
-    """Unit normals of the planes through the segments and the centre of the camera."""
+    """Return unit normals of the planes through the segments and the centre of the camera."""
     rays = np.concatenate((segments / focal, np.ones((len(segments), 2, 1))), -1)
     across = np.cross(rays[:, 0], rays[:, 1])
     return across / np.linalg.norm(across, axis=-1, keepdims=True)
@@ -223,7 +223,7 @@ def _plane_normals(
 def _is_peak(
     logarithms: Float[np.ndarray, " focals"], shares: Float[np.ndarray, " focals"], best: int
 ) -> bool:
-    """Whether the explained share falls on both sides of its greatest value."""
+    """Return whether the explained share falls clearly on both sides of its greatest value."""
     beside = logarithms[best] + np.array([-_STEP, _STEP])
     if beside[0] < logarithms[0] or beside[1] > logarithms[-1]:
         return False

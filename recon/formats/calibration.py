@@ -1,8 +1,8 @@
-"""Camera calibrations of several programs as one mapping from names to cameras.
+"""Reads camera calibrations of several programs into one mapping from names to cameras.
 
-Read are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap's `intri.yml` with
-`extri.yml`, or one file per camera), PROX's JSON and plain .npz files. All give world to camera
-in OpenCV's axes.
+Formats are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap's `intri.yml`
+with `extri.yml`, or one file per camera), PROX's JSON and plain .npz files. All state poses from
+world to camera, with OpenCV's axes.
 """
 
 import json
@@ -27,7 +27,7 @@ from recon.formats.texts import read_toml
 
 
 def toml_cameras(path: Path) -> dict[str, CameraFields]:
-    """The cameras of a TOML file by name.
+    """Read the cameras of a TOML calibration, keyed by name; their values are not checked yet.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -60,16 +60,16 @@ def toml_cameras(path: Path) -> dict[str, CameraFields]:
 
 
 def camera_table(name: str, camera: CameraArrays) -> str:
-    """TOML table of a fixed camera, as Pose2Sim writes it and `--camera` reads it.
+    """Format a fixed camera as a TOML table, as Pose2Sim writes it and `--camera` reads it.
 
-    Without a pose it has neither rotation nor translation.
+    The table of a camera without a pose has neither rotation nor translation.
     """
     distortion = [0.0] * 4 if camera.distortion is None else camera.distortion.tolist()
     pose = ""
     if camera.T_camera_world is not None:
-        turn = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
-        place = camera.T_camera_world[0, :3, 3]
-        pose = f"rotation = {turn.tolist()}\ntranslation = {place.tolist()}\n"
+        vector = Rotation.from_matrix(camera.T_camera_world[0, :3, :3]).as_rotvec()
+        translation = camera.T_camera_world[0, :3, 3]
+        pose = f"rotation = {vector.tolist()}\ntranslation = {translation.tolist()}\n"
     label, size = json.dumps(name), [float(one) for one in camera.image_size]
     return (
         f"[{label}]\nname = {label}\nsize = {size}\n"
@@ -82,23 +82,23 @@ def camera_table(name: str, camera: CameraArrays) -> str:
 CameraUnit = Literal["m", "mm"]
 
 _FARTHEST_METRES = 50.0
-"""Cameras farther than this from the origin, were the unit metres, make it millimetres ..."""
+"""Distance of the farthest camera from the origin up to which the file's unit is the metre."""
 _NEAREST_MILLIMETRES = 300.0
-"""... provided that the farthest one is at least this far in millimetres."""
+"""Distance of the farthest camera from the origin from which on the unit is the millimetre."""
 _SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".npz")
 _IN_FOLDER = (".yml", ".yaml", ".npz")
-"""Files of single cameras that a folder may hold."""
+"""Endings of calibration files of which a folder holds one per camera."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of a set-up, with notes on how unit and axes were decided."""
+    """Cameras that film one scene, with notes on how unit and up axis were decided."""
 
     cameras: Mapping[str, CameraArrays]
     """Cameras by name. Poses are in metres with world z up; the pose is None where the file has
     none."""
     unit: CameraUnit
-    """The unit the file was in."""
+    """Unit of the translations in the file."""
     decisions: tuple[str, ...]
 
 
@@ -123,7 +123,7 @@ def load_cameras(
         image_size: width and height, pixels, of cameras whose file does not tell.
 
     Raises:
-        FileNotFoundError: when there is nothing there.
+        FileNotFoundError: when the path does not exist.
         ValueError: when it is damaged, of an unknown kind, has a fisheye lens, no image size,
             or a unit that cannot be told.
     """
@@ -135,15 +135,15 @@ def load_cameras(
         raise FormatError(f"{path}: expected at least one camera, found none")
     cameras = {name: checked_camera(part, image_size, path) for name, part in parts.items()}
     chosen, reason = _decided_unit(cameras, unit, path)
-    turned = {
+    converted = {
         name: _in_metres_z_up(camera, METRES[chosen], up or "z")
         for name, camera in cameras.items()
     }
-    for name, camera in turned.items():
+    for name, camera in converted.items():
         if camera.T_camera_world is not None:
             check_pose(camera.T_camera_world, path, f"pose of camera {name}")
     world = f"camera world {up or 'z'} up: " + ("given" if up else "believed")
-    return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
+    return Calibration(MappingProxyType(converted), chosen, (*decisions, reason, world))
 
 
 def _read_cameras(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
@@ -227,7 +227,7 @@ def _decided_unit(
 
 
 def _in_metres_z_up(camera: CameraArrays, metres: float, up: Up) -> CameraArrays:
-    """The camera with its pose in metres, in a world with z up."""
+    """Convert a camera's pose to metres, and its world to one with z up."""
     if camera.T_camera_world is None:
         return camera
     pose = camera.T_camera_world.copy()

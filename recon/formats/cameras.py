@@ -1,4 +1,4 @@
-"""Cameras from files: checks of the values, and guesses for missing ones."""
+"""Checks the camera values that files state, and guesses missing ones."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,42 +12,41 @@ from recon.core.errors import FormatError
 from recon.core.limits import IMAGE_SIZE
 
 ImageSize = tuple[int, int]
-"""Width and height, pixels."""
+"""Width and height of an image, pixels."""
 _COEFFICIENTS = (4, 5, 8)
-"""OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
+"""Allowed numbers of distortion coefficients, k1 k2 p1 p2 [k3 [k4 k5 k6]] as in OpenCV."""
 FILM_DIAGONAL = 43.27
-"""Millimetres; the diagonal of 35 mm film."""
+"""Diagonal of a frame of 35 mm film (36 x 24 mm), millimetres."""
 PHONE = 28.0
-"""Focal length for 35 mm film of a phone's main camera that films, millimetres: a diagonal field
-of view of 75 degrees."""
+"""35 mm equivalent focal length of a phone's main camera when it films, millimetres: a diagonal
+field of view of 75 degrees."""
 GUESSED_FOCAL_STD, STATED_FOCAL_STD = 0.3, 0.1
-"""Standard deviations of a guessed and of a stated focal length, as shares of it: stabilising
-crops a film by 10 to 15 %, and its images have another form than the sensor whose diagonal counts.
-"""
-_SAME_FORM = 0.002
-"""Difference of the ratios of widths and heights, as a share, up to which images have one form;
-the rounding of 1920 x 1080 to 426 x 240 makes 0.0016."""
+"""Relative standard deviations of a guessed focal length, and of one in a film's metadata:
+stabilising crops a film by 10 to 15 %, and its aspect ratio differs from that of the sensor."""
+_ASPECT_TOLERANCE = 0.002
+"""Relative difference of the scales of width and height up to which two images have one aspect
+ratio; rounding 1920 x 1080 to 426 x 240 makes 0.0016."""
 _BLOCK = 16
-"""Pixels of a block of H.264: films of 1080 rows have 1088 before they are cut."""
+"""Edge of a block of H.264, pixels: films of 1080 rows are stored with 1088 and then cropped."""
 USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
-"""Widths and heights of films, pixels."""
+"""Common widths and heights of films in landscape, pixels, from small to large."""
 
 
 @dataclass(frozen=True)
 class CameraPath:
-    """The poses of a moving camera, in the world of a tracker that does not know the ground."""
+    """Poses of a moving camera, in the world of a tracker that does not know the ground."""
 
     T_world_camera: Float[np.ndarray, "time 4 4"]
-    """A pose for every frame, in the tracker's unit."""
+    """Camera-to-world transform of every frame; translations in the tracker's unit."""
     metric: bool
-    """Whether that unit is the metre."""
+    """Whether the tracker's unit is the metre."""
     level: bool
     """Whether the z axis of the tracker's world points up."""
 
 
 @dataclass(frozen=True)
 class CameraArrays:
-    """The arrays of a calibrated camera with OpenCV's axes."""
+    """A camera as NumPy arrays: intrinsics, distortion and poses, with OpenCV's axes."""
 
     camera_matrix: Float[np.ndarray, "3 3"]
     """Focal lengths, skew and principal point, pixels."""
@@ -56,15 +55,15 @@ class CameraArrays:
     distortion: Float[np.ndarray, " coefficients"] | None = None
     """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
-    """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
+    """World-to-camera transforms, metres: one, or one per frame. None where they are not known."""
     focal_std: float = 0.0
-    """Standard deviation of the focal length as a share of it; 0 if measured. Not written."""
+    """Relative standard deviation of the focal length; 0 if measured. Not saved to files."""
     path: CameraPath | None = None
-    """How a camera whose pose is not known moved; not written."""
+    """Motion of a camera whose pose in the world is not known. Not saved to files."""
 
     @property
     def focal_known(self) -> bool:
-        """Whether somebody measured the focal length."""
+        """Whether the focal length was measured, and not guessed or read from metadata."""
         return self.focal_std == 0
 
     @property
@@ -75,28 +74,28 @@ class CameraArrays:
 
 @dataclass(frozen=True)
 class CameraFields:
-    """The values that a file states about a camera, before they are checked."""
+    """Unchecked values that a file states about one camera; None where it does not state them."""
 
     name: str
     matrix: Any
     size: Any = None
-    """Width and height."""
+    """Width and height of the images, pixels."""
     distortion: Any = None
     rotation: Any = None
-    """World to camera: Rodrigues vector or matrix."""
+    """Rotation from world to camera: a Rodrigues vector or a matrix."""
     translation: Any = None
     pose: Any = None
-    """Instead of the two: 3x4 or 4x4, one or one per frame."""
+    """World-to-camera matrix (3x4 or 4x4, or one per frame), in place of the two fields above."""
 
 
 def checked_camera(
     fields: CameraFields, image_size: tuple[int, int] | None, path: Path
 ) -> CameraArrays:
-    """Check shapes and finiteness of a camera's values; unit and world are still the file's.
+    """Convert a camera's values to arrays and check them; unit and world stay those of the file.
 
     Raises:
-        ValueError: for what is not numbers, has a wrong shape, a focal length that is not
-            positive, a rotation that is none, or an image size that is neither stated nor given.
+        ValueError: when values are not numbers, have a wrong shape or a focal length that is not
+            positive, a rotation is none, or the image size is neither stated nor given.
     """
     where = f"{path}, camera {fields.name}"
     matrix = _float_array(fields.matrix, "camera matrix", where)
@@ -190,15 +189,15 @@ def _pose(fields: CameraFields, where: str) -> np.ndarray | None:
 
 
 def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"] | None:
-    """Factors (x, y) from pixels at `size` to those at `other`; None if images are no copies.
+    """Return factors (x, y) that scale pixels in images of `size` to `other`; None if unrelated.
 
-    Images of the same form are copies in another resolution. Where sides differ by less than a
-    codec's block, the larger images were filled up to whole blocks at the right and below: no
-    pixel moves, and the scale is 1. Other differences come of stabilising, or of another mode of
+    Images of one aspect ratio are copies in another resolution. Where sides differ by less than a
+    codec's block, the larger images were padded to whole blocks at the right and below: no pixel
+    moves, and the scale is 1. Other differences come from stabilising, or from another mode of
     the camera, which change focal length and principal point.
     """
     scale = np.array(other) / size
-    if np.ptp(scale) < _SAME_FORM * scale.max():
+    if np.ptp(scale) < _ASPECT_TOLERANCE * scale.max():
         return scale
     return np.ones(2) if np.abs(np.subtract(other, size)).max() < _BLOCK else None
 
@@ -206,7 +205,7 @@ def scale_of_images(size: ImageSize, other: ImageSize) -> Float[np.ndarray, "2"]
 def straightened(
     pixels: Float[np.ndarray, "*points 2"], camera: CameraArrays
 ) -> Float[np.ndarray, "*points 2"]:
-    """Pixels that the same camera with a perfect lens would see."""
+    """Undistort pixels: return where the same camera without distortion would see them."""
     if camera.distortion is None or pixels.size == 0:
         return pixels
     import cv2
@@ -218,13 +217,13 @@ def straightened(
 
 
 def guessed_camera(image_size: tuple[int, int], stated: float | None = None) -> CameraArrays:
-    """A phone's camera for images of this size, whose principal point is in the middle.
+    """Guess a phone's camera from the image size, with the principal point in the middle.
 
     Its focal length is marked as not known, so that a fit corrects it.
 
     Args:
-        image_size: pixels.
-        stated: focal length for 35 mm film that the camera wrote, millimetres; None is `PHONE`.
+        image_size: width and height, pixels.
+        stated: 35 mm equivalent focal length in the metadata, millimetres; None takes `PHONE`.
     """
     width, height = image_size
     focal = (stated or PHONE) / FILM_DIAGONAL * float(np.hypot(width, height))
@@ -237,10 +236,10 @@ def guessed_size(
     pixels: Float[np.ndarray, "detections points 2"],
     confidence: Float[np.ndarray, "detections points"],
 ) -> tuple[int, int]:
-    """The smallest usual image size, landscape or portrait, that contains the keypoints.
+    """Guess the image size: the smallest usual one, in either orientation, around the keypoints.
 
-    One keypoint in a hundred may lie outside, as detectors guess what the image cuts off. Larger
-    ones than all are taken as they are.
+    One keypoint in a hundred may lie outside, as detectors guess what the image cuts off. Where
+    no usual size is large enough, the extent of the keypoints is taken.
     """
     seen = pixels[confidence > 0]
     reach = np.quantile(seen, 0.99, axis=0) if len(seen) > 0 else np.zeros(2)

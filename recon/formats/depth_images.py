@@ -1,4 +1,4 @@
-"""Reads folders of 16-bit depth images as points, by the sensor's intrinsics."""
+"""Reads folders of 16-bit depth images, back-projected to point clouds."""
 
 import struct
 from itertools import islice
@@ -15,12 +15,12 @@ from recon.formats.observations import CameraArrays, PointsFile
 from recon.formats.opening import existing_file, files_of
 from recon.formats.scans import POINTS, naturally_sorted, thinned
 
-_HEAD = struct.Struct(">8s4x4sIIBB")
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_HEADER = struct.Struct(">8s4x4sIIBB")
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The unchanged pixels of a PNG image: (height, width), or (height, width, channels).
+    """Read the unchanged pixels of a PNG image: (height, width), or (height, width, channels).
 
     Args:
         path: of the .png file.
@@ -35,9 +35,9 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
 
     BINARY.check(existing_file(path).stat().st_size, path)
     data = path.read_bytes()
-    if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
+    if len(data) < _PNG_HEADER.size or not data.startswith(_PNG_SIGNATURE):
         raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")
-    _, name, width, height, bits, colour = _HEAD.unpack_from(data)
+    _, name, width, height, bits, colour = _PNG_HEADER.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
     # cv2 returns up to four channels of a colour image
@@ -57,13 +57,13 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
 
 
 _RANGE = (0.2, 12.0)
-"""Metres at which depth sensors see people."""
+"""Nearest and farthest depth at which sensors see people, metres."""
 _EDGE = 0.15
-"""Metres by which neighbouring pixels differ at the edge of something."""
+"""Difference in depth of neighbouring pixels above which an object's edge runs there, metres."""
 _SATURATED = 65535
-"""The largest number of 16 bits: many sensors write it where they measured nothing."""
+"""Largest 16-bit number, which many sensors write where they measured nothing."""
 _FIRST_LOOK = 3
-"""Images with depth that tell whether it is in range before all are read."""
+"""Number of images whose median depths are checked against `_RANGE` before all are read."""
 
 
 def read_depth_images(
@@ -77,17 +77,17 @@ def read_depth_images(
     outliers: float | None = 3.0,
     seed: int = 0,
 ) -> PointsFile:
-    """Points of all images: in the world if the camera has a pose, else in the camera's frame.
+    """Read depth images as points, in the world if the camera has a pose, else in its frame.
 
-    Pixels at depth edges mix what lies before and behind them and are left out. 65535 is no depth,
-    as 0 is.
+    Pixels at depth edges mix what lies before and behind them and are left out. Pixels of 0 or
+    65535 have no depth.
 
     Args:
         folder: of 16-bit .png files, one per frame, in natural order.
         camera: of the depth images.
         fps: frames per second.
         depth_scale: metres per unit of the images; 0.001 where they hold millimetres.
-        masks: folder of images of equal names, or in equal order, nonzero on the person.
+        masks: folder of images with the same names, or in the same order, nonzero on the person.
         points: most points kept of a frame, drawn at random.
         outliers: as in `read_scans`.
         seed: of the draw.
@@ -95,7 +95,7 @@ def read_depth_images(
     Raises:
         FileNotFoundError: when a folder is missing.
         ValueError: when there is no image or no point, an image is not of 16 bits or of another
-            size than the camera's, or no person is seen at such depths; says what to do.
+            size than the camera's, or nobody can be seen at such depths.
     """
     folder = Path(folder)
     paths = _png_files(folder)
@@ -154,9 +154,9 @@ def back_projected(
     seen: Bool[np.ndarray, "height width"],
     camera: Camera,
 ) -> Float[np.ndarray, "points 3"]:
-    """Points at the centres of pixels with depth, in the camera's frame, metres.
+    """Back-project the centres of pixels with depth to points in the camera's frame, metres.
 
-    Pixel (column, row) covers u from column to column + 1 - as in `Camera.in_image`.
+    The centre of pixel (column, row) has u = column + 0.5, as in `Camera.in_image`.
     """
     row, column = np.nonzero(seen)
     pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
@@ -164,7 +164,7 @@ def back_projected(
 
 
 def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Mask of pixels next to others that are farther or nearer by more than a hand's width."""
+    """Return a mask of pixels whose neighbour is farther or nearer by more than 0.15 m."""
     edge = np.zeros(depth.shape, np.bool_)
     for axis in (0, 1):
         a, b = (np.moveaxis(depth, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
@@ -176,7 +176,7 @@ def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "heigh
 
 
 def _camera_at_origin(camera: CameraArrays) -> Camera:
-    """The camera without its pose, at the origin."""
+    """Make a `Camera` with the same lens at the origin, so that its frame is the world."""
     distortion = camera.distortion
     return Camera.create(
         torch.from_numpy(np.asarray(camera.camera_matrix, np.float64)),
@@ -214,6 +214,6 @@ def _read_depth_image(path: Path, camera: CameraArrays) -> UInt16[np.ndarray, "h
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
-    """True where an image, whose transparency does not count, is not black."""
+    """Read a mask from a PNG image: true where it is not black, whatever its transparency."""
     image = read_png(path)
     return (image if image.ndim == 2 else image[..., :3].max(-1)) > 0

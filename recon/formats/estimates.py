@@ -38,23 +38,23 @@ _DAMAGE = (
     RuntimeError, UnpicklingError, BadZipFile, EOFError, OSError, ValueError, KeyError, IndexError,
     TypeError, AttributeError, OverflowError, MemoryError, ImportError, AssertionError,
 )  # fmt: skip
-"""What torch and its unpickler raise for damaged files."""
+"""Exceptions that torch and its unpickler raise for damaged files."""
 _UPRIGHT = 0.5
-"""Share of its length that the mean upward direction of a body keeps where somebody is upright."""
+"""Least component of the mean trunk direction along the up axis; unit vectors are averaged."""
 
 Tree = Mapping[Any, Any]
 
 
 @dataclass(frozen=True)
 class BodyEstimate:
-    """One person's body in every frame, in the world of the program that estimated it."""
+    """One person's SMPL parameters in every frame, in the world of the estimating program."""
 
     rotations: Float[np.ndarray, "time 22 3 3"]
     """Local rotations of SMPL's first 22 joints."""
     translation: Float[np.ndarray, "time 3"]
     """SMPL translation, metres."""
     known: Bool[np.ndarray, " time"]
-    """Frames that were estimated; the others hold the one before."""
+    """Whether each frame was estimated; the others repeat the estimated frame before them."""
     betas: Float[np.ndarray, " shape"]
     """Shape coefficients of the body model that the program used, which need not be ours."""
     fps: float | None
@@ -62,11 +62,11 @@ class BodyEstimate:
     up: Up
     """Axis of the file's world that points up or down."""
     notes: tuple[str, ...]
-    """What was chosen and told, one sentence each."""
+    """What was assumed (person, scale, up axis), one sentence each."""
 
 
 def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -> BodyEstimate:
-    """Read one person's body parameters of a file.
+    """Read one person's SMPL parameters of every frame, as networks estimate them from video.
 
     Args:
         path: the file.
@@ -96,7 +96,7 @@ def read_estimate(path: Path, person: int | None = None, up: Up | None = None) -
         notes.append(f"taken from {'.'.join(map(str, where))}")
     rotations = _rotations(path, arrays)
     translation = _array_by_any_name(path, arrays, _PLACE).reshape(-1, 3)
-    if "smpl_scaling" in arrays:  # AIST++ scales the body instead of its path
+    if "smpl_scaling" in arrays:  # AIST++ states the path of a scaled body
         translation = translation / _numeric_array(arrays["smpl_scaling"]).ravel()[:1]
         notes.append("AIST++: the translation is divided by smpl_scaling")
     if len(rotations) != len(translation):
@@ -157,7 +157,7 @@ def _read_tree(path: Path) -> Tree:
 
 
 def _records_by_person(tree: Tree) -> Tree:
-    """Regroup the records of PHALP (4D-Humans) from images to people; leave other files alone."""
+    """Regroup PHALP's (4D-Humans) records of images as records of people; keep other files."""
     images = list(tree.values())
     if not images or not all(
         isinstance(one, dict) and {"tid", "smpl"} <= set(one) for one in images
@@ -176,7 +176,7 @@ def _records_by_person(tree: Tree) -> Tree:
 
 
 def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
-    """Every nested dictionary with one body per frame, and its path of keys."""
+    """Find all nested dictionaries with per-frame body parameters, each with its path of keys."""
     names = {key for key in tree if isinstance(key, str)}
     turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
     if turned and names & set(_PLACE):
@@ -187,7 +187,7 @@ def _bodies_in(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, 
 
 
 def _people_of_arrays(arrays: Tree) -> Iterator[Tree]:
-    """Split arrays whose first axis is people, and whose second is frames, into people."""
+    """Split arrays with axes (people, frames, ...) into one dictionary per person."""
     place = _numeric_array(next(arrays[key] for key in _PLACE if key in arrays))
     if place.ndim != 3 or place.shape[1] == 1:
         yield arrays
@@ -220,7 +220,8 @@ def _chosen_person(
 def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
     if any(key in arrays for key in _ROOT) and any(key in arrays for key in _BODY):
         parts = [
-            _matrices(path, _array_by_any_name(path, arrays, keys)) for keys in (_ROOT, _BODY)
+            _rotation_matrices(path, _array_by_any_name(path, arrays, keys))
+            for keys in (_ROOT, _BODY)
         ]
         if len(parts[0]) != len(parts[1]):
             raise FormatError(
@@ -229,7 +230,7 @@ def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
             )
         turns = np.concatenate(parts, 1)
     else:
-        turns = _matrices(path, _array_by_any_name(path, arrays, _WHOLE))
+        turns = _rotation_matrices(path, _array_by_any_name(path, arrays, _WHOLE))
     if turns.shape[1] < 22:
         raise FormatError(
             f"{path}: expected rotations of SMPL's first 22 joints, got {turns.shape[1]}"
@@ -237,8 +238,8 @@ def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
     return turns[:, :22]
 
 
-def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 3 3"]:
-    """Rotation matrices from rotation vectors or matrices, flat or not; NaN stays NaN."""
+def _rotation_matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 3 3"]:
+    """Convert rotation vectors or matrices, flat or not, to matrices; NaN stays NaN."""
     if values.ndim >= 3 and values.shape[-2:] == (3, 3):
         found = values.reshape(len(values), -1, 3, 3)
         off = np.abs(found @ found.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
@@ -266,7 +267,7 @@ def _array_by_any_name(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.n
 
 
 def _numeric_array(value: Any) -> np.ndarray:
-    """The value as a numeric array; an empty array where it is none."""
+    """Convert an array, tensor or nested list to a NumPy array; empty if that is impossible."""
     if isinstance(value, np.ndarray):
         return value
     if hasattr(value, "numpy"):
@@ -289,7 +290,7 @@ def _held_at_every_frame(
     translation: np.ndarray,
     finite: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations and translations at every frame, held where the person is missing, and a mask."""
+    """Fill gaps from the frame before; return rotations, translations and the estimated frames."""
     frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:
@@ -310,7 +311,7 @@ def _held_at_every_frame(
 
 
 def _up_axis_of(path: Path, rotations: np.ndarray, given: Up | None, notes: list[str]) -> Up:
-    """The axis along which the trunk stands, by the pelvis' y axis, which points to the head."""
+    """Find the up axis, along which the pelvis' y axis (it points to the head) lies on average."""
     mean = rotations[:, 0, :, 1].mean(0)
     if given is not None:
         if mean @ to_z_up(given)[2] < -_UPRIGHT:

@@ -1,4 +1,4 @@
-"""A summary of the standard deviations of a motion's joints, and a CSV table of joints."""
+"""Summarises standard deviations of a motion's joints, and writes joints as a CSV table."""
 
 import csv
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class JointCertainty:
 
     @classmethod
     def of(cls, file: MotionFile) -> "JointCertainty | None":
-        """The medians over a motion file; None if it has no standard deviations."""
+        """Compute the medians over a motion file; None if it has no standard deviations."""
         if file.joint_std is None:
             return None
         std = file.joint_std.detach().cpu()
@@ -36,7 +36,7 @@ class JointCertainty:
         return cls(_median(std, seen), _median(std, ~seen), float((~seen).double().mean()))
 
     def __str__(self) -> str:
-        """The medians in words, as `1.1 cm where seen, 5.3 cm where inferred (17 % of joints)`."""
+        """Format the medians as `1.1 cm where seen, 5.3 cm where inferred (17 % of joints)`."""
         parts: list[str] = []
         if self.seen is not None:
             parts.append(f"{100 * self.seen:.1f} cm where seen")
@@ -51,11 +51,11 @@ def _median(std: Float[Tensor, "time 22"], rows: Bool[Tensor, "time 22"]) -> flo
 
 
 def write_joint_table(path: Path, file: MotionFile, joints: Float[Tensor, "time 22 3"]) -> None:
-    """Write a CSV table with `frame`, `time` and the columns of `joint_columns`.
+    """Write joints as a CSV table with `frame`, `time` and the columns of `joint_columns`.
 
     Args:
         path: the table to write.
-        file: the motion; what it does not know has no columns.
+        file: the motion; quantities that it lacks have no columns.
         joints: positions of its joints in the world, metres.
     """
     motion = file.motion
@@ -71,12 +71,12 @@ def write_joint_table(path: Path, file: MotionFile, joints: Float[Tensor, "time 
 def joint_columns(
     file: MotionFile, joints: Float[Tensor, "time 22 3"]
 ) -> tuple[list[str], Float[np.ndarray, "time columns"]]:
-    """Names and values of the columns of a joint table, joint after joint.
+    """Return names and values of the columns of a joint table, joint after joint.
 
-    `pelvis_x`, `pelvis_y`, `pelvis_z`: its position in the world, metres. `pelvis_std`: standard
-    deviation of each of these coordinates, metres. `pelvis_observed`: 1 where it was seen and 0
-    where it was inferred. `pelvis_contact`: probability of its contact with the ground. The last
-    three are there where the motion file has them.
+    For the pelvis: `pelvis_x`, `pelvis_y`, `pelvis_z`, position in the world, metres;
+    `pelvis_std`, standard deviation of each coordinate, metres; `pelvis_observed`, 1 where it was
+    seen and 0 where it was inferred; `pelvis_contact`, probability of contact with the ground.
+    The last three are left out where the motion file lacks them.
     """
     parts: dict[str, Tensor | None] = {
         **{axis: joints[..., k] for k, axis in enumerate("xyz")},

@@ -16,7 +16,7 @@ from recon.formats.opening import files_of
 from recon.formats.texts import decoded_text, read_bytes
 
 Frames = list[tuple[int, Any]]
-"""Frame numbers, increasing, and what was written about each frame."""
+"""Pairs of frame number, increasing, and the parsed JSON of that frame."""
 
 _ENTRIES = Limit(
     "number of entries in JSON, where a list counts as two more and a dictionary as six", 0.0,
@@ -26,8 +26,8 @@ _JSON_FRAMES = Limit(
     "number of frames in a JSON file", 0.0, 1e6, "", "nine hours at 30 Hz: cut the recording"
 )
 _NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
-_NAME = 200
-"""Characters at the end of a name among which its number is."""
+_SEARCHED = 200
+"""Characters at the end of a file name in which the frame number is searched."""
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 
@@ -42,7 +42,7 @@ def read_json(path: Path) -> Any:
 
 
 def parsed_json(path: Path, data: bytes) -> Any:
-    """The value of JSON that stands in a file.
+    """Parse the bytes of a JSON file.
 
     Raises:
         ValueError: when it is damaged or its parsed contents would not fit into memory.
@@ -95,14 +95,14 @@ def read_frame_folder(folder: Path) -> Frames:
 
 
 def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
-    """Each frame's number: the last number in its file name that differs between names.
+    """Return each file's frame number: the last number in its name that differs between names.
 
     Raises:
         ValueError: when a name has no number, or two have the same.
     """
     ending = _common_ending(stems)
     cut = 0 if len(stems) == 1 else len(ending.lstrip("0123456789"))
-    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_NAME:]) for stem in stems]
+    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_SEARCHED:]) for stem in stems]
     if without := [stem for stem, number in zip(stems, found, strict=True) if number is None]:
         raise FormatError(
             f"{name}: expected a frame number in every file name, not {without[0]!r}"
@@ -129,10 +129,10 @@ def _common_ending(stems: Sequence[str]) -> str:
 
 
 def listed_frames(entries: Sequence[Any], name: str) -> Frames:
-    """The entries of a list by the frame number each states, else by their position.
+    """Sort entries by the frame numbers that they state, or number them by position.
 
     Raises:
-        ValueError: when only some state one, or two the same.
+        ValueError: when only some entries state a number, or two state the same.
     """
     _JSON_FRAMES.check(len(entries), name)
     if strange := [one for one in entries if not isinstance(one, dict | list | None)]:
@@ -160,12 +160,12 @@ def _stated_number(entry: Any) -> int | None:
 def people_in(
     frames: Frames, key: str, name: str, expected: str
 ) -> Iterator[tuple[int, dict[str, Any], str]]:
-    """For every person in the list under `key`: frame number, record and place for messages.
+    """Yield each person's frame number, record, and name for messages, from lists under `key`.
 
-    An empty frame is one without people.
+    Empty frames are frames without people.
 
     Raises:
-        ValueError: when a frame has no such list, or somebody in it is no record.
+        ValueError: when a frame has no such list, or an item of it is no dictionary.
     """
     for number, entry in frames:
         if not entry:
@@ -179,7 +179,7 @@ def people_in(
 
 
 def as_floats(value: Any, name: str) -> np.ndarray:
-    """Nested lists of numbers as an array; null becomes NaN.
+    """Convert nested lists of numbers to an array; null becomes NaN.
 
     Raises:
         ValueError: when they are no numbers, or rows have different lengths.
@@ -194,7 +194,7 @@ def as_floats(value: Any, name: str) -> np.ndarray:
 
 
 def flat_points(value: Any, name: str) -> np.ndarray:
-    """Rows x, y, confidence of all keypoints, from one flat list or a list of triples.
+    """Return rows x, y, confidence of all keypoints, from a flat list or a list of triples.
 
     Raises:
         ValueError: when they are no triples.
@@ -208,7 +208,7 @@ def flat_points(value: Any, name: str) -> np.ndarray:
 
 
 def as_identity(value: Any, name: str) -> int:
-    """A person's number, however it is written (7, [7], 7.0, "7"); -1 if there is none.
+    """Parse a person's number, written as 7, [7], 7.0 or "7"; -1 if there is none.
 
     Raises:
         ValueError: when it is larger than any number of a person.

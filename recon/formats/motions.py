@@ -1,7 +1,7 @@
 """Reads and writes motions as AMASS .npz files with arrays that recon adds.
 
-Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22, of which
-fingers are kept; a file may give `root_orient`, `pose_body` and `pose_hand` instead.
+Files of AMASS (SMPL-H and SMPL-X) and of recon can be read. `poses` may have more than 22 joints,
+of which fingers are kept; a file may give `root_orient`, `pose_body` and `pose_hand` instead.
 """
 
 from dataclasses import fields
@@ -38,7 +38,7 @@ _EXTRA = {
     "T_world_camera": ("poses", 4, 4),
     "in_camera": ("time", 6),
 }
-"""Optional arrays and their shapes."""
+"""Optional arrays of a motion file, fields of `MotionFile`, and their shapes."""
 _CAMERAS = {
     "camera_matrix": ("views", 3, 3),
     "camera_size": ("views", 2),
@@ -46,9 +46,9 @@ _CAMERAS = {
     "camera_pose": ("views", "poses", 4, 4),
     "camera_start": ("views",),
 }
-"""Arrays of the cameras that filmed the motion; `camera_names` has their names."""
+"""Arrays of the cameras that filmed the motion and their shapes; `camera_names` names them."""
 _FLAGS = ("observed", "truth_visible")
-"""Optional arrays that hold true and false."""
+"""Optional arrays that are masks."""
 _RANGES: dict[str, Limit] = {
     "trans": limits.POSITION,
     "joints": limits.POSITION,
@@ -60,15 +60,15 @@ _RANGES: dict[str, Limit] = {
     "truth_visible": limits.PROBABILITY,
     "observed": limits.PROBABILITY,
 }
-"""Plausible ranges of the arrays that hold one quantity each."""
+"""Plausible range of the numbers in each array."""
 _FINGERS = (156, 165)
-"""Columns of `poses` where it has those of fingers."""
+"""Numbers of columns of `poses` with fingers: of SMPL-H and of SMPL-X, three per joint."""
 _UNIT_NORMAL = 0.01
-"""How far the length of the ground's normal may be from one."""
+"""Greatest deviation of the length of the ground's normal from one."""
 
 
 def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionFile:
-    """Read a motion.
+    """Read a motion file, an .npz in the layout of AMASS.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -97,11 +97,11 @@ def holds_motion(path: str | Path) -> bool:
 def motion_from(
     arrays: dict[str, np.ndarray], path: Path, dtype: torch.dtype = torch.float32
 ) -> MotionFile:
-    """Make a motion of the arrays of a file.
+    """Build a motion from the arrays of a motion file.
 
     Args:
-        arrays: by the names of the AMASS layout.
-        path: what they are called in messages.
+        arrays: keyed by the names of the AMASS layout.
+        path: of the file, for messages.
         dtype: precision of the motion.
 
     Raises:
@@ -136,7 +136,7 @@ def motion_from(
         start_time=_number_or_default(path, numeric, "start_time", 0.0, limits.TIME),
     )
     if "pose_hand" in numeric or poses.shape[1] in _FINGERS:
-        from recon.core.fingers import hands_of_arrays  # few motions have fingers
+        from recon.core.fingers import hands_of_arrays  # imported here: rarely used
 
         motion = motion.replace(hands=hands_of_arrays(numeric, path, dtype))
     gender = _text(arrays, "gender", "neutral").lower()
@@ -211,7 +211,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
 
 
 def _camera_arrays(cameras: "tuple[FilmingCamera, ...]", frames: int) -> dict[str, np.ndarray]:
-    """The arrays of cameras; where one moves, the others repeat their poses."""
+    """Stack cameras into the arrays of a file; if one moves, fixed ones repeat their pose."""
     every = [one.camera for one in cameras]
     count = max(len(one.T_camera_world) for one in every)
     poses = [one.T_camera_world.expand(count, 4, 4)[:frames] for one in every]
@@ -229,12 +229,12 @@ def _camera_arrays(cameras: "tuple[FilmingCamera, ...]", frames: int) -> dict[st
 def _cameras(
     path: Path, arrays: dict[str, np.ndarray], frames: int, dtype: torch.dtype
 ) -> "tuple[FilmingCamera, ...]":
-    """The cameras of a file.
+    """Build the cameras that filmed a motion from the arrays of its file.
 
     Raises:
-        ValueError: when arrays are missing or of the wrong shape, or no camera is such.
+        ValueError: when arrays are missing, of the wrong shape, or impossible for a camera.
     """
-    from recon.core.camera import Camera, check_camera, check_pose  # few motions have a camera
+    from recon.core.camera import Camera, check_camera, check_pose  # imported here: rarely used
     from recon.core.motion import FilmingCamera
 
     names = np.atleast_1d(arrays["camera_names"]).astype(str).tolist()
@@ -311,7 +311,7 @@ def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
             )
         limits.POSITION.check(ground[3], path, "ground[3]")
     if "T_world_camera" in extra:
-        from recon.core.camera import check_pose  # few motions have a camera
+        from recon.core.camera import check_pose  # imported here: rarely used
 
         check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
     if "in_camera" in extra:
@@ -321,7 +321,7 @@ def _check_ground_and_camera(path: Path, extra: dict[str, Tensor]) -> None:
 
 
 def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Shape coefficients; some files repeat them in every frame."""
+    """Return the shape coefficients (S,); some files repeat them in every frame."""
     betas = arrays["betas"].astype(np.float64)
     if betas.ndim == 2 and len(betas) > 0 and np.allclose(betas, betas[:1], atol=1e-6):
         betas = betas[0]

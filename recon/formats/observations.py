@@ -26,26 +26,26 @@ _KEYS = {
     "keypoints2d": ("pixels", "confidence", "layout", "fps", "camera_matrix", "image_size"),
     "points": ("points", "frame", "fps"),
 }
-"""Kinds of observation and the keys each must have."""
+"""Names of the arrays that a file of each kind of observation must have."""
 _NOT_WRITTEN = ("decisions", "focal_std", "path", "camera")
-"""Fields of the records below that files do not hold under their name."""
+"""Fields that files do not hold, or, as `camera`, hold as several arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _ObservationFields:
-    """Optional data that an observation of any kind may have."""
+    """Optional data of an observation of any kind."""
 
     truth_visible: Bool[np.ndarray, "truth 22"] | None = None
-    """Body joints that a simulated sensor could see; fits never read it."""
+    """Whether a simulated sensor could see each body joint; fits never read it."""
     truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
     """True pose of a simulated camera whose pose was left out, metres; fits never read it."""
     decisions: tuple[str, ...] = ()
-    """What was read or guessed of a file of another program; not written."""
+    """What was assumed about a file of another program, in sentences. Not saved to files."""
 
 
 @dataclass(frozen=True)
 class PositionsFile(_ObservationFields):
-    """Named 3D points: body joints, markers or keypoints."""
+    """Positions of named 3D points in all frames: body joints, markers or keypoints."""
 
     kind: Literal["joints3d", "markers3d", "keypoints3d"]
     positions: Float[np.ndarray, "time points 3"]
@@ -62,14 +62,14 @@ class PositionsFile(_ObservationFields):
     level: bool = True
     """Whether z points up; false in the frame of a camera that may be tilted."""
     placed: bool = True
-    """Whether positions are places in the world; false where they are relative to the body."""
+    """Whether positions are in a fixed world; false where they are relative to the body."""
     fingers: Float[np.ndarray, "time 42 4"] | None = None
-    """Position and confidence of the points of hands (`recon.core.fingers.FINGER_POINTS`)."""
+    """Position, metres, and confidence of points of the hands (`recon.core.fingers`)."""
 
 
 @dataclass(frozen=True)
 class KeypointsFile(_ObservationFields):
-    """2D keypoints of one view."""
+    """2D keypoints of one person in all frames of one view, with its camera."""
 
     pixels: Float[np.ndarray, "time points 2"]
     """Pixels as detected, lens distortion included; zero where the confidence is zero."""
@@ -88,7 +88,7 @@ class PointsFile(_ObservationFields):
     """Point clouds of all frames, in one array of points."""
 
     points: Float[np.ndarray, "points 3"]
-    """World frame, metres, z up; the camera's frame when a camera without pose is given."""
+    """Positions, metres: in the world with z up, or in the frame of a camera without pose."""
     frame: Int[np.ndarray, " points"]
     """The frame each point was seen in, from 0."""
     fps: float
@@ -104,8 +104,8 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
 
     Args:
         path: of the .npz file.
-        unit: that the caller takes the positions to be in, where it is not metres. They are
-            returned as they are; only the range they must lie in depends on it.
+        unit: of the positions, as the caller believes; None for metres. They are returned as they
+            are; only the range in which they must lie depends on it.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -158,9 +158,9 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
     values = {"kind": kind, **vars(file), **({} if camera is None else vars(camera))}
     if not isinstance(file, KeypointsFile):
         values["up_axis"] = "z"
-    usual = {key for key in ("level", "placed") if values.get(key)}
-    left = {*usual, *_NOT_WRITTEN, *(key for key, value in values.items() if value is None)}
-    arrays = {key: np.asarray(value) for key, value in values.items() if key not in left}
+    defaults = {key for key in ("level", "placed") if values.get(key)}
+    omitted = {*defaults, *_NOT_WRITTEN, *(key for key, value in values.items() if value is None)}
+    arrays = {key: np.asarray(value) for key, value in values.items() if key not in omitted}
     save_arrays(Path(path), arrays)
 
 
@@ -241,7 +241,7 @@ def _points_file(arrays: "_FileArrays", common_fields: dict[str, Any]) -> Points
 
 
 def _camera(found: "_FileArrays", frames: int) -> CameraArrays:
-    """The camera of an observation file, with one pose or one per frame."""
+    """Read the camera of an observation file; it has no pose, one, or one per frame."""
     arrays = found.arrays
     fields = CameraFields(
         "of the file", arrays["camera_matrix"], arrays["image_size"], arrays.get("distortion"),
@@ -267,7 +267,7 @@ _KINDS = {
     "iu": "whole numbers from 0",
     "US": "texts",
 }
-"""Kinds of numpy's types and their words in messages."""
+"""Kinds of NumPy's dtypes that arrays may have, and how messages call them."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ class _FileArrays:
         dtype_kinds: str = _NUMBERS,
         limit: Limit | None = None,
     ) -> np.ndarray:
-        """An array, checked for dtype and shape (None stands for any length); numbers as doubles.
+        """Return an array after checks of dtype and shape (None: any length); numbers as doubles.
 
         Raises:
             ValueError: when it has another type or shape, or is not finite or beyond the limit.
@@ -312,18 +312,18 @@ class _FileArrays:
     def optional(
         self, key: str, shape: tuple[int | None, ...], dtype_kinds: str = _NUMBERS
     ) -> np.ndarray | None:
-        """The array as `checked` gives it; None where the file lacks it."""
+        """Return an array as `checked` does; None where the file lacks it."""
         return self.checked(key, shape, dtype_kinds) if key in self.arrays else None
 
     def poses(self, key: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
-        """Rigid transforms of the file; None where it lacks them."""
+        """Return rigid transforms after a check; None where the file lacks them."""
         pose = self.optional(key, shape)
         if pose is not None:
             check_pose(pose, self.path, key)
         return pose
 
     def number(self, key: str, default: float, limit: Limit | None = None) -> float:
-        """The single finite number that an array holds."""
+        """Return the single finite number in an array."""
         value = self.arrays.get(key, np.array(default))
         if value.size != 1 or value.dtype.kind not in "fiub" or not np.isfinite(value).all():
             raise FormatError(
@@ -334,7 +334,7 @@ class _FileArrays:
         return float(value.reshape(()))
 
     def text(self, key: str, default: str = "") -> str:
-        """The single text that an array holds."""
+        """Return the single text in an array."""
         value = self.arrays.get(key, np.array(default))
         if value.size != 1 or value.dtype.kind not in "US":
             raise FormatError(
@@ -343,7 +343,7 @@ class _FileArrays:
         return str(value.astype(str).reshape(()))
 
     def rotation_to_z_up(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation matrix from the file's axes to axes with z up."""
+        """Return the rotation matrix from the file's axes to axes with z up."""
         up = self.text("up_axis", "z")
         if up not in ("y", "z"):
             raise FormatError(f"{self.path}: expected up_axis y or z, got {up!r}")

@@ -1,4 +1,4 @@
-"""Reads OpenCV's YAML: EasyMocap's `intri.yml` and `extri.yml`, or one camera's file."""
+"""Reads calibrations in OpenCV's YAML, of one camera, or EasyMocap's `intri.yml`, `extri.yml`."""
 
 import re
 from pathlib import Path
@@ -22,9 +22,9 @@ _WIDTH, _HEIGHT = (
 _ROTATION, _TRANSLATION = ("rvec", "R"), ("tvec", "T")
 
 _KEY = re.compile(r"^[^\s:%-][^\s:]*:", re.MULTILINE)
-"""Beginning of an entry; what follows to the next one belongs to it."""
+"""Matches the key with which an entry begins; the entry ends before the next key."""
 _MOST_ENTRIES = 10_000
-"""Entries of a file; a camera has about five."""
+"""Most entries that a file may have; a camera has about five."""
 _MATRIX_TEXT = re.compile(
     r"([^\s:]+):\s*!!opencv-matrix\s+rows:\s*(\d{1,3})\s+cols:\s*(\d{1,3})\s+dt:\s*\S+\s+"
     r"data:\s*\[([^\]]*)\]"
@@ -120,7 +120,7 @@ def _read_values(path: Path) -> dict[str, Any]:
 
 
 def _parsed_entry(path: Path, text: str) -> tuple[str, Any]:
-    """The name and value of one entry; None for an empty one."""
+    """Parse one entry to its name and value; the value is None if there is none."""
     if found := _MATRIX_TEXT.match(text):
         name, rows, columns, data = found.groups()
         numbers = [_number_or_text(cell) for cell in data.replace("\n", " ").split(",")]

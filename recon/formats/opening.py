@@ -18,25 +18,25 @@ DAMAGE = (
     NotImplementedError, RuntimeError, MemoryError, TypeError, SyntaxError, OverflowError,
     tokenize.TokenError, AttributeError, IndexError, AssertionError,
 )  # fmt: skip
-"""What zipfile and numpy raise on damaged or hostile archives."""
+"""Exceptions that zipfile and numpy raise on damaged or hostile archives."""
 HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-"""Readers of the headers of arrays, by version."""
+"""NumPy's readers of the headers of arrays, by version of the format .npy."""
 _PACKED = (
     "recordings are packed to a fifth of their size, no file of zeros is one: save it unpacked"
 )
 _LONGEST_TEXT = 1 << 20
-"""Bytes of one text in an array; the longest that are saved are names and settings."""
+"""Most bytes of one text in an array; recon saves names and settings as texts."""
 _MEMBERS = 1000
-"""Members an archive may have; ours have about twenty."""
+"""Most arrays that an archive may have; those of recon have about twenty."""
 
 
 def limit_when_unpacked(path: Path, limit: Limit) -> Limit:
-    """Largest allowed size of an unpacked file: fifty times its packed size, or 64 MB if more.
+    """Lower a limit of bytes for a packed file: to fifty times its size, or 64 MB if more.
 
-    Zeros are packed to a thousandth, so that a small file could become as large as the largest.
+    Zeros are packed to a thousandth of their size, so that a small file could fill the memory.
     """
     most = float(max(1 << 26, 50 * path.stat().st_size))
     return limit if most >= limit.high else replace(limit, high=most, reason=_PACKED)
@@ -45,16 +45,16 @@ def limit_when_unpacked(path: Path, limit: Limit) -> Limit:
 def check_sizes(
     path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None
 ) -> list[str]:
-    """Names of an archive's arrays; it is refused if damaged or too large for memory.
+    """Return the names of an archive's arrays; refuse one that is damaged or too large for memory.
 
     Both a compressed bomb and a header that promises more than the file holds are found here,
     before memory is taken for them. A single object that is no array (AMASS keeps a dictionary
-    beside its arrays) is left out and stays closed.
+    beside its arrays) is left out and never unpickled.
 
     Args:
         path: of the .npz file.
-        limit: of the bytes of all arrays together.
-        only: names of the arrays that are going to be read; None for all.
+        limit: for the bytes of all arrays together.
+        only: names of the arrays that will be read; None for all.
 
     Raises:
         ValueError: when they are too large or a header is damaged.
@@ -97,7 +97,7 @@ def check_sizes(
 def _header(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype, int]:
-    """Shape and dtype of one array in an archive, and the length of its header."""
+    """Read shape and dtype of one array in an archive, and the length of its header in bytes."""
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
         if version not in HEADERS:
@@ -108,23 +108,23 @@ def _header(
         return shape, dtype, member.tell()
 
 
-_SAID = 200
-"""Letters of another library's error that are repeated: some quote the whole damaged file."""
+_QUOTED = 200
+"""Most characters of another library's error in ours: some quote the whole damaged file."""
 
 
 def files_of(folder: Path, endings: Container[str] | None = None) -> list[Path]:
-    """Files directly in a folder, sorted by name, without hidden ones that systems add.
+    """List files directly in a folder, sorted by name, without hidden ones that systems add.
 
     Args:
-        folder: that is there.
-        endings: in small letters, of which a file has one; None takes all.
+        folder: an existing folder.
+        endings: of the files to list, in lower case with a dot; None takes all.
     """
     seen = (one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
     return sorted(one for one in seen if endings is None or one.suffix.lower() in endings)
 
 
 def existing_file(path: Path) -> Path:
-    """The path itself, after a check that it is an existing file with contents.
+    """Return the given path after a check that it is an existing file with contents.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -157,7 +157,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
     except DAMAGE as error:
         raise FormatError(
             f"{path}: expected an .npz file of plain arrays, but it cannot be read "
-            f"({error!s:.{_SAID}})"
+            f"({error!s:.{_QUOTED}})"
         ) from error
 
 
@@ -175,5 +175,5 @@ def load_array(path: Path) -> np.ndarray:
     except DAMAGE as error:
         raise FormatError(
             f"{path}: expected an .npy file with a plain array, but it cannot be read "
-            f"({error!s:.{_SAID}})"
+            f"({error!s:.{_QUOTED}})"
         ) from error

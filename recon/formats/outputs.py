@@ -31,9 +31,9 @@ class Output:
     path: Path
     kind: OutputKind = OutputKind.FILE
     is_former: Callable[[Path], bool] | None = None
-    """A test whether a folder with contents is a former run's, for a folder that is continued."""
+    """Tests whether files in a folder come from a former run; only for continued folders."""
     inside_input: bool = False
-    """Whether it may lie in a folder that is read; for readers that leave results alone."""
+    """Whether the output may lie in an input folder, since the reader leaves results alone."""
 
     @property
     def real(self) -> Path:
@@ -52,7 +52,7 @@ class Output:
 
     @property
     def report(self) -> Path | None:
-        """The report, which lists the files that recon wrote; None for a continued folder."""
+        """Path of the report, which lists the files that recon wrote; None for CONTINUED."""
         places = {
             OutputKind.FILE: self.real.parent / f"{self.real.name}.json",
             OutputKind.REPORT: self.real,
@@ -101,10 +101,10 @@ def check_outputs(
 def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
     """Refuse an output that is an input, holds one, or lies in an input folder.
 
-    Links of both kinds, relative paths and other spellings are seen through.
+    Symbolic and hard links, relative paths and other spellings are resolved.
 
     Raises:
-        ValueError: which of them, and what to do.
+        ValueError: naming output and input, and saying what to do.
     """
     for given in inputs:
         real = Path(os.path.realpath(given))
@@ -164,10 +164,10 @@ def refuse_place(output: Output) -> None:
 
 
 def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
-    """Checksums of files that a former run wrote and that still exist, by name.
+    """Return SHA-256 of the existing files that a former run wrote, keyed by name.
 
     Raises:
-        FileExistsError: when there are others, unless they may be replaced.
+        FileExistsError: when there are other files, unless they may be replaced.
     """
     if output.report is None:
         assert output.is_former is not None
@@ -198,7 +198,7 @@ def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
 
 
 def _existing_files(output: Output) -> dict[str, Path]:
-    """Files that exist now, keyed by their names in the report; hidden ones are left out."""
+    """Find an output's existing files, keyed by their names in the report, but no hidden ones."""
     real = output.real
     found = sorted(real.rglob("*")) if output.is_folder else [real]
     return {
@@ -219,15 +219,15 @@ def _same_file(a: Path, b: Path) -> bool:
 
 
 _READ_TOGETHER = {".amc": "*.asf*", ".xz": "*.asf*", ".yml": "*.yml", ".yaml": "*.y*ml"}
-"""Files that are read along with one of this suffix, from the same folder."""
+"""Patterns of files in the same folder that are read along with a file of each suffix."""
 
 
 def paths_in(value: Any) -> Iterator[Path]:
-    """Every path in a value, also inside tuples and settings.
+    """Find all paths of files in a value, also inside tuples, lists and dataclasses.
 
     A text counts where it is the name of a file that exists, as weights, cameras and shapes are
-    given by a word or by a file. What is read along with a file, like the skeleton (.asf) of an
-    .amc recording, counts, too.
+    given by a word or by a file. Files that are read along with another, like the skeleton (.asf)
+    of an .amc recording, count, too.
     """
     match value:
         case Path():

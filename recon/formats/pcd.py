@@ -86,7 +86,7 @@ def _values_by_field(
     body: bytes, formats: list[str], sizes: list[int], counts: list[int], columns: list[int],
     count: int,
 ) -> np.ndarray:  # fmt: skip
-    """Values of a decompressed file, which holds one field after the other."""
+    """Read columns from decompressed data, which holds one field after the other."""
     starts = np.cumsum([0, *(s * n * count for s, n in zip(sizes, counts, strict=True))])
     return np.stack(
         [np.frombuffer(body, formats[k], count, int(starts[k])).astype(float) for k in columns], 1
@@ -94,7 +94,7 @@ def _values_by_field(
 
 
 def _decompressed(body: bytes, expected: int) -> bytes:
-    """LZF decompression: runs of literal bytes and references to earlier output."""
+    """Decompress LZF data: runs of literal bytes and references to earlier output."""
     packed, size = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
     if size < expected:
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Reads pickles of arrays without running their code: only listed names are allowed."""
+"""Reads pickles of arrays without running their code: only listed functions are called."""
 
 import pickle
 import struct
@@ -31,9 +31,9 @@ def read_tree(path: Path) -> dict[Any, Any]:
 
 
 def read_pickle(file: BinaryIO, path: Path) -> object:
-    """Read the pickle that begins at the position of an open file, as `read_tree` does.
+    """Read the pickle at the position of an open file, without running its code.
 
-    Of an .npy file of objects these are the objects, in lists.
+    From an .npy file of objects, return the objects in lists.
 
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
@@ -70,7 +70,7 @@ def array_in(value: object, name: str, path: Path) -> np.ndarray:
     """Convert a value of an unpickled tree to an array, also chumpy's and scipy's records.
 
     Raises:
-        ValueError: when it is none, damaged, or has more numbers than a body model.
+        ValueError: when it is no array, damaged, or has more numbers than a body model.
     """
     try:
         array = _unwrapped(value)
@@ -114,7 +114,7 @@ class _CompressedRows(_InertObject):
         return self._dense_matrix(*(int(size) for size in self.state["_shape"]))
 
     def _dense_matrix(self, lines: int, length: int) -> np.ndarray:
-        """The full matrix of compressed rows."""
+        """Expand compressed rows to the full matrix."""
         MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
         if min(lines, length) < 0:
             raise FormatError(f"a sparse matrix has the negative shape {lines} x {length}")
@@ -141,7 +141,7 @@ def _unwrapped(value: object) -> object:
 
 
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
-    """Bytes that Python 3 pickled for Python 2 as latin-1 text; other codecs are refused."""
+    """Encode latin-1 text, as which Python 3 pickles bytes for Python 2; refuse other codecs."""
     if encoding not in ("latin1", "latin-1"):
         raise FormatError(f"expected text in latin-1, got the encoding {encoding!r}")
     return text.encode("latin-1")
@@ -186,7 +186,7 @@ def _torch_storage(data: bytes) -> Any:
 def _array_of_tensor(
     storage: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *rest: object
 ) -> np.ndarray:
-    """Replacement for the function that builds a pickled torch tensor; gives an array."""
+    """Replacement for the function that builds a pickled torch tensor; returns an array."""
     import torch
 
     del rest
@@ -213,9 +213,9 @@ class _JoblibArray(_InertObject):
 
 _MAGIC = b"\x93NUMPY"
 _NUMPY = ("numpy.core", "numpy._core")
-"""Modules of numpy 1 and 2."""
+"""Packages in NumPy 1 and 2 whose functions pickled arrays name."""
 _BUILTINS = ("__builtin__", "builtins")
-"""Modules of Python 2 and 3."""
+"""Names of the module of built-in types in Python 2 and 3."""
 _CONTAINERS = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
 _ALLOWED: dict[tuple[str, str], object] = {
     ("numpy", "ndarray"): np.ndarray,
@@ -240,7 +240,7 @@ _ALLOWED: dict[tuple[str, str], object] = {
     ("scipy.sparse.csr", "csr_matrix"): _CompressedRows,
     ("scipy.sparse._csr", "csr_matrix"): _CompressedRows,
 }
-"""What pickles of body models and of arrays name, by module and name."""
+"""Allowed classes and functions in pickles, or their replacements, by module and name."""
 
 
 class _ForbiddenNameError(Exception):
@@ -256,11 +256,11 @@ class _Unpickler(pickle.Unpickler):
         return _ALLOWED[module_name, global_name]
 
 
-_InPython: Any = vars(pickle)["_Unpickler"]
-"""Python's own unpickler: that in C reads ahead, past the bytes of joblib's arrays."""
+_PythonUnpickler: Any = vars(pickle)["_Unpickler"]
+"""The unpickler in Python; the one in C reads ahead, past the bytes of joblib's arrays."""
 
 
-class _JoblibUnpickler(_InPython):
+class _JoblibUnpickler(_PythonUnpickler):
     """An unpickler of the names in `_ALLOWED` that also reads joblib's arrays."""
 
     def __init__(self, file: BytesIO, *, encoding: str) -> None:
@@ -274,7 +274,7 @@ class _JoblibUnpickler(_InPython):
         if isinstance(self.stack[-1], _JoblibArray):
             self.stack[-1] = self.stack[-1].read(self.bytes_behind)
 
-    dispatch: ClassVar = {**_InPython.dispatch, pickle.BUILD[0]: load_build}
+    dispatch: ClassVar = {**_PythonUnpickler.dispatch, pickle.BUILD[0]: load_build}
 
 
 def _decompressed(data: bytes, path: Path) -> bytes:
@@ -290,8 +290,8 @@ def _decompressed(data: bytes, path: Path) -> bytes:
 def check_tree(content: Any, path: Path) -> None:
     """Refuse containers that are nested deeply, hold themselves, or have too many entries.
 
-    A container that several others share counts for each of them, as whoever walks through the
-    tree meets it that often: thirty lists of two can hold a thousand million entries.
+    A container that several others share counts for each of them, as a walk through the tree
+    meets it that often: thirty lists of two entries can make a thousand million.
 
     Raises:
         ValueError: when there are more entries or levels than `recon.core.limits` allows.

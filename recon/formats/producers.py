@@ -1,7 +1,7 @@
 """Recognises the program that wrote a file, and names the verb that reads it.
 
-`PRODUCERS` is the one table of them. What a verb does not take it refuses by `refuse_others`, with
-the same sentence in every verb; the manual's table has its rows.
+`PRODUCERS` is the table of all kinds of files that are known, also printed in the manual. Every
+verb refuses files of other kinds by `refuse_others`, with the same sentence.
 """
 
 import re
@@ -17,26 +17,26 @@ from recon.core.errors import FormatError
 
 @dataclass(frozen=True)
 class Producer:
-    """A kind of file, the program that writes it, and how recon takes it."""
+    """A kind of file: the program that writes it, how to recognise it, and verbs that read it."""
 
     name: str
-    """Of the programs; empty where any may have written it."""
+    """Names of the programs; empty where any program may write such files."""
     holds: str
     form: str
-    """How its files look, for the manual."""
+    """Endings and contents of its files, as text for the manual."""
     endings: tuple[str, ...]
-    """Of its files; "/" is a folder, of which the names of the files are looked at."""
+    """Endings of its files; "/" is a folder, in whose file names `mark` is searched."""
     mark: bytes
     """Regular expression that is found at the start of its files, or in the names of arrays."""
     verbs: tuple[str, ...]
     """Verbs that take it, the usual one first; `recon info` takes all that any verb does."""
     note: str
-    """What its files say themselves, for the manual; or what to do where no verb takes it."""
+    """What its files state (unit, rate), for the manual; or advice where no verb takes it."""
     folder: bool = False
     """Whether a folder of such files is one recording or view."""
 
     def how_to_read(self) -> str:
-        """A sentence: what the file is, and which command reads it or what to do instead."""
+        """Return a sentence on what the file is, and which verb reads it or what to do instead."""
         what = f"{self.holds} of {self.name}" if self.name else self.holds
         if self.verbs == ("info",):
             return f"{what}: {self.note}"
@@ -54,15 +54,15 @@ MARKERS, SCANS, FILM = "markers or joint centres", "scans", "a film"
 _NUMBER = rb"[-+\dN][\w.+-]*\s*"
 _XYZ = rb'x"?[,;\s]\s*"?y"?[,;\s]\s*"?z\b'
 _ROWS = rb"(?:[ \t]*[-+.\de]+(?:[,; \t]+[-+.\de]+){2}(?:(?:[,; \t]+[-+.\de]+){3})?[ \t]*\r?\n){20}"
-"""Twenty lines of three numbers, or six with colours or normals."""
+"""Matches twenty lines of three numbers, or six with colours or normals."""
 _UNNAMED = rb"(?![^\n]*(?:point|mark|joint|part|name))"
 _MANY = rb"(?!543,)(?:[2-9]\d\d|\d{4,}), [3-9]\)"
-"""Points of a cloud: more than models of bodies have, but MediaPipe's body, face and hands."""
+"""Matches a cloud's shape: 200 points or more, but not MediaPipe's 543 of body, face and hands."""
 FILMS = (
     ".mp4", ".m4v", ".mov", ".3gp", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".ts", ".mpg",
     ".mpeg", ".wmv", ".flv", ".mxf", ".gif",
 )  # fmt: skip
-"""Endings of films."""
+"""Endings of film files."""
 _BESIDE_FILMS = (".toml", ".yml", ".yaml", ".txt", ".md")
 """Endings of files that may lie in a folder of films: calibrations and texts."""
 PRODUCERS = (
@@ -270,11 +270,11 @@ PRODUCERS = (
         "Autodesk", "a scene", "`.fbx`", (".fbx",), b"", (), "export BVH, as Blender does",
     ),
 )  # fmt: skip
-"""The first whose ending and mark fit is meant."""
+"""All known kinds of files; the first whose ending and mark a file has is its kind."""
 
 
 def producer_of(path: Path) -> Producer | None:
-    """The program that wrote a file or folder, by endings and first bytes; None if unknown."""
+    """Recognise the kind of a file or folder by endings and first bytes; None if unknown."""
     if not path.is_dir():
         return _producer_of_file(path) if path.is_file() else None
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
@@ -300,13 +300,13 @@ def _producer_of_file(path: Path) -> Producer | None:
 
 
 _HEAD = 1 << 16
-"""Bytes at the start of a file that are looked at."""
+"""Number of bytes at the start of a file in which marks are searched."""
 _PICKLED = 1 << 22
-"""The same of pickles, some of whose keys stand behind arrays."""
+"""Number of bytes at the start of a pickle that are searched: some keys stand behind arrays."""
 
 
 def _first_bytes(path: Path, ending: str) -> bytes:
-    """The first bytes of a file, decompressed; for an archive the names of its arrays."""
+    """Read the first bytes of a file, decompressed; for an .npz the names of its arrays."""
     if ending == ".npz":
         return "\n".join(sorted(_arrays_of(path))).encode()
     pickled = ending in (".pkl", ".npy", ".pt", ".pth")
@@ -321,7 +321,7 @@ def _first_bytes(path: Path, ending: str) -> bytes:
 
 
 def _arrays_of(path: Path) -> set[str]:
-    """Names of the arrays of an .npz file; none if it is damaged (its reader raises the error)."""
+    """List the arrays of an .npz file; none if it is damaged (its reader raises the error)."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
@@ -330,10 +330,10 @@ def _arrays_of(path: Path) -> set[str]:
 
 
 def refuse_others(path: Path, verb: str) -> None:
-    """Refuse a file that a command does not take, and say what it is and what to do.
+    """Refuse a file that a verb does not take, and say what it is and what to do.
 
     Raises:
-        FormatError: when it is known and for another verb, or for none.
+        FormatError: when the file is of a known kind that only other verbs take, or none.
     """
     found = producer_of(path)
     if found is None:
@@ -355,7 +355,7 @@ def is_film(path: Path) -> bool:
 
 
 def films_at(path: Path) -> list[Path]:
-    """The film at a path, or those of a folder that holds nothing else but a calibration."""
+    """List the film at a path, or all films of a folder with nothing else but calibrations."""
     if not path.is_dir():
         return [path] if is_film(path) else []
     inside = [one for one in path.iterdir() if not one.name.startswith(".")]
@@ -371,9 +371,9 @@ def holds_sam3d_body(path: Path) -> bool:
 
 
 def is_estimate(paths: Sequence[Path]) -> bool:
-    """Whether the single path seems to be a file of body parameters, by its first bytes.
+    """Whether there is one path, and by its first bytes this file holds body parameters.
 
-    Motion files of recon, which name their body by its checksum, are none.
+    Motion files of recon, which name their body by its checksum, do not count.
     """
     found = producer_of(paths[0]) if len(paths) == 1 and paths[0].is_file() else None
     return found is not None and found.holds == BODIES

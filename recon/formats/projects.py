@@ -19,10 +19,10 @@ from recon.formats.texts import decoded_text, read_toml
 _POSES = ("pose-associated", "pose-sync", "pose")
 """Folders of 2D detections of Pose2Sim; those after association with a person come first."""
 _LEVELS = 3
-"""Trial, participant and session: folders that may hold a Config.toml and a calibration."""
+"""Number of nested folders (trial, participant, session) that may hold a Config.toml."""
 _CONFIG = "Config.toml"
 _TRC_HEADER = 4096
-"""Bytes of a TRC that hold its rate."""
+"""Number of bytes at the start of a .trc file among which its frame rate is."""
 _METADATA = "sessionMetadata.yaml"
 
 
@@ -39,14 +39,14 @@ class Project:
     fps: float | None
     """Frames per second; None where nothing in the project states them."""
     frames: tuple[int, int] | None
-    """Number of the first frame and of the one after the last; None for all."""
+    """Numbers of the first frame and of the one after the last; None for all frames."""
     read: tuple[Path, ...]
-    """Files that were read to know this."""
+    """Configuration and calibration files of the project that were read."""
     decisions: tuple[str, ...]
 
 
 def project_at(folder: Path) -> Project | None:
-    """Read a folder as a project; None if it is not one.
+    """Read a folder as a project of Pose2Sim or OpenCap; None if it is neither.
 
     Raises:
         ValueError: when it holds several trials or calibrations, or its settings are damaged;
@@ -81,7 +81,7 @@ def _pose2sim_project(folder: Path) -> Project | None:
     if not configs and calibration is None and points is None:
         return None  # a folder of detections without a project
     stated: dict[str, Any] = {}
-    # configurations of folders further in override those of folders further out
+    # configurations of inner folders override those of outer ones
     for config in reversed(configs):
         stated |= _project_table(config)
     said = [f"Pose2Sim project: {folder}"]
@@ -104,10 +104,10 @@ def _project_table(config: Path) -> dict[str, Any]:
 
 
 def _calibration_file(levels: list[Path]) -> Path | None:
-    """The calibration file in the nearest folder, going outwards, that has one.
+    """Find the calibration file in the first of the folders, from inside out, that has one.
 
     Raises:
-        ValueError: when there are several.
+        ValueError: when that folder has several.
     """
     for level in levels:
         folders = [one for one in sorted(level.iterdir()) if one.is_dir()]
@@ -125,7 +125,7 @@ def _calibration_file(levels: list[Path]) -> Path | None:
 
 
 def _triangulated_points_file(folder: Path) -> Path | None:
-    """The file of triangulated keypoints; the unfiltered one if possible, since fits smooth."""
+    """Find the file of triangulated keypoints, unfiltered if possible, since fits smooth."""
     found = sorted((folder / "pose-3d").glob("*.trc"))
     raw = [one for one in found if "filt" not in one.name and "_LSTM" not in one.name]
     chosen = raw or found
@@ -133,7 +133,7 @@ def _triangulated_points_file(folder: Path) -> Path | None:
 
 
 def _frame_rate(stated: Any, folder: Path, points: Path | None) -> tuple[float | None, str | None]:
-    """Frames per second from Config.toml, the 3D keypoints or a video, and a note."""
+    """Find frames per second in Config.toml, the 3D keypoints or a video; return a note, too."""
     if isinstance(stated, int | float) and not isinstance(stated, bool):
         fps = float(stated)
         FRAME_RATE.check(fps, folder / _CONFIG, "frame_rate")
@@ -162,7 +162,7 @@ def _trc_rate(path: Path) -> float | None:
 
 
 def _video_rate(path: Path) -> float | None:
-    """Frames per second of a video, rounded as Pose2Sim does; None for other files."""
+    """Read frames per second of a video, rounded as Pose2Sim does; None for other files."""
     import cv2
 
     if not path.is_file():

@@ -48,14 +48,14 @@ _HOST = re.sub(r"[^A-Za-z0-9]", "", platform.node())[:32]
 
 
 def temporary_path(path: Path) -> Path:
-    """The hidden name next to a path under which this process prepares its replacement."""
+    """Return the hidden path beside a file at which this process prepares its replacement."""
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.part")
 
 
 def clear_leftovers(path: Path) -> None:
     """Remove temporary files that killed processes of this machine left for a path.
 
-    What belongs to a process that still runs, or to another machine, stays.
+    Files of processes that still run, or of other machines, stay.
     """
     path = Path(os.path.realpath(path))
     pattern = glob.escape(f".{path.name}.{_HOST}-") + "*.part"
@@ -96,7 +96,7 @@ MISSING = "missing"
 
 
 def file_checksum(path: str | Path) -> str:
-    """SHA-256 of a file's content in hexadecimal digits.
+    """Compute SHA-256 of a file's content in hexadecimal digits.
 
     Raises:
         OSError: when the file cannot be read; FileNotFoundError when there is none.
@@ -110,7 +110,7 @@ def file_checksum(path: str | Path) -> str:
 
 
 def files_checksum(files: Iterable[Path], folder: Path) -> str:
-    """SHA-256 of the contents and relative names of files below a folder, in any order.
+    """Compute SHA-256 of the contents and relative names of files below a folder, in any order.
 
     Files that do not exist count as `MISSING`, so that the checksum changes when they appear.
 
@@ -124,6 +124,6 @@ def files_checksum(files: Iterable[Path], folder: Path) -> str:
 
 
 def value_checksum(value: Mapping[str, Any] | list[Any]) -> str:
-    """SHA-256 of nested texts, numbers, lists and mappings, whatever the order of keys."""
+    """Compute SHA-256 of nested texts, numbers, lists and mappings, whatever the order of keys."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=True)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

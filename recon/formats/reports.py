@@ -1,12 +1,12 @@
 """Reads and writes the reports of results, whose checksums tell which files recon wrote.
 
-A report is a JSON object. Beside what a verb has to say it holds
+A report is a JSON object. Besides the entries of a verb it holds
 
 * `outputs`: SHA-256 of every file that was written with it, by name;
-* `replaces`: the same of the files of a former run that these took the place of. A run that is
-  killed between moving the report and moving its files leaves those behind, still as its own;
-* `report_checksum`: SHA-256 of all its other entries, so that a report that somebody edited is
-  told from one that is as recon wrote it.
+* `replaces`: SHA-256 of files of a former run that these replace, by name. A run that is killed
+  between moving the report and moving its files leaves the former ones, still known as recon's;
+* `report_checksum`: SHA-256 of all its other entries, by which a report that somebody edited is
+  recognised.
 """
 
 import json
@@ -21,7 +21,7 @@ from recon.formats.replacing import file_checksum, value_checksum
 
 _OUTPUTS, _REPLACES, _SEAL = "outputs", "replaces", "report_checksum"
 _LARGEST = 1 << 28
-"""Bytes; a larger JSON file is not looked into, and is somebody else's."""
+"""Most bytes of a report; larger JSON files are not read, since recon did not write them."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Report:
     replaces: Mapping[str, str]
     """Checksums of the files of a former run that were there before, by name."""
     content: Mapping[str, Any]
-    """All that it says."""
+    """All entries of the report but its own checksum."""
 
     def checksum_if_own(self, name: str, path: Path) -> str | None:
-        """SHA-256 of a file listed under this name; None unless it is as recon wrote it."""
+        """Compute SHA-256 of a file; None unless the report lists it under this name."""
         known = {self.outputs.get(name), self.replaces.get(name)} - {None}
         if len(known) == 0 or not path.is_file():
             return None
@@ -63,13 +63,13 @@ def read_report(path: Path) -> Report | None:
 def report_text(
     report: Mapping[str, Any], outputs: Mapping[str, str], replaces: Mapping[str, str]
 ) -> str:
-    """The JSON text of a report; values that JSON lacks are written as text.
+    """Format a report as JSON with its checksum; values that JSON lacks become texts.
 
     Args:
-        report: what a verb has to say.
-        outputs: SHA-256 of the files written with it, by name; empty where the report itself is
-            all that is written.
-        replaces: SHA-256 of recon's own files of these names that are there now.
+        report: entries of the verb.
+        outputs: SHA-256 of the files written with it, by name; empty where only the report is
+            written.
+        replaces: SHA-256 of the existing files that recon wrote and will now replace, by name.
     """
     whole = {**report, _OUTPUTS: dict(outputs)}
     if len(replaces) > 0:
@@ -80,7 +80,7 @@ def report_text(
 
 
 def versions() -> dict[str, str]:
-    """Versions of recon, torch and Python that made the result."""
+    """Return the versions of recon, torch and Python that make a result, for its report."""
     return {
         "recon": version("motion-recon"),
         "torch": version("torch"),
@@ -89,5 +89,5 @@ def versions() -> dict[str, str]:
 
 
 def checksums(paths: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of input files, keyed by path, for a report's `inputs`."""
+    """Compute SHA-256 of input files, keyed by path, for a report's `inputs`."""
     return {str(path): file_checksum(path) for path in paths}

@@ -12,18 +12,18 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
 from recon.formats.texts import decoded_text, read_bytes
 
-_EVEN = 0.2
-"""Frames that the times of a recording may differ from an even clock."""
-_SHARP = 0.007
-"""Seconds that they may differ besides, in which a foot moves two centimetres."""
+_EVEN_FRAMES = 0.2
+"""Greatest distance of scan times from an even clock, in frames of the clock."""
+_EVEN_SECONDS = 0.007
+"""Greatest distance of scan times from an even clock in seconds, in which a foot moves 2 cm."""
 _NEAR, _FINEST = 0.0025, 200.0
-"""Seconds by which times may miss the frames of a clock for scans at any times, and the most
-frames per second it has: every time is near one of these."""
+"""Greatest distance, seconds, of uneven scan times from the frames of the clock that they are put
+on, and its greatest rate, Hz: at that rate every time is so near to a frame."""
 _LONGEST = 60.0
-"""Seconds of a recording whose scans may be at any times."""
+"""Longest recording, seconds, whose scans may be unevenly timed."""
 _EMPTY, _SHORT = 8, 20_000
-"""Frames of a clock may be so many times those that show something, or so many in all: every one
-of them takes memory."""
+"""Most frames of a clock per frame with data, and number of frames that is always allowed: empty
+frames take memory, too."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class TimedScans:
     """Frames of the clock, from 0."""
     fps: float
     start_time: float
-    """Seconds."""
+    """Time of frame 0, seconds."""
     decisions: list[str]
-    """What was assumed."""
+    """What was assumed, in sentences."""
 
 
 def in_time_order(path: Path, files: list[Path]) -> TimedScans:
@@ -86,10 +86,10 @@ def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files
 def frame_numbers_of_times(
     times: Float[np.ndarray, " files"], path: Path
 ) -> tuple[np.ndarray, float, float]:
-    """Frame numbers for times in seconds, the frame rate and the first time.
+    """Put times (s) on an even clock; return frame numbers, frame rate (Hz) and first time (s).
 
-    Where scans follow each other evenly but for dropped ones, that is their own clock; where not,
-    the coarsest of which a frame of its own is near each of them.
+    For scans that are evenly timed but for dropped ones, that is their own clock; for others it
+    is the slowest clock that has a frame near each time, and no two times at one frame.
 
     Raises:
         ValueError: when the times do not rise, or are unevenly spaced for too long.
@@ -117,8 +117,8 @@ def frame_numbers_of_times(
             f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
         )
     off = _largest_deviation(times, count)
-    sharp = off * span / count <= _SHARP or span > _LONGEST
-    if off <= _EVEN and sharp and _nearest_steps_differ(times, count):
+    close = off * span / count <= _EVEN_SECONDS or span > _LONGEST
+    if off <= _EVEN_FRAMES and close and _nearest_steps_differ(times, count):
         return _nearest_steps(times, count), count / span, float(times[0])
     if span > _LONGEST:
         raise FormatError(
@@ -140,14 +140,14 @@ def frame_numbers_of_times(
 
 
 def fits_memory(frames: int, seen: int) -> bool:
-    """Whether so many frames, most of them perhaps empty, fit into memory."""
+    """Whether a recording of `frames` frames, of which `seen` have data, fits into memory."""
     return frames <= max(_EMPTY * seen, _SHORT)
 
 
 def note_on_empty_frames(
     times: Float[np.ndarray, " files"], frames: Int[np.ndarray, " files"], fps: float
 ) -> list[str]:
-    """A note if most frames of a recording are empty."""
+    """Return a list with a note if most frames of a recording are empty, else an empty one."""
     if 2 * len(frames) > int(frames[-1]) + 1:
         return []
     off = float(np.abs(times - times[0] - frames / fps).max())
@@ -158,17 +158,17 @@ def note_on_empty_frames(
 
 
 def _nearest_steps(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
-    """For every time the nearest of `count` equal steps from the first to the last time."""
+    """Round times to the nearest of `count` equal steps from first to last; return its number."""
     return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
 
 
 def _nearest_steps_differ(times: Float[np.ndarray, " files"], count: int) -> bool:
-    """Whether each time has a nearest step of its own among `count` evenly spaced ones."""
+    """Whether no two times have the same nearest step among `count` evenly spaced ones."""
     return bool((np.diff(_nearest_steps(times, count)) > 0).all())
 
 
 def _largest_deviation(times: Float[np.ndarray, " files"], count: int) -> float:
-    """The largest distance of a time from the nearest of `count` even steps, in steps."""
+    """Return the largest distance of a time from the nearest of `count` even steps, in steps."""
     place = (times - times[0]) / (times[-1] - times[0]) * count
     return float(np.abs(place - place.round()).max())
 
@@ -188,9 +188,9 @@ class PointClock:
     """The frame of each point, from 0."""
     fps: float
     start_time: float
-    """Seconds, of frame 0."""
+    """Time of frame 0, seconds."""
     decisions: tuple[str, ...] = ()
-    """What was changed."""
+    """What was changed, in sentences."""
 
 
 def settled_clock(
@@ -203,8 +203,8 @@ def settled_clock(
     times are put on an even clock as those of scans are (`frame_numbers_of_times`).
 
     Raises:
-        ValueError: when they lie on no clock, because of a long gap or because two are closer
-            than any camera's frames.
+        ValueError: when no clock fits them, because of a long gap or because two are closer than
+            frames of any camera.
     """
     numbers, place = np.unique(frame, return_inverse=True)
     if fits_memory(int(numbers[-1]) + 1, len(numbers)):

@@ -26,11 +26,11 @@ _BYTES = {
     "float64": 8,
 }  # fmt: skip
 _LONGEST = 1 << 16
-"""Bytes a header may have."""
+"""Most bytes of a PLY header."""
 
 
 def check_counts(path: Path) -> int:
-    """Number of vertices of a PLY file, refused if its header promises more than its size allows.
+    """Return a PLY file's number of vertices; refuse a file that is smaller than its header says.
 
     Raises:
         ValueError: when it has no header of a PLY file, or is cut short or too large.
@@ -54,7 +54,7 @@ def check_counts(path: Path) -> int:
             CLOUD.check(count, path, f"element {line[1][:20]}")
             vertices += count * (line[1] == "vertex")
         elif line[:1] == ["property"] and len(line) >= 3:
-            # fewest bytes of a value: of the number that counts a list, or two characters in text
+            # least bytes of a value: of a list's length alone, or two characters in text
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
                 raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
@@ -76,7 +76,7 @@ def write_ply(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"] | None = None,
 ) -> None:
-    """Write one mesh, or a point cloud where there are no faces; metres, little endian."""
+    """Write a mesh, or a point cloud where there are no faces, as binary PLY, metres."""
     faces = np.zeros((0, 3), dtype=np.int64) if faces is None else faces
     corners = np.empty(len(faces), dtype=_FACE)
     corners["count"], corners["corners"] = 3, faces
@@ -133,11 +133,11 @@ def read_ply(path: Path) -> Float[np.ndarray, "vertices 3"]:
 
 
 POINTS = 4096
-"""Points kept of a frame."""
+"""Most points that are kept of a frame by default."""
 _NEIGHBOURS = 16
-"""Nearest points by whose mean distance outliers are told."""
+"""Number of nearest points whose mean distance tells whether a point is an outlier."""
 _SEARCHED = 500_000
-"""Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
+"""Most points of a frame among which outliers are searched; denser clouds are first sampled."""
 
 
 def read_scans(
@@ -150,11 +150,11 @@ def read_scans(
     outliers: float | None = 3.0,
     seed: int = 0,
 ) -> PointsFile:
-    """Read the clouds of all frames in metres, z up; `scan_2` comes before `scan_10`.
+    """Read a folder of one cloud per frame, in metres, z up; `scan_2` comes before `scan_10`.
 
     A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
-    time) tells the clock; frames that were dropped stay empty. Times of named files may be in any
-    order, and at any distances: they are then put on a clock with a frame near each.
+    time) gives the clock; dropped frames stay empty. Times of named files may be in any order, and
+    unevenly spaced: they are then put on a clock with a frame near each.
 
     Args:
         folder: with .ply, .pcd or .obj files.
@@ -245,11 +245,11 @@ def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """Paths of the clouds in a folder; `scan_2` comes before `scan_10`.
+    """List the files of clouds in a folder; `scan_2` comes before `scan_10`.
 
     Raises:
         FileNotFoundError: when there is no such folder.
-        ValueError: when it holds no clouds, or files of both kinds.
+        ValueError: when it holds no clouds, or files of several kinds.
     """
     if not folder.is_dir():
         raise FileNotFoundError(
@@ -266,7 +266,7 @@ def scan_paths(folder: Path) -> list[Path]:
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """Files of a folder with one cloud each; tables and arrays only if the first hold clouds."""
+    """List a folder's files of one cloud each; tables and arrays only if they are clouds."""
     kind = producer_of(folder)
     others = kind.endings if kind is not None and kind.holds == SCANS else ()
     found = files_of(folder, CLOUDS) or files_of(folder, others)
@@ -274,7 +274,7 @@ def cloud_files(folder: Path) -> list[Path]:
 
 
 def naturally_sorted(paths: Iterable[Path]) -> list[Path]:
-    """Paths sorted by name, with numbers in names compared by value."""
+    """Sort paths by name, comparing numbers in names by value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
         # at most 4000 digits, the most that Python converts to an integer
@@ -290,7 +290,7 @@ def thinned(
     outlier_deviations: float | None,
     generator: np.random.Generator,
 ) -> Float[np.ndarray, "kept 3"]:
-    """At most `count` random points of a cloud without its outliers, in their order."""
+    """Remove a cloud's outliers, and keep at most `count` of its points, drawn at random."""
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outlier_deviations is not None:
@@ -301,7 +301,7 @@ def thinned(
 
 
 def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np.ndarray:
-    """Mask of points whose mean distance to their neighbours is unusually large."""
+    """Return a mask of points whose mean distance to their neighbours is unusually large."""
     from scipy.spatial import KDTree
 
     if len(cloud) <= _NEIGHBOURS:
@@ -311,7 +311,7 @@ def _outlier_mask(cloud: Float[np.ndarray, "points 3"], deviations: float) -> np
 
 
 def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
-    """Read the points of a cloud or mesh, without the zeros of pixels that measured nothing.
+    """Read the points of a cloud or mesh, but no zeros, which pixels without measurement give.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ply` does.
@@ -336,7 +336,7 @@ def _vertices_of_obj(path: Path) -> Float[np.ndarray, "points 3"]:
 
 
 _BETWEEN = re.compile(r"\d[;\s]+-?\d+,\d+[;\s]+-?\d")
-"""A number with a decimal comma between two others."""
+"""Matches a number with a decimal comma between two other numbers."""
 
 
 def _text_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
@@ -371,7 +371,7 @@ CLOUDS: dict[str, Callable[[Path], np.ndarray]] = {
     ".obj": _vertices_of_obj,
     **dict.fromkeys((".xyz", ".xyzn", ".xyzrgb", ".pts"), _text_cloud),
 }
-"""Readers of a frame, by endings."""
+"""Readers of files that always hold one cloud, by ending."""
 
 
 def _array_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
@@ -383,4 +383,4 @@ def _array_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 
 
 _TABLES = {".npy": _array_cloud, ".csv": _text_cloud, ".txt": _text_cloud, ".asc": _text_cloud}
-"""Readers of files that hold other things, too."""
+"""Readers of clouds in files whose endings stand for other data, too."""

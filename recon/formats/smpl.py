@@ -23,7 +23,7 @@ _RANGES: dict[str, Limit] = {
     "J_regressor": MODEL_WEIGHT, "weights": MODEL_WEIGHT,
 }  # fmt: skip
 _SUM = 0.05
-"""How far the weights of a vertex, or of a joint, may be from one together."""
+"""Greatest deviation from one of the sum of the weights of a vertex, or of a joint."""
 _SMPLX_JOINTS = 55
 _SMPLX_SHAPES = 300
 """SMPL-X stores 300 shape directions before those of the expression; version 1.0 stores 10."""
@@ -47,7 +47,7 @@ class SmplArrays:
     pose_directions: np.ndarray | None
     """(V, 3, 9 (J-1)) change per entry of the joints' rotations minus identity; None if zero."""
     joint_regressor: np.ndarray
-    """(J, V) weights of the surface that give the joints."""
+    """(J, V) weights by which each joint is a mean of vertices."""
     weights: np.ndarray
     """(V, J) skinning weights."""
     parents: np.ndarray
@@ -56,10 +56,10 @@ class SmplArrays:
     """(F, 3) vertex numbers."""
 
     def of_body(self) -> dict[str, np.ndarray]:
-        """The arrays reduced to 22 joints, named as in `recon.body.model.BodyModel`.
+        """Reduce the model to 22 joints; name its arrays as in `recon.body.model.BodyModel`.
 
-        Their places are regressed from the shaped surface; weights of further joints are added to
-        their nearest ancestor in the body.
+        Joints are regressed from the shaped surface; skinning weights of further joints are added
+        to their nearest ancestor among the 22.
         """
         count = len(JOINTS)
         ancestor = list(range(len(self.parents)))
@@ -68,7 +68,7 @@ class SmplArrays:
         weights = np.zeros((len(self.template), count))
         np.add.at(weights.T, ancestor, self.weights.T)
         regressor, poses = self.joint_regressor[:count], self.pose_directions
-        nobody = np.zeros(self.shape_directions.shape[-1])
+        no_change = np.zeros(self.shape_directions.shape[-1])
         known = {
             "template": self.template,
             "shape_directions": self.shape_directions,
@@ -76,8 +76,8 @@ class SmplArrays:
             "joint_directions": np.einsum("jv,vdk->jdk", regressor, self.shape_directions),
             "weights": weights,
             "faces": self.faces,
-            "male": nobody,
-            "female": nobody,
+            "male": no_change,
+            "female": no_change,
         }
         if poses is not None:
             known["pose_directions"] = poses[..., : 9 * (count - 1)].transpose(2, 0, 1)
@@ -106,7 +106,7 @@ def load_smpl(path: str | Path) -> SmplArrays:
 
 
 def _checked_arrays(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
-    """The arrays in double precision, after their shapes have been compared."""
+    """Check shapes and ranges of a model's arrays, and convert them to double precision."""
     if missing := [name for name in _NEEDED if name not in fields]:
         raise FormatError(
             f"{path}: not a body model of the SMPL family: no {', '.join(missing)}; "
@@ -158,7 +158,7 @@ def _checked_numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
 
 
 def _parents(table: np.ndarray, path: Path) -> np.ndarray:
-    """Each joint's parent from `kintree_table`, where 4294967295 (unsigned -1) means none."""
+    """Read each joint's parent from `kintree_table`, where 4294967295 (unsigned -1) means none."""
     parents = table[0].astype(np.int64)
     parents[0] = -1
     if tuple(parents[: len(JOINTS)]) != tuple(PARENTS):

@@ -39,10 +39,10 @@ def read_rows(path: Path, limit: Limit) -> list[list[str]]:
 
 
 def _split(text: str) -> list[list[str]]:
-    """Split lines into cells at the separator that the first line has.
+    """Split lines into cells at the separator that is found in the first line.
 
-    Without commas these are semicolons, tabs, bars or, between seven words or more, spaces.
-    Numbers may then have a comma for a point, as spreadsheets of many countries write.
+    It is a comma if the line has one; else a semicolon, tab or bar; else spaces between seven
+    words or more. Where it is no comma, numbers with decimal commas get points.
     """
     lines = _without_comments([line for line in text.splitlines() if line.strip()])
     first = lines[0] if lines else ""
@@ -57,11 +57,11 @@ def _split(text: str) -> list[list[str]]:
 
 
 _WORDS = 7
-"""Words of a first line from which on spaces are between cells: a number and two points."""
+"""Least number of words in a first line for spaces to separate cells: a frame and two points."""
 
 
 def _without_comments(lines: list[str]) -> list[str]:
-    """The lines without leading comments (#), the last of which may be the header (numpy)."""
+    """Remove leading comments (#), but keep the last if it is the header, as numpy writes it."""
     count = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
     if count == 0:
         return lines
@@ -97,7 +97,7 @@ def refuse_repeated_columns(columns: Sequence[str], name: str) -> None:
 
 
 def first_rows(path: Path, count: int = 4) -> list[list[str]]:
-    """Read the first rows of a table only; none if the file is no table.
+    """Read only the first rows of a table; none if the file is no table.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -118,14 +118,14 @@ def numbers_of_columns(
     most: int,
     least: int = 0,
 ) -> Float[np.ndarray, "rows columns"]:
-    """The numbers in some columns of a table; NaN where a cell is blank or missing.
+    """Parse the numbers in some columns of a table; NaN where a cell is blank or missing.
 
     Args:
-        rows: below the header.
-        columns: which of them.
+        rows: cells of the rows below the header.
+        columns: numbers of the wanted columns, from 0.
         name: of the file, for messages.
-        most: number of cells that a row has, by the header.
-        least: cells that it has at least.
+        most: largest number of cells in a row, that of the header.
+        least: smallest number of cells in a row.
 
     Raises:
         ValueError: when a row has another number of cells, or a cell is no number.

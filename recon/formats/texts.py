@@ -52,16 +52,16 @@ def decoded_text(data: bytes) -> str:
 
 
 def with_decimal_points(text: str, comma: re.Pattern[str]) -> str:
-    """The text, with points for commas where it has no decimal points and commas are found."""
+    """Replace commas by points in a text with decimal commas (a pattern) and no decimal points."""
     if "," not in text or re.search(r"\d\.\d", text) or not comma.search(text):
         return text
     return text.replace(",", ".")
 
 
 _PIECE = 1 << 20
-"""Characters looked at together."""
+"""Number of characters that are parsed at a time."""
 _LONGEST = 1000
-"""Characters a number may have."""
+"""Most characters of a number."""
 
 
 def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
@@ -87,7 +87,7 @@ def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
 
 
 _DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
-"""A dotted key of more than twenty parts, for which tomllib takes the square of its length."""
+"""Matches a dotted key of more than twenty parts, which tomllib parses in quadratic time."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -32,7 +32,7 @@ _MODELS = {
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-"""COLMAP's camera models whose lens OpenCV's coefficients can tell, and their parameters."""
+"""COLMAP's camera models whose distortion OpenCV's coefficients express, and their parameters."""
 _LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -131,7 +131,7 @@ def rigid_transforms(
     translations: Float[np.ndarray, "poses 3"],
     path: Path,
 ) -> Float[np.ndarray, "poses 4 4"]:
-    """Rigid transforms from quaternions (x y z w) and translations.
+    """Build rigid transforms from quaternions (x y z w) and translations.
 
     Raises:
         ValueError: when numbers are not finite, or quaternions are not of length one.
@@ -155,10 +155,10 @@ def _transforms(rotations: np.ndarray, translations: np.ndarray) -> Float[np.nda
 
 _ARKIT = ("transform", "cameraTransform", "camera_transform", "cameraPoseARFrame")
 _TIMES = ("timestamp", "time")
-_SEVEN = ("poses", "traj", "traj_est", "trajectory")
+_POSE_ARRAYS = ("poses", "traj", "traj_est", "trajectory")
 _FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turn from OpenCV's camera axes to those of ARKit."""
-_WRITTEN = (
+"""Transform from OpenCV's camera axes to ARKit's, which has y and z reversed."""
+_KNOWN_FORMATS = (
     "a folder with COLMAP's images.txt, a text of TUM's (timestamp tx ty tz qx qy qz qw), an "
     "array (.npy, .npz) of DROID-SLAM's (frames, 7), or ARKit's .json"
 )
@@ -166,28 +166,29 @@ _WRITTEN = (
 
 @dataclass(frozen=True)
 class CameraTrack:
-    """Poses of one moving camera over time, with what its tracker knows of it."""
+    """Poses of one moving camera over time, with times and intrinsics that its tracker states."""
 
     T_world_camera: Float[np.ndarray, "poses 4 4"]
     """Poses in the tracker's world and unit; z up where it is `level`."""
     frames: Int[np.ndarray, " poses"] | None
-    """Numbers of the frames; None where times tell, or nothing."""
+    """Number of the frame of each pose; None where the tracker states none."""
     times: Float[np.ndarray, " poses"] | None
-    """Seconds, from any beginning."""
+    """Time of each pose, seconds from any origin; None where the tracker states none."""
     camera: CameraFields | None
     """Intrinsics, where the tracker states them."""
     producer: str
     metric: bool = False
-    """Whether translations are metres; otherwise their unit is to be found."""
+    """Whether translations are in metres; otherwise their unit is unknown."""
     level: bool = False
     """Whether the z axis of the world points up."""
 
     def poses_at_frames(
         self, first: int, count: int, fps: float
     ) -> tuple[Float[np.ndarray, "frames 4 4"], str]:
-        """T_world_camera at `count` frames from frame number `first` on, and a note on it.
+        """Interpolate T_world_camera at `count` frames from number `first` on; return a note, too.
 
-        Between poses the camera goes straight and turns evenly; beyond them it stands still.
+        Positions are interpolated linearly and rotations by slerp; before the first pose and
+        after the last the camera stands still.
 
         Raises:
             ValueError: when the poses cover less than half of the frames.
@@ -220,7 +221,7 @@ def read_track(path: Path) -> CameraTrack:
     """Read a camera's path from the file of any known tracker.
 
     Raises:
-        FileNotFoundError: when there is nothing there.
+        FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or of no tracker that is known.
     """
     if path.is_dir() and (path / "images.txt").is_file():
@@ -233,18 +234,18 @@ def read_track(path: Path) -> CameraTrack:
             return _track_of_droid(load_array(path), None, None, path)
         case ".npz":
             arrays = load_arrays(path)
-            name = next((name for name in _SEVEN if name in arrays), None)
+            name = next((name for name in _POSE_ARRAYS if name in arrays), None)
             if name is None:
                 raise FormatError(
-                    f"{path}: expected poses of DROID-SLAM or DPVO in one of {', '.join(_SEVEN)}, "
-                    f"found {', '.join(sorted(arrays))}"
+                    f"{path}: expected poses of DROID-SLAM or DPVO in one of "
+                    f"{', '.join(_POSE_ARRAYS)}, found {', '.join(sorted(arrays))}"
                 )
             return _track_of_droid(
                 arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path
             )
         case ".json":
             return _track_of_arkit(path)
-    raise FormatError(f"{path}: expected the track of a camera: {_WRITTEN}")
+    raise FormatError(f"{path}: expected the track of a camera: {_KNOWN_FORMATS}")
 
 
 def _interpolated(
@@ -304,7 +305,7 @@ def _track_of_arkit(path: Path) -> CameraTrack:
 
 
 def _square_matrix(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
-    """A rigid or camera matrix, written by rows or, as Swift does, by columns."""
+    """Parse a rigid or camera matrix, written by rows or, as Swift does, by columns."""
     try:
         matrix = np.array(value, np.float64).reshape(size, size)
     except (TypeError, ValueError) as error:

@@ -24,12 +24,12 @@ def writing(
 
     Until then they are hidden beside their places, and nothing of them stays when the block fails
     or is interrupted. Reports are moved first and results last, so that there is never a result
-    without its report. A folder has afterwards what was written to it now: what a former run wrote
-    and this one did not is removed.
+    without its report. Files in an output folder that a former run wrote and this one did not are
+    removed.
 
     Args:
-        outputs: what is written; folders above are made where they do not exist.
-        report: what the reports say; read when the block ends.
+        outputs: files and folders to write; missing folders above them are made.
+        report: entries of the reports; read when the block ends.
         overwrite: whether files that recon did not write may be replaced.
 
     Raises:
@@ -76,7 +76,7 @@ class _StagedOutput:
 
     output: Output
     folder: Path
-    """Hidden, on the file system of the output."""
+    """Hidden temporary folder, on the file system of the output."""
 
     @property
     def path(self) -> Path:
@@ -98,7 +98,7 @@ class _StagedOutput:
         return {p.relative_to(base).as_posix(): p for p in found if p != self.report}
 
     def add_report(self, report: Mapping[str, Any], own: Mapping[str, str]) -> None:
-        """Write the report, and flush everything to the disk."""
+        """Write the report into the temporary folder, and flush all files to the disk."""
         files = self.files()
         found = {name: file_checksum(path) for name, path in files.items()}
         self.report.write_text(report_text(report, found, own), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Converts recorded skeletons to motions of our body, with residuals, findings and notes."""
+"""Converts recorded skeletons to motions of the body model, with residuals and findings."""
 
 import dataclasses
 import math
@@ -28,47 +28,47 @@ from recon.metrics.errors import slip_speed
 from recon.mocap.recording import SkeletonRecording
 
 GLITCH_SPEED = 20.0
-"""Metres per second: no joint of a body moves so fast; between such frames it jumped."""
+"""Speed (m/s) that no joint of a body reaches: between such frames the recording jumps."""
 _FINGERS = ("finger", "thumb", "index", "mid", "ring", "pinky")
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """The body model's motion of a recording, on the ground z = 0, at the wanted frame rate."""
+    """A recording converted to a motion of the body model, with what was found and decided."""
 
     motion: Motion
     joints: Float[Tensor, "time 22 3"]
-    """World, metres."""
+    """Joint positions in the world, metres."""
     contacts: Bool[Tensor, "time 22"]
-    """Joints that carry weight, judged at the recording's rate."""
+    """Whether each joint touches the ground, judged at the recording's rate."""
     residuals: Mapping[str, float]
-    """Mean distance of every observed joint or marker after constant offsets, millimetres."""
+    """Mean distance of each joint or marker from the fitted one, offset included, millimetres."""
     ground_shift: float
     """Metres by which the recording was lowered."""
     decisions: tuple[str, ...]
     """What was read, guessed or cut, one sentence each."""
     report: Mapping[str, float | int | str | None]
-    """Flat numbers for tables: frames, fps, residual_mm, slip_mps, ..."""
+    """Numbers for a row of a table: frames, fps, residual_mm, slip_mps, ..."""
     observed: Bool[Tensor, "time 22"] | None = None
     """False where a joint was inferred rather than seen; None where every joint was seen."""
     diagnosis: tuple[Finding, ...] = ()
-    """Residuals by joint or marker, and by stretch of frames."""
+    """Residuals by joint or marker, and by second of the recording."""
     repairs: tuple[Finding, ...] = ()
-    """What was wrong with the recording and was put right."""
+    """Errors of the recording that were corrected."""
     warnings: tuple[Finding, ...] = ()
-    """What may be wrong with the result."""
+    """Possible errors of the result."""
     ground: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 0.0)
-    """Plane n·x = d that the feet stand on, (nx, ny, nz, d), metres."""
+    """Plane n·x = d on which the feet stand, as (nx, ny, nz, d), metres."""
     on_belt: bool = False
-    """Whether feet stand on a treadmill: contacts with it are no contacts with the room."""
+    """Whether the feet stand on the moving belt of a treadmill; contacts are then not saved."""
 
     def findings(self) -> dict[str, list[dict[str, Any]]]:
-        """The lists `diagnosis`, `repairs` and `warnings` of a report."""
+        """Return `diagnosis`, `repairs` and `warnings` as lists of dictionaries for a report."""
         lists = {"diagnosis": self.diagnosis, "repairs": self.repairs, "warnings": self.warnings}
         return {name: [one.report() for one in found] for name, found in lists.items()}
 
     def file(self, body: BodyModel, *, contacts: bool = True) -> MotionFile:
-        """The motion as a file's contents, with joints and, if asked for, contacts."""
+        """Return the contents of a motion file, with joints and, if wanted, contacts."""
         return MotionFile(
             motion=self.motion,
             body=body.name,
@@ -93,7 +93,7 @@ def convert_skeletons(
 ) -> list[Conversion]:
     """Convert recordings of one calibrated skeleton and one frame rate, as a batch of clips.
 
-    With `keep_frame` they stay where the recording has them instead of standing on z = 0.
+    With `keep_frame`, motions stay where the recordings have them instead of standing on z = 0.
     """
     soles = Soles.of(body)
     solved = solve(recordings, subject, body)
@@ -140,11 +140,11 @@ def on_ground(
     observed: Bool[Tensor, "time 22"] | None = None,
     keep_frame: bool = False,
 ) -> Conversion:
-    """A fitted motion as a `Conversion`: moved onto the ground z = 0, with contact labels.
+    """Move a fitted motion onto the ground z = 0 and label contacts; return a `Conversion`.
 
     The ground is the plane of the soles that stand (`recon.body.soles.Stance`): a tilted one is
     levelled, and the motion is lowered to it. With `keep_frame`, and where no foot is ever
-    observed, the motion stays where it is; the plane of the soles is then told in `ground`.
+    observed, the motion stays where it is; `ground` is then the plane of the soles.
     """
     given, unseen = motion, observed is not None and not bool(observed[:, list(FEET)].any())
     belt = belt_velocity(motion, body, observed)
@@ -213,7 +213,7 @@ def on_ground(
 def _ground_in_given_frame(
     given: Motion, moved: Motion, body: BodyModel
 ) -> tuple[float, float, float, float]:
-    """The ground z = 0 of a moved motion, as a plane in the frame of the motion as given."""
+    """Return the ground z = 0 of a moved motion as a plane n·x = d of the motion as given."""
     here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
     turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
     normal = turn[2]  # the vector that the rotation maps to z
@@ -223,7 +223,7 @@ def _ground_in_given_frame(
 
 
 def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
-    """A conversion at another frame rate, with the contacts of the nearest recorded frames."""
+    """Resample a conversion to another frame rate; contacts are those of the nearest frames."""
     motion = found.motion.resample(fps)
     place = (motion.times - found.motion.start_time) * found.motion.fps
     nearest = place.round().long().clamp(max=found.motion.frames - 1)
@@ -240,14 +240,14 @@ def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
 
 
 def jump_frames(recording: SkeletonRecording) -> tuple[int, ...]:
-    """Frames after which a joint jumps, that is, moves faster than 20 m/s.
+    """Return the frames after which a joint jumps, that is, moves faster than 20 m/s.
 
-    Joints below the wrists and tips of bones are not asked.
+    Joints of fingers and tips of bones are left out.
     """
-    asked = [
+    checked = [
         joint
         for joint, name in enumerate(recording.joint_names)
         if not name.endswith("_end") and not any(word in name.lower() for word in _FINGERS)
     ]
-    step = np.linalg.norm(np.diff(recording.positions[:, asked], axis=0), axis=-1)
+    step = np.linalg.norm(np.diff(recording.positions[:, checked], axis=0), axis=-1)
     return tuple((step.max(1) * recording.fps > GLITCH_SPEED).nonzero()[0].tolist())

@@ -1,4 +1,4 @@
-"""Finds our joints in recorded skeletons, by known names or by a user's file."""
+"""Finds the body model's joints in recorded skeletons, by known names or by a user's file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,35 +28,35 @@ from recon.mocap.trees import joints_by_tree
 
 @dataclass(frozen=True)
 class SkeletonMap:
-    """Which joint of a recorded skeleton is which of ours; ankles and toes come last."""
+    """Maps joints of the body model to those of a recorded skeleton; ankles and toes last."""
 
     name: str
     positions: tuple[tuple[int, str], ...]
-    """(our joint, their joint whose position it has)."""
+    """Pairs: number of a model joint, name of the recorded joint at the same position."""
     orientations: tuple[tuple[int, str], ...]
-    """(our joint, their joint that turns with its bone)."""
+    """Pairs: number of a model joint, name of the recorded joint that rotates with its bone."""
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Numbers of our joints whose positions the recording has."""
+        """Numbers of the model's joints whose positions are recorded."""
         return tuple(joint for joint, _ in self.positions)
 
     @property
     def bones(self) -> tuple[int, ...]:
-        """Numbers of our joints whose bones have recorded orientations."""
+        """Numbers of the model's joints whose bones have recorded orientations."""
         return tuple(joint for joint, _ in self.orientations)
 
     @property
     def feet(self) -> tuple[int, int]:
-        """Range of the rows of `positions` that are ankles and toes."""
+        """First row of `positions` with ankles or toes, and number of all rows."""
         return sum(joint not in FEET for joint in self.joints), len(self.joints)
 
 
 def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -> SkeletonMap:
-    """Find our joints among the joints of a recording.
+    """Find the body model's joints among the joints of a recording.
 
     Args:
-        recording: of any skeleton.
+        recording: motion of any skeleton.
         mapping: TOML file with tables [joints], [positions], [orientations] as in
             `assets/skeletons.toml`; None tries the skeletons known there, then the tree of the
             joints.
@@ -119,7 +119,7 @@ def _skeleton_map(name: str, table: SkeletonTable, their_names: Mapping[str, str
 
 
 _WORST_BONE = 40.0
-"""Degrees: no bone of a T-pose is farther from ours at rest."""
+"""Largest angle (degrees) between a limb of a recorded T-pose and the body model's at rest."""
 _CHILD = {
     joint_index(f"{side}_{name}"): joint_index(f"{side}_{child}")
     for side in ("left", "right")
@@ -127,17 +127,17 @@ _CHILD = {
         ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
     )
 }  # fmt: skip
-"""Bones whose direction is compared and followed; feet stand flat in any T-pose."""
+"""The joint at the end of each bone of a limb; feet are left out: they are flat in any T-pose."""
 
 
 def alignments_from_rest(
     recording: SkeletonRecording, skeleton: SkeletonMap, body: BodyModel
 ) -> Float[Tensor, "bones 3 3"] | None:
-    """Rotation from every mapped bone to ours; None if the recorded zero pose is no T-pose.
+    """Return rotations from recorded bones to the model's; None if their zero is no T-pose.
 
-    At zero rotations every recorded bone has orientation I in the file's axes. Our body is laid
-    on it (Q, orthogonal Procrustes of the joints) and each limb swung to the recorded direction
-    by the smallest rotation S: alignment = S Q. A hand follows its forearm.
+    At zero rotations every recorded bone has orientation I in the file's axes. The body model is
+    rotated onto it (Q, orthogonal Procrustes of the joints), then each limb to the recorded
+    direction by the smallest rotation S: alignment = S Q. A hand follows its forearm.
     """
     rest = np.zeros_like(recording.rest_offsets)
     for joint, parent in enumerate(recording.parents):

@@ -14,18 +14,18 @@ from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 _EVERY = 4
-"""Shape and offsets are found from every fourth frame before they are found from all."""
+"""Step between the frames from which shape and offsets are first found, before all are used."""
 _ROUGH = 0.1
-"""Relative decrease of an energy that ends a fit which only begins another."""
+"""Relative decrease of an energy that ends a fit whose result only begins another fit."""
 _NEAR = 1e-2
 _TOLERANCE = 1e-3
 _DAMPING = 1e-2
-"""Damping of first steps, which begin in another pose than that of the markers."""
+"""Damping of the first steps, which start from a pose that is far from that of the markers."""
 
 
 @dataclass(frozen=True)
 class CalibratedFrames(TensorStruct):
-    """The poses of some frames, with the shape and marker offsets that they share."""
+    """Poses of some frames of one person, and the shape and marker offsets common to all."""
 
     poses: Poses
     shape: Float[Tensor, " shape"]
@@ -35,9 +35,9 @@ class CalibratedFrames(TensorStruct):
 
 @dataclass(frozen=True)
 class SubjectEnergies(Problem[CalibratedFrames]):
-    """Energies of poses, shape and marker offsets together.
+    """The energy of a person's markers as a function of poses, shape and marker offsets.
 
-    They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
+    It is the sum of `PoseEnergies`, and per frame the squared length of the shape and half of
     the squared distances of offsets from expected ones, each with a weight.
     """
 
@@ -46,19 +46,19 @@ class SubjectEnergies(Problem[CalibratedFrames]):
     under: Int[Tensor, " soles"] | None
     """Vertices under the feet; None where the ground is not at z = 0."""
     nominal: Float[Tensor, "markers 3"]
-    """Expected offsets, metres."""
+    """Expected offsets of markers from their vertices, metres."""
     stiffness: Float[Tensor, " markers"]
-    """Weight of every marker's offset, per frame."""
+    """Weight of the distance of each marker's offset from the expected one, per frame."""
     stature: float
-    """Weight of the shape, per frame."""
+    """Weight of the squared shape coefficients, per frame."""
     poses: PoseEnergies
-    """Energies of the poses, without ties; their body and points are replaced by a state's, and
-    each of their frames counts 1."""
+    """Energies of the poses, without ties; rest joints and skin points are replaced by those of
+    the present shape, and the weight of each frame is 1."""
     with_offsets: bool
-    """Whether offsets are moved; the shape always is."""
+    """Whether marker offsets are optimised, too; the shape always is."""
 
     def of(self, shape: Tensor, offsets: Tensor) -> PoseEnergies:
-        """The energies of poses of a body whose shape and marker offsets are known."""
+        """Return the energies of poses for a known shape and known marker offsets."""
         under = self.under
         return replace(
             self.poses,
@@ -68,11 +68,11 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         )
 
     def frames(self, index: Int[Tensor, " frames"]) -> "SubjectEnergies":
-        """The same energies for some of the frames."""
+        """Return the same energies restricted to some of the frames."""
         return replace(self, poses=self.poses.frames(index))
 
     def value(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
-        """The total energy of poses, shape and marker offsets."""
+        """Return the total energy of poses, shape and marker offsets."""
         value, _ = self.of(x.shape, x.offsets).energies_and_gradients(x.poses, self._frames)
         return self._total_energy(x, value).expand(len(rows), 1)
 
@@ -86,7 +86,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
     def moved(
         self, x: CalibratedFrames, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> CalibratedFrames:
-        """The poses, shape and marker offsets after a step of each."""
+        """Return poses, shape and marker offsets after one step of the optimiser."""
         del rows
         count, poses, offsets = len(x.shape), len(self._frames), x.offsets
         moved = 3 * len(offsets) if self.with_offsets else 0
@@ -98,7 +98,7 @@ class SubjectEnergies(Problem[CalibratedFrames]):
         return CalibratedFrames(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
 
     def model(self, x: CalibratedFrames, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Quadratic model of the energy, in which shape and offsets border the poses' blocks."""
+        """Return the Gauss-Newton model: one block per pose, bordered by shape and offsets."""
         energies, poses = self.of(x.shape, x.offsets), x.poses
         value, gradient = energies.energies_and_gradients(poses, self._frames)
         force, weight = energies.forces(poses)
@@ -153,11 +153,11 @@ def calibrated(
     """Find poses, shape and marker offsets, starting at rough poses of the average body.
 
     Args:
-        energies: of all frames.
-        translation: of the rough poses, metres.
-        rotations: of the rough poses.
-        sigma: scale of Geman and McClure's kernel, metres. First everything counts alike: a body
-            lying in another pose is no outlier.
+        energies: energies of all frames.
+        translation: root positions of the rough poses, metres.
+        rotations: joint rotations of the rough poses.
+        sigma: scale of Geman and McClure's kernel, metres. The first fits are without the kernel,
+            since markers far from a rough pose are no outliers.
     """
     shape = energies.body.joint_directions.new_zeros(energies.body.shape_size)
     plain = replace(energies, poses=replace(energies.poses, sigma=None), with_offsets=False)
@@ -170,7 +170,7 @@ def calibrated(
     state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
     state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
     of_subject = robust.of(state.shape, state.offsets)
-    began = of_subject.poses_of(poses.translation, poses.rotations)
-    poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
+    start = of_subject.poses_of(poses.translation, poses.rotations)
+    poses = minimise_frames(of_subject, start, LevenbergMarquardt(tolerance=_NEAR)).state
     state = CalibratedFrames(poses, state.shape, state.offsets)
     return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

@@ -1,4 +1,4 @@
-"""Converts a recording of markers to a motion of our body, with checks before and after."""
+"""Converts a recording of markers to a motion of the body model, with checks before and after."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -40,17 +40,17 @@ from recon.mocap.recording import MarkerRecording
 from recon.solver.solution import one_thread
 
 _BAD = 0.02
-"""Metres of mean residual from which on other labels are tried."""
+"""Mean residual (m) above which other labels are tried."""
 _MOSTLY = 0.5
-"""Share of a marker's frames."""
-_BESIDE = 0.043
-"""Mean distance of guessed markers from usual places, metres, without those that may sit anywhere
-on a limb: 0.02 to 0.041 where they were right."""
-_ASTRAY = 0.012
-"""Mean residual of guessed markers in metres: at most 0.008 where they were right."""
+"""Share of a marker's frames in which it must be far from the body to be left out."""
+_MOST_OFFSET = 0.043
+"""Largest mean distance (m) of guessed markers from usual places that is accepted, without those
+that may sit anywhere on a limb: 0.02 to 0.041 where guesses were right."""
+_MOST_RESIDUAL = 0.012
+"""Largest mean residual (m) of guessed markers that is accepted: at most 0.008 where right."""
 _TRIAL_FRAMES = 40
 _BETTER = 0.6
-"""Share of the residual that other labels must leave."""
+"""Largest residual with other labels, over that with the present ones, to take them instead."""
 
 
 def convert_markers(
@@ -61,20 +61,20 @@ def convert_markers(
     keep_frame: bool = False,
     hand: Hand | None = None,
 ) -> Conversion:
-    """Convert a recording of markers on a body, its legs or its trunk to our body's motion.
+    """Convert a recording of markers on a body, its legs or its trunk to the model's motion.
 
-    Labels that change over between markers are put right first, and labels that do not fit any
-    body after a first fit. Frames before the first and after the last with enough markers are
-    left out; frames and limbs without markers in between are joined from their neighbours.
+    Labels that markers exchange in some frames are corrected first, and labels that fit no body
+    after a first fit. Frames before the first and after the last with enough markers are left
+    out; frames and limbs without markers in between are interpolated from their neighbours.
 
     Args:
         recording: in metres, z up.
-        body: whose motion it becomes; marker names are points of the bundled body's mesh.
+        body: the body model; marker names are points of the bundled body's mesh.
         mapping: JSON or TOML file, marker label = landmark or vertex; None uses the known labels.
             Of points without names it is as in `placed_markers`.
         keep_frame: whether the motion stays where the laboratory has it instead of standing on
             z = 0.
-        hand: handedness of the axes; None tells it from the body.
+        hand: handedness of the axes; None finds it by the body.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -90,16 +90,16 @@ def convert_markers(
 
 @dataclass(frozen=True)
 class FittedMarkers:
-    """A recording with corrected labels, and the body's motion fitted to its markers."""
+    """A recording with corrected labels, and the body model's motion fitted to its markers."""
 
     recording: MarkerRecording
-    """The known markers under labels that fit, from the first to the last frame that places a
-    body."""
+    """The known markers under corrected labels, from the first to the last frame with enough
+    markers to place a body."""
     fit: MarkerFit
     repairs: tuple[Finding, ...]
-    """Labels that were exchanged."""
+    """Findings about labels that were exchanged."""
     warnings: tuple[Finding, ...]
-    """Markers that were left out: no frame of `recording` shows them."""
+    """Findings about markers that were left out; they are visible in no frame of `recording`."""
     decisions: tuple[str, ...]
     """What was read, chosen and left out, one sentence each."""
 
@@ -109,12 +109,12 @@ def fitted_markers(
 ) -> FittedMarkers:
     """Correct the labels of a recording and fit the body to its markers.
 
-    Markers that the body misses by more than `FAR` in most of their frames are left out, and it is
-    fitted again: they are virtual points, or not what their labels say.
+    Markers that are farther than `FAR` from the body in most of their frames are left out, and it
+    is fitted again: they are virtual points, or not what their labels say.
 
     Raises:
         ValueError: when no frame shows enough markers to place a body, or points without names lie
-            at no usual places.
+            far from the usual places of markers.
     """
     chosen, repairs = steady_labels(recording.select(markers.labels))
     chosen, cut = trimmed_recording(chosen, markers.bones)
@@ -142,22 +142,22 @@ def fitted_markers(
 
 
 def _refuse_unusual_places(recording: MarkerRecording, markers: MarkerSet, fit: MarkerFit) -> None:
-    """Refuse a guess of markers' names if the markers lie far from these names' usual places."""
+    """Raise an error if markers of guessed names are far from the usual places of these names."""
     firm = torch.from_numpy(recording.visible).any(0) & ~torch.tensor(markers.loose)
-    beside = float((fit.offsets - markers.nominal)[firm].norm(dim=-1).mean())
-    astray = mean_residual(fit, recording)
-    if beside > _BESIDE or astray > _ASTRAY:
+    offset = float((fit.offsets - markers.nominal)[firm].norm(dim=-1).mean())
+    residual = mean_residual(fit, recording)
+    if offset > _MOST_OFFSET or residual > _MOST_RESIDUAL:
         raise ReconError(
             f"{recording.name}: its points have no names, and on the best fitting body they lie "
-            f"{100 * beside:.1f} cm from usual places of markers and move {1000 * astray:.0f} mm "
-            "differently from the skin, so the fit is not to be believed: check unit and axis "
+            f"{100 * offset:.1f} cm from usual places of markers and move {1000 * residual:.0f} "
+            "mm differently from the skin, so the fit is not to be believed: check unit and axis "
             "(--unit, --up), or give with --mapping a recording of the same person and markers "
             "that has names, or the table of the marker set"
         )
 
 
 def _far_markers(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
-    """Mask of markers that are far from their fitted positions in most of their frames."""
+    """Return which markers are far from their fitted positions in most of their frames."""
     far = (marker_distances(fit, recording) > FAR) & recording.visible
     return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
 
@@ -201,14 +201,14 @@ def _conversion_of_fit(
 
 
 def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
-    """Mean distance of visible markers from their fitted positions, metres."""
+    """Return the mean distance of visible markers from their fitted positions, metres."""
     return float(marker_distances(fit, recording)[recording.visible].mean())
 
 
 def _with_better_labels(
     recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
 ) -> tuple[MarkerRecording, Finding] | None:
-    """The recording with labels that fit a body better, and a finding; None if there are none."""
+    """Return the recording with labels that fit better, and a finding; None if none do."""
     labels = recording.marker_names
     pairs = exchanged_throughout(
         labels,
@@ -243,7 +243,7 @@ def _sides_finding() -> Finding:
 
 
 def _residual_findings(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
-    """A finding where the mean residual of some seconds is unusually high."""
+    """Return one finding for each second of the recording with its mean residual."""
     away = marker_distances(fit, recording)
     step = max(1, round(recording.fps))
     found: list[Finding] = []

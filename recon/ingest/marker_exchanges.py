@@ -1,7 +1,7 @@
 """Finds pairs of markers whose labels are exchanged, from some frame on or throughout.
 
-A label that changes over shows twice: two markers jump to each other's places within a frame, and
-the markers lie where the body has the other one.
+Exchanged labels show in two ways: two markers jump to each other's positions from one frame to
+the next, and each lies where the body has the other one.
 """
 
 import dataclasses
@@ -14,21 +14,21 @@ from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.mocap.recording import MarkerRecording
 
 _APART = 0.04
-"""Metres between two markers, below which exchanging them changes little."""
+"""Distance (m) between two markers below which exchanging them changes little."""
 _NEARER = 0.35
-"""Share of the way to their own last places, below which going to the other's last places means
-that labels were exchanged."""
+"""Largest distance of markers from each other's last positions, over that from their own, at
+which their labels count as exchanged."""
 _MISPLACED = 0.08
-"""Metres from its place on the body beyond which a marker may be another one."""
+"""Distance (m) of a marker from its fitted position beyond which it may be another marker."""
 _BETTER = 0.5
-"""Share of the distance that must remain when two markers exchange labels throughout."""
+"""Largest distance of two markers from fitted positions after an exchange, over that before it."""
 
 
 def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
-    """The recording with exchanged labels put right, and the findings about them.
+    """Correct labels that are exchanged in some frames; return the recording, and findings.
 
-    Between two exchanges of the same pair the shorter part is taken for the wrong one; of one
-    exchange, the shorter of the parts before and after it.
+    Exchanges of a pair divide the recording into parts, every second of which is wrong: those
+    that together have fewer frames.
     """
     positions, visible = recording.positions.copy(), recording.visible.copy()
     wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]] = {}
@@ -48,7 +48,7 @@ def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Fin
 
 
 def _pairs_that_jump(recording: MarkerRecording) -> list[tuple[int, int]]:
-    """Pairs of markers that both move far between the same two frames."""
+    """Return pairs of markers that both move far between the same two frames."""
     both = recording.visible[1:] & recording.visible[:-1]
     steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=-1) * both
     jumps = steps > _APART
@@ -60,7 +60,7 @@ def _pairs_that_jump(recording: MarkerRecording) -> list[tuple[int, int]]:
 def _frames_of_exchange(
     x: Float[np.ndarray, "time 2 3"], visible: Bool[np.ndarray, "time 2"]
 ) -> Bool[np.ndarray, " time"]:
-    """Mask of frames at which two markers jump to each other's position."""
+    """Return a mask of frames at which two markers jump to each other's last position."""
     seen = np.all(visible, axis=1)
     seen = np.concatenate(([False], seen[1:] & seen[:-1]))
     before = np.concatenate((x[:1], x[:-1]))
@@ -72,7 +72,7 @@ def _frames_of_exchange(
 def _stretch_findings(
     labels: Sequence[str], wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]]
 ) -> list[Finding]:
-    """One finding for all pairs that are exchanged in the same frames."""
+    """Make findings about exchanged labels, one for all pairs exchanged in the same frames."""
     groups: dict[bytes, list[tuple[int, int]]] = {}
     for pair, odd in wrong.items():
         groups.setdefault(odd.tobytes(), []).append(pair)
@@ -102,13 +102,13 @@ def exchanged_throughout(
     visible: Bool[np.ndarray, "time markers"],
     fitted_positions: Float[np.ndarray, "time markers 3"],
 ) -> list[tuple[int, int]]:
-    """Pairs of markers that lie at each other's position on the body in all frames.
+    """Find pairs of markers that lie at each other's position on the body in all frames.
 
     Args:
-        labels: of the markers.
-        positions: of the markers, metres.
-        visible: whether each is seen.
-        fitted_positions: where the body has markers of these labels, without offsets of their own.
+        labels: names of the markers.
+        positions: observed positions of the markers, metres.
+        visible: whether each marker is seen.
+        fitted_positions: of the landmarks that the labels name, on the fitted body, metres.
     """
     count = len(labels)
     away = np.full((count, count), np.nan)
@@ -135,7 +135,7 @@ def exchanged_throughout(
 def with_exchanged(
     recording: MarkerRecording, pairs: Sequence[tuple[int, int]]
 ) -> MarkerRecording:
-    """The recording with the labels of these pairs of markers exchanged."""
+    """Return the recording with the labels of given pairs of markers exchanged."""
     order = list(range(len(recording.marker_names)))
     for a, b in pairs:
         order[a], order[b] = b, a
@@ -145,7 +145,7 @@ def with_exchanged(
 
 
 def side_pairs(labels: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of labels that are each other's counterpart on the other side."""
+    """Return pairs of labels (indices) that are each other's counterpart on the other side."""
     return [
         (k, labels.index(other))
         for k, label in enumerate(labels)
@@ -162,7 +162,7 @@ _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
 
 
 def mirrored(label: str) -> str | None:
-    """The label of the opposite side, LASI -> RASI; None if it names no side."""
+    """Return a label's counterpart on the other side, LASI -> RASI; None if it names no side."""
     for one, other in _SIDES.items():
         if one in label:
             return label.replace(one, other, 1)
@@ -174,7 +174,7 @@ def mirrored(label: str) -> str | None:
 
 
 def pair_finding(labels: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Finding:
-    """The finding that the labels of these pairs were exchanged in all frames."""
+    """Make the finding that the labels of some pairs of markers were exchanged in all frames."""
     names = tuple(labels[k] for pair in pairs for k in pair)
     what = listed([f"{labels[a]} with {labels[b]}" for a, b in pairs])
     return Finding(

@@ -1,4 +1,4 @@
-"""Findings about markers, from their distances to the fitted body."""
+"""Makes findings about markers that are far from the fitted body, stand still or sit elsewhere."""
 
 from collections.abc import Mapping
 
@@ -11,22 +11,22 @@ from recon.ingest.marker_sets import MarkerSet
 from recon.mocap.recording import MarkerRecording
 
 FAR = 0.15
-"""Metres from its place on the body beyond which a marker is misplaced for that frame."""
+"""Distance (m) of a marker from its fitted position beyond which it is misplaced in a frame."""
 _OFTEN = 0.02
-"""Share of a marker's frames in which it is, that is worth a word."""
+"""Share of a marker's frames in which it must be misplaced for a warning."""
 _LARGE = 0.03
-"""Metres of mean residual of all markers that no good recording leaves."""
+"""Mean residual (m) of all markers above which a recording is suspicious."""
 _PLACED, _LOOSE = 0.12, 0.20
-"""Metres between where a marker's name says that it sits and where it does, at most; by whether
-the name says a point or a region."""
+"""Largest distance (m) of a marker from where its name says, for names of points and of regions;
+beyond it there is a warning."""
 _STILL = 0.002
-"""Metres within which a marker that stays in the room does not move."""
+"""Largest range (m) of a coordinate of a marker that stands still in the room."""
 _MOVED = 0.15
-"""Metres that the body takes its place along meanwhile."""
+"""Least range (m) of its fitted position meanwhile, which shows that the body moves."""
 
 
 def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str, float]:
-    """Mean distance of every visible marker from its fitted position, millimetres."""
+    """Return each marker's mean distance from its fitted position where visible, millimetres."""
     away, seen = marker_distances(fit, recording), recording.visible
     frames = seen.sum(0)
     mean = (away * seen).sum(0) / frames.clip(min=1)
@@ -40,7 +40,7 @@ def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str,
 def marker_findings(
     fit: MarkerFit, recording: MarkerRecording, markers: MarkerSet
 ) -> list[Finding]:
-    """Findings about markers that stand still, come off, or sit elsewhere than their names say."""
+    """Make findings about markers that stand still, come off, or sit elsewhere than named."""
     away, seen = marker_distances(fit, recording), recording.visible
     constant = _standing_markers(fit, recording)
     far = (away > FAR) & seen
@@ -106,7 +106,7 @@ def _largest_share_far(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) ->
 
 
 def _standing_markers(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
-    """Mask of markers that stay within millimetres while the body under them moves."""
+    """Return a mask of markers that stay within millimetres while the body under them moves."""
     still = np.zeros(len(recording.marker_names), dtype=bool)
     for marker in range(len(still)):
         seen = recording.visible[:, marker]
@@ -120,5 +120,5 @@ def _standing_markers(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
 def marker_distances(
     fit: MarkerFit, recording: MarkerRecording
 ) -> Float[np.ndarray, "time markers"]:
-    """Distance of every marker from its fitted position, metres, whether visible or not."""
+    """Return each marker's distance (m) from its fitted position; meaningless where hidden."""
     return np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)

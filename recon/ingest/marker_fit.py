@@ -1,7 +1,7 @@
-"""The marker fit: a motion with constant marker offsets from the skin (the idea of MoSh).
+"""Fits a body model's motion to markers at constant offsets from the skin (the idea of MoSh).
 
 Loper, Mahmood and Black, MoSh, 2014: a marker sits a little off the skin and not quite where its
-name says; where exactly is found together with the body's shape from a few frames, and held.
+name says. Its offset is found together with the body's shape from some frames, then held constant.
 """
 
 from dataclasses import dataclass, replace
@@ -40,54 +40,54 @@ from recon.method.protocols import REFERENCE_FPS
 from recon.mocap.recording import MarkerRecording
 
 OUTLIER = 0.1
-"""Metres at which a marker counts half as much: swapped labels, ghosts."""
+"""Scale (m) of the robust kernel, so that markers of exchanged labels and ghosts count less."""
 CALIBRATION_FRAMES = 150
 _ENOUGH = 15
-"""Frames in which a marker must be seen for its offset to be found."""
+"""Number of calibration frames that must show a marker to find its offset."""
 _SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.0)
-"""Shares of the largest number of markers in a frame that make it well seen, in this order."""
+"""Least numbers of markers in a calibration frame, over the largest, in the order tried."""
 _FOOT_MARKER = (0.0, 0.08)
-"""Metres above the ground of the lowest marker of a body that stands."""
+"""Range of the height (m) above the ground of the lowest marker of a body that stands."""
 _KEY_RATE = 10.0
 
 
 # weights of energies, relative to half the sum of squared distances of markers (m²)
 SHAPE_WEIGHT = 6e-5
 BONY_WEIGHT, LOOSE_WEIGHT = 0.3, 0.03
-"""Per frame, of offsets of markers on bony landmarks, and of those put anywhere on a limb."""
+"""Weights per frame: offsets of markers on bony landmarks, and of those anywhere on a limb."""
 REST_WEIGHT = 1e-3
 """Weight of the distance from the natural pose."""
 TURNING_WEIGHT = 2e-4
-"""Weight of the rotation from frame to frame."""
+"""Weight of the rotation of joints from frame to frame."""
 GROUND_WEIGHT = 20.0
 """Weight of soles below the ground, where the recording's ground is z = 0."""
 
 
 @dataclass(frozen=True)
 class MarkerFit:
-    """The motion of a body fitted to markers, with the markers' offsets from the skin."""
+    """The body model's motion fitted to markers, and the markers' constant offsets."""
 
     motion: Motion
     offsets: Float[Tensor, "markers 3"]
     """Offsets of the markers from the skin, in the frames of their bones, metres."""
     predicted: Float[Tensor, "time markers 3"]
-    """Predicted place of every marker, metres; markers left out of the fit have no fitted
+    """Fitted position of every marker, metres; markers left out of the fit have no fitted
     offset."""
     observed: Bool[Tensor, "time 22"]
-    """Joints whose place a fitted marker shows; all others are inferred."""
+    """Whether a marker locates each joint; the positions of all others are inferred."""
     repaired: Bool[Tensor, " time"]
-    """Frames that were solved again because the body left its markers there."""
+    """Whether a frame was solved again because the body was far from its markers."""
     unsupported: Bool[Tensor, "steps 22"]
-    """Steps to the next frame in which a joint still moves and no marker about it does."""
+    """Whether a joint still moves from a frame to the next although no marker near it does."""
 
 
 def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> MarkerFit:
     """Fit shape and marker offsets to some frames, then the poses of all frames.
 
     Args:
-        recording: of exactly these markers, in their order.
-        markers: their places on the body.
-        body: whose motion it becomes.
+        recording: of exactly the markers of the set, in their order.
+        markers: their vertices on the body and expected offsets.
+        body: the body model that is fitted.
 
     Raises:
         ValueError: when no frame shows enough markers to place a body.
@@ -110,11 +110,11 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
         motion = solved_apart(energies, keys, interpolated_poses(motion, chosen, keys))
-        about = frames_about_gaps(visible, recording.fps) & shown
-        if bool(about.any()):
+        near_gaps = frames_about_gaps(visible, recording.fps) & shown
+        if bool(near_gaps.any()):
             points = partial(SkinPoints.of, body, found.shape, subject.vertices)
             energies, offsets, motion, keys = joined_in_time(
-                energies, points, offsets, bones, motion, keys, about
+                energies, points, offsets, bones, motion, keys, near_gaps
             )
         energies = energies.frames(placed)
         motion = solved_together(energies, interpolated_poses(motion, keys, placed))
@@ -129,15 +129,15 @@ def fit_markers(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
         offsets,
         predicted,
         observed=observed_joints(visible, markers.vertices, body),
-        repaired=_among_all_frames(changed, placed, recording.frames),
-        unsupported=_among_all_frames(unsupported, placed[1:] - 1, recording.frames - 1),
+        repaired=_spread_over_rows(changed, placed, recording.frames),
+        unsupported=_spread_over_rows(unsupported, placed[1:] - 1, recording.frames - 1),
     )
 
 
 def subject_energies(
     recording: MarkerRecording, markers: MarkerSet, body: BodyModel
 ) -> SubjectEnergies:
-    """Energies of all frames of a subject whose shape and marker offsets are still unknown."""
+    """Return the energies of all frames, for a person of unknown shape and marker offsets."""
     visible, vertices = torch.from_numpy(recording.visible), torch.tensor(markers.vertices)
     positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)
     rate, average = REFERENCE_FPS / recording.fps, positions.new_zeros(body.shape_size)
@@ -169,7 +169,7 @@ def subject_energies(
 
 
 def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> CalibratedFrames:
-    """Shape, marker offsets and poses of some frames, taken as independent of each other."""
+    """Fit shape, marker offsets and the poses of some frames, without ties between these."""
     body, poses = some.body, some.poses.untied()
     poses = replace(poses, weight=1.0, turning=poses.weight * poses.turning)
     start = rigid_start(
@@ -183,7 +183,7 @@ def _calibrated_to_frames(some: SubjectEnergies, bones: tuple[int, ...]) -> Cali
 def nominal_positions(
     fit: MarkerFit, markers: MarkerSet, body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
-    """Positions that markers exactly at their landmarks would have on a fitted body, metres."""
+    """Return the positions (m) of markers on a fitted body if all had their expected offsets."""
     with torch.no_grad():
         return _marker_positions(fit.motion, markers.nominal, torch.tensor(markers.vertices), body)
 
@@ -196,10 +196,10 @@ def _marker_positions(
     return points.places(Poses.of(motion.translation, motion.rotations, rest)).mT
 
 
-def _among_all_frames(
+def _spread_over_rows(
     values: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int
 ) -> Tensor:
-    """Flags of `count` rows: those given, at the rows `index`, and false elsewhere."""
+    """Spread flags over `count` rows: given values at the rows `index`, false elsewhere."""
     everything = torch.zeros(count, *values.shape[1:], dtype=torch.bool)
     everything[index] = values
     return everything
@@ -208,10 +208,10 @@ def _among_all_frames(
 def _frames_with_most_markers(
     visible: Bool[Tensor, "time markers"], placed: Bool[Tensor, " time"]
 ) -> Int[Tensor, " chosen"]:
-    """Frames spread over the recording, among those that show most markers.
+    """Choose frames for the calibration, spread over the recording, that show most markers.
 
-    Frames that show fewer are taken where a marker would be seen in hardly any frame otherwise:
-    its offset is found from these frames alone.
+    Frames with fewer markers are taken, too, if a marker would otherwise be seen in hardly any of
+    the chosen frames, from which alone its offset is found.
     """
     count = visible.sum(-1)
     wanted = visible[placed].sum(0).clamp(max=_ENOUGH)
@@ -226,7 +226,7 @@ def _frames_with_most_markers(
 
 
 def ground_is_zero(recording: MarkerRecording) -> bool:
-    """Whether z = 0 is the ground: the lowest markers are as high as markers on a foot."""
+    """Return whether z = 0 is the ground: the lowest markers are as high as those of a foot."""
     low = np.where(recording.visible, recording.positions[..., 2], np.inf).min(-1)
     low = low[np.isfinite(low)]
     return len(low) > 0 and _FOOT_MARKER[0] < float(np.quantile(low, 0.1)) < _FOOT_MARKER[1]

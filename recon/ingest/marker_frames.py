@@ -1,9 +1,9 @@
-"""Solves the poses of a calibrated subject: key frames, all frames, then bad ones again.
+"""Fits the poses of a body of known shape to markers: key frames, all frames, then bad ones again.
 
-Frames are found one by one, from the poses of key frames. Where markers leave their places for a
-moment, or a limb turns fast, a frame may end with a foot or a hand turned over, which the robust
+The fit of a frame starts from the poses of key frames. Where markers are misplaced for a moment,
+or a limb rotates fast, it may end with a foot or a hand turned over, whose markers the robust
 kernel then takes for outliers: the body makes a step that its markers do not make. Such frames are
-solved again from the poses around them.
+fitted again, starting from the poses around them.
 """
 
 from collections.abc import Callable
@@ -23,41 +23,41 @@ from recon.ingest.marker_poses import PoseEnergies
 from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 
 _NOISE = 3.0
-"""Multiple of the mean residual by which joints may step without their markers, as noise does."""
+"""Multiple of the mean residual by which a joint's step may exceed its markers' steps."""
 _CHUNK = 3000
 _WIDE = 0.3
-"""Scale of the kernel, metres, while key frames are far from their markers."""
+"""Scale (m) of the robust kernel while key frames are far from their markers."""
 _SHARED_RATE = 30.0
-"""Rate, Hz, at which curvatures are computed at first: poses change little in between."""
+"""Rate (Hz) at which Hessians are computed at first: poses change little in between."""
 _ROUGH, _NEAR, _EXACT = 0.1, 1e-2, 3e-4
 """Relative decreases of a frame's energy that end the fits of first guesses, keys and frames."""
-_UNSEEN = 1e-4
-"""Metres: residuals of this size, in all markers, are too small to be worth lowering."""
+_NEGLIGIBLE = 1e-4
+"""Residual (m) of all markers of a frame that is too small to be worth lowering."""
 UNMADE = 0.025
-"""Metres by which a joint's step may exceed those of the markers about it: their dropping out and
-coming back shifts it so."""
+"""Least difference (m) by which a joint's step must exceed those of markers near it to be a jump:
+markers that drop out and come back shift joints by less."""
 _SHARE = 0.3
-"""Share of the markers' step that a joint's step may exceed it by besides: joints turn about
-markers that stand."""
+"""Further excess over the markers' step, as a share of it, that is no jump yet: joints rotate
+about markers that stand still."""
 _FAR = 0.08
-"""Metres of a marker from its place on the body in a frame that may be wrong."""
+"""Distance (m) of a marker from its fitted position in a frame that may be wrong."""
 _OFTEN = 0.2
-"""Share of the frames from which on a marker's distance is no exception."""
+"""Share of frames above which such distances are a marker's habit, not errors of frames."""
 _AROUND = 0.08
-"""Seconds on either side of a suspicious frame that are solved again with it."""
+"""Seconds before and after a doubtful frame that are fitted again with it."""
 _LIMIT = 0.5
-"""Share of all frames up to which frames are exceptions that their neighbours can mend."""
+"""Largest share of doubtful frames among all; beyond it, none are fitted again from the others."""
 _ROUNDS = 2
 _STIFFER = (1e2, 1e3, 1e4)
-"""Multiples of the weight of turns that spread a step that remains over the frames around it."""
+"""Factors of the weight of joints' rotation from frame to frame, to spread a remaining jump."""
 
 
 def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-    """Solve frames independently of each other, from a rough guess.
+    """Fit the poses of some frames independently of each other, from a rough guess.
 
     Args:
-        energies: of all frames.
-        frames: their numbers, ascending.
+        energies: energies of all frames.
+        frames: numbers of the frames to fit, ascending.
         start: rough poses of these frames.
     """
     apart = energies.frames(frames).untied()
@@ -65,16 +65,16 @@ def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: 
 
 
 def solved_near(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
-    """Solve some frames to a coarse tolerance, from a good guess."""
+    """Fit poses to a coarse tolerance, from a good guess."""
     poses_of = energies.poses_of(start.translation, start.rotations)
     found = minimise_frames(energies, poses_of, _solver_settings(energies, tolerance)).state
     return Motion.create(found.translation, found.rotations, start.shape, start.fps)
 
 
 def solved_together(energies: PoseEnergies, start: Motion) -> Motion:
-    """Solve all frames, each tied to its neighbours in time, from a good guess.
+    """Fit the poses of all frames, each tied to its neighbours in time, from a good guess.
 
-    Long recordings are solved part by part; the frames before and after a part hold it.
+    Long recordings are fitted part by part, tied to the frames before and after a part.
     """
     stride = max(1, round(start.fps / _SHARED_RATE))
     settings = replace(_solver_settings(energies, _EXACT), stride=stride)
@@ -90,13 +90,13 @@ def repaired_frames(
     joints: Callable[[Motion], Float[Tensor, "frames 22 3"]],
     motion: Motion,
 ) -> tuple[Motion, Bool[Tensor, " frames"], Bool[Tensor, "steps 22"]]:
-    """Solve the frames again in which the body is far from its markers.
+    """Fit doubtful frames again; return the motion, changed frames, and jumps that remain.
 
     Args:
-        energies: of all frames.
+        energies: energies of all frames.
         bones: the bone that moves each marker most.
-        joints: of a motion, world, metres.
-        motion: of all frames.
+        joints: returns the joint positions of a motion; world, metres.
+        motion: poses of all frames.
     """
     positions, visible = energies.positions.mT, energies.visible > 0
 
@@ -133,7 +133,7 @@ def _with_frames_solved(
     start: Motion,
     settings: LevenbergMarquardt,
 ) -> Motion:
-    """A motion with some frames solved again, tied to the neighbouring frames."""
+    """Return a motion with some frames fitted again, tied to the neighbouring frames."""
     around = torch.unique(torch.cat((frames - 1, frames, frames + 1)))
     around = around[(around >= 0) & (around < start.frames)]
     inside = torch.searchsorted(around, frames)
@@ -143,7 +143,7 @@ def _with_frames_solved(
 
 
 def _solver_settings(energies: PoseEnergies, tolerance: float) -> LevenbergMarquardt:
-    floor = 0.5 * energies.weight * energies.visible.shape[-1] * _UNSEEN**2
+    floor = 0.5 * energies.weight * energies.visible.shape[-1] * _NEGLIGIBLE**2
     return LevenbergMarquardt(tolerance=tolerance, floor=floor)
 
 
@@ -154,14 +154,13 @@ def unsupported_steps(
     bones: tuple[int, ...],
     limit: float = UNMADE,
 ) -> Bool[Tensor, "steps 22"]:
-    """Mask of steps between frames in which a joint moves although no marker near it does.
+    """Return a mask of steps between frames in which a joint moves but no marker near it does.
 
-    A joint is asked where a marker on its bone, on its parent's or on one of its children's is
-    visible at both ends of the step. `limit` is in metres.
+    A marker is near a joint if it is on the joint's bone, its parent's or a child's. A step counts
+    only where a near marker is visible at both ends. `limit` is in metres.
     """
     of = torch.tensor(bones)
     parents = torch.tensor(PARENTS)
-    # whether a marker is on the joint's bone, on its parent's or on one of its children's
     near = torch.stack(
         [(of == j) | (of == PARENTS[j]) | (parents[of] == j) for j in range(len(JOINTS))]
     )
@@ -178,23 +177,23 @@ def with_doubtful_frames_solved(
     residuals: Callable[[Motion], Float[Tensor, "time markers"]],
     solve: Callable[[Int[Tensor, " frames"], Motion], Motion],
 ) -> tuple[Motion, Bool[Tensor, " time"]]:
-    """The motion with doubtful frames solved again, and a mask of the frames that changed.
+    """Return the motion with doubtful frames fitted again, and a mask of the changed frames.
 
-    A new solution is kept, stretch by stretch, where markers fit no worse and fewer steps of
-    the body lack movement of its markers.
+    In each stretch of frames the new poses are kept where markers fit no worse and fewer joints
+    move without a marker near them.
 
     Args:
-        motion: of all frames.
-        unsupported: finds steps of joints near which no marker moves.
-        residuals: distance of every marker from its place on the body in a motion, metres; zero
-            where not visible.
-        solve: solves frames, given by their numbers, of a motion.
+        motion: poses of all frames.
+        unsupported: finds steps of a motion in which a joint moves and no marker near it does.
+        residuals: returns every marker's distance from its fitted position, metres; zero where
+            not visible.
+        solve: fits the frames of a motion with given numbers again.
     """
     changed = failed = torch.zeros(motion.frames, dtype=torch.bool)
     for _ in range(_ROUNDS):
         jumps, far = unsupported(motion), residuals(motion)
         suspects = _doubtful_frames(jumps, far, motion.fps)
-        # frames that another solve did not improve are not solved again
+        # stretches in which a fit before improved nothing are not fitted again
         suspects = _stretches_where(suspects, partial(_not_all_failed, failed))
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
@@ -215,18 +214,18 @@ def with_jumps_spread(
     unsupported: Callable[[Motion], Bool[Tensor, "steps 22"]],
     solve: Callable[[Int[Tensor, " frames"], Motion, Float[Tensor, " 22"]], Motion],
 ) -> tuple[Motion, Bool[Tensor, " time"]]:
-    """The motion with remaining jumps spread over frames around them, and a mask of these.
+    """Return the motion with remaining jumps spread over nearby frames, and a mask of these.
 
-    Markers that change places, or filled gaps that cross, leave two poses that are good each and
-    far from each other. The limb goes from one to the other in the time that markers take.
+    Markers that change places, or gaps that were filled with the wrong marker, leave a jump from a
+    pose that fits to another one. Stiffer joints make the limb take several frames for it.
 
     Args:
-        motion: of all frames.
-        unsupported: finds steps of joints near which no marker moves.
-        solve: solves frames with the weights of all joints' turns from frame to frame multiplied.
+        motion: poses of all frames.
+        unsupported: finds steps of a motion in which a joint moves and no marker near it does.
+        solve: fits frames again, with factors of the weights of joints' rotation between frames.
     """
     changed = torch.zeros(motion.frames, dtype=torch.bool)
-    for solved_with_stiffer_joints in _STIFFER:
+    for factor in _STIFFER:
         jumps = unsupported(motion)
         around = _doubtful_frames(
             jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps
@@ -237,7 +236,7 @@ def with_jumps_spread(
         for joint in jumps.any(0).nonzero()[:, 0].tolist():
             # a joint jumps because its parent or grandparent turns: make both of these stiffer
             parent = max(PARENTS[joint], 0)
-            turning[[parent, max(PARENTS[parent], 0)]] = solved_with_stiffer_joints
+            turning[[parent, max(PARENTS[parent], 0)]] = factor
         tried = solve(*_interpolated_over(motion, around), turning)
         better = _stretches_where(
             around, partial(_fewer_unsupported_steps, jumps, unsupported(tried))
@@ -251,7 +250,7 @@ def with_jumps_spread(
 def _interpolated_over(
     motion: Motion, flags: Bool[Tensor, " time"]
 ) -> tuple[Int[Tensor, " frames"], Motion]:
-    """Numbers of the flagged frames, and the motion interpolated over them."""
+    """Return the numbers of flagged frames, and the motion interpolated over these frames."""
     frames, kept = flags.nonzero()[:, 0], (~flags).nonzero()[:, 0]
     return frames, with_poses(
         motion, frames, interpolated_poses(frames_of(motion, kept), kept, frames)
@@ -261,7 +260,7 @@ def _interpolated_over(
 def _stretches_where(
     flags: Bool[Tensor, " time"], test: Callable[[slice, slice], bool]
 ) -> Bool[Tensor, " time"]:
-    """Flags only in those runs of flagged frames that pass a test of their frames and steps."""
+    """Keep flags only in those runs of flagged frames that pass a test of frames and steps."""
     kept = torch.zeros_like(flags)
     for first, last in stretches(flags.numpy()):
         inside = slice(first, last + 1)
@@ -280,7 +279,7 @@ def _fewer_unsupported_steps(before: Tensor, after: Tensor, _: slice, steps: sli
 def _fits_better(
     before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
 ) -> bool:
-    """Whether a new solution is better: markers no farther, fewer steps without marker motion."""
+    """Return whether new poses are better: markers as near, fewer steps without their motion."""
     old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
     same = int(after[steps].sum()) == int(before[steps].sum())
     better = _fewer_unsupported_steps(before, after, inside, steps) or (same and new < 0.9 * old)
@@ -290,7 +289,7 @@ def _fits_better(
 def jump_findings(
     unsupported: Bool[Tensor, "steps 22"], changed: Bool[Tensor, " time"]
 ) -> tuple[list[Finding], list[Finding]]:
-    """Findings about repaired jumps, and about jumps that remain."""
+    """Make findings about jumps that were repaired, and warnings about those that remain."""
     repairs: list[Finding] = []
     warnings: list[Finding] = []
     frames = changed.numpy()
@@ -327,7 +326,7 @@ def jump_findings(
 def _doubtful_frames(
     jumps: Bool[Tensor, "steps 22"], far: Float[Tensor, "time markers"], fps: float
 ) -> Bool[Tensor, " time"]:
-    """Frames next to a step without marker motion, or with a marker unusually far away."""
+    """Return a mask of frames at, or shortly before or after, a jump or a marker far away."""
     steps = jumps.any(-1)
     away = far > _FAR
     away &= away.float().mean(0) < _OFTEN

@@ -1,9 +1,8 @@
 """Fills frames and limbs without markers from neighbouring frames.
 
-Frames before the first and after the last that place a body are left out, not invented. A limb
-without markers keeps the pose in which it was last seen and goes over into the one in which it is
-seen next; a whole body without markers keeps its place likewise. A limb that never has a marker
-keeps the natural pose that the fit gave it.
+Frames before the first and after the last with enough markers to place a body are left out. Where
+a limb has no markers, its rotations are interpolated between the poses in which it is seen before
+and after; so is the whole body. A limb that never has a marker keeps the natural pose of the fit.
 """
 
 import numpy as np
@@ -21,11 +20,11 @@ from recon.method import windows
 from recon.mocap.recording import MarkerRecording
 
 _TORSO_MARKERS = 3
-"""Markers of the torso that place a body."""
+"""Fewest visible markers of the torso that suffice to place a body."""
 _SHARE = 1 / 3
-"""Share of all markers that places a body as well, wherever the markers are."""
+"""Share of all markers, wherever on the body, above which they suffice as well."""
 _REACH = 0.14
-"""Metres at rest from a marker to the joints whose place it shows."""
+"""Largest distance (m) on the body at rest of a marker from a joint whose position it shows."""
 _ABOUT_PELVIS = (0, *(joint_index(name) for name in ("left_hip", "right_hip", "spine1")))
 _LIMBS = {
     f"{side} {part}": tuple(f"{side}_{joint}" for joint in joints)
@@ -33,13 +32,13 @@ _LIMBS = {
     for part, joints in (("arm", ("elbow", "wrist")), ("leg", ("knee", "ankle")))
 } | {"trunk": ("spine3",), "pelvis": ("pelvis",)}
 _SHORT = 0.25
-"""Seconds of a gap in one limb that its neighbours in time fill well; it is not worth a word."""
+"""Longest gap (s) of a limb that interpolation fills so well that no warning is needed."""
 
 
 def placed_frames(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, " time"]:
-    """Mask of frames whose markers suffice to find where the body is."""
+    """Return a mask of frames whose visible markers suffice to find where the body is."""
     torso = torch.tensor([bone in TORSO for bone in bones])
     enough = (visible & torso).sum(-1) >= _TORSO_MARKERS
     return enough | (visible.sum(-1) > _SHARE * visible.shape[-1])
@@ -48,11 +47,11 @@ def placed_frames(
 def trimmed_recording(
     recording: MarkerRecording, bones: tuple[int, ...]
 ) -> tuple[MarkerRecording, tuple[str, ...]]:
-    """The recording from the first to the last frame with enough markers, and a note.
+    """Cut a recording to its first and last frame with enough markers; also return a note.
 
     Args:
-        recording: whose clock goes on.
-        bones: the bone that moves each of its markers most.
+        recording: with markers; the cut one keeps its clock.
+        bones: the bone that moves each marker most.
     """
     placed = placed_frames(torch.from_numpy(recording.visible), bones).nonzero()[:, 0].tolist()
     if not placed:
@@ -73,10 +72,10 @@ def observed_joints(
     vertices: tuple[int, ...],
     body: BodyModel,
 ) -> Bool[Tensor, "time 22"]:
-    """Joints that a visible marker locates: one near the joint, or on a bone below it in the tree.
+    """Return a mask of joints that a visible marker locates: near it, or on a bone below it.
 
-    All bones lie beyond the pelvis, of which a marker on the head tells little: its place is
-    shown by those near it, on it, on thighs and on the lowest spine.
+    The pelvis, below which all bones are, is located only by markers near it or on it, on thighs
+    and on the lowest spine.
     """
     bones = body.weights[list(vertices)].argmax(-1)
     away = torch.cdist(body.joint_template, body.template[list(vertices)])
@@ -91,7 +90,7 @@ def observed_joints(
 def turned_joints(
     visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
 ) -> Bool[Tensor, "time 22"]:
-    """Joints whose rotation a visible marker determines: on their bone or below it in the tree."""
+    """Return a mask of joints whose rotation a visible marker on or below their bone shows."""
     shows = torch.tensor(
         [[bone in descendants(joint) for bone in bones] for joint in range(len(JOINTS))]
     )
@@ -103,12 +102,12 @@ def with_gaps_filled(
     known: Int[Tensor, " known"],
     seen_joints: Bool[Tensor, "time 22"],
 ) -> Motion:
-    """All frames of a motion, interpolated from known frames, for each joint where it was unseen.
+    """Interpolate a motion to all frames, and each joint over frames without markers for it.
 
     Args:
         motion: poses of the known frames.
-        known: their numbers among all frames, ascending.
-        seen_joints: over all frames, joints whose rotation the markers show.
+        known: numbers of these frames among all, ascending.
+        seen_joints: whether markers determine each joint's rotation, in all frames.
     """
     everything = torch.arange(len(seen_joints))
     whole = interpolated_poses(motion, known, everything)
@@ -124,7 +123,7 @@ def with_gaps_filled(
 
 
 def frames_of(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
-    """A motion of some frames of the given one, one after the other."""
+    """Return a motion of the frames with given numbers, one after the other."""
     return Motion.create(
         motion.translation[frames], motion.rotations[frames], motion.shape, motion.fps
     )
@@ -133,14 +132,14 @@ def frames_of(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
 def interpolated_poses(
     motion: Motion, known_frames: Int[Tensor, " known"], wanted_frames: Int[Tensor, " wanted"]
 ) -> Motion:
-    """Poses interpolated between known frames; beyond them those of the nearest known frame."""
+    """Interpolate poses between known frames; beyond them, repeat the nearest known pose."""
     poses = motion.translation, motion.rotations
     between = windows.interpolated_poses(*poses, known_frames, wanted_frames)
     return Motion.create(*between, motion.shape, motion.fps)
 
 
 def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | Poses) -> Motion:
-    """The motion with the poses of some frames, given by their numbers, replaced."""
+    """Return the motion with the poses of the frames with given numbers replaced."""
     return motion.replace(
         translation=motion.translation.index_copy(0, frames, poses.translation),
         rotations=motion.rotations.index_copy(0, frames, poses.rotations),
@@ -148,7 +147,7 @@ def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | P
 
 
 def widened_flags(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
-    """The flags, true also for a number of frames before and after each flagged one."""
+    """Return flags that are true also for a number of frames before and after each true one."""
     wide = torch.nn.functional.max_pool1d(
         flags[None, None].float(), 2 * frames + 1, stride=1, padding=frames
     )
@@ -156,7 +155,7 @@ def widened_flags(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " t
 
 
 def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]:
-    """Findings about frames without any marker and about limbs hidden for a while."""
+    """Make findings about frames with too few markers and about limbs hidden for a while."""
     found: list[Finding] = []
     empty = ~observed.any(-1).numpy()
     if empty.any():

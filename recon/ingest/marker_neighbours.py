@@ -1,12 +1,12 @@
-"""Solves frames with hidden markers together with their neighbours in time.
+"""Fits frames with hidden markers together with their neighbours in time.
 
-Every joint's rotation is a Gaussian process in time (Matérn 3/2) about its mean. What the markers
-of a frame say of a joint is a datum with its information: a frame in which the joint's markers are
-hidden says little, and takes its rotation from its neighbours in time.
+Every joint's rotation is a Gaussian process in time (Matérn 3/2) about its mean. The rotation
+fitted to a frame's markers is an observation of it, with an inverse covariance that is small where
+the joint's markers are hidden; such a frame takes its rotation from its neighbours in time.
 
-Where markers come and go, their offsets matter more than elsewhere: a marker that is drawn to its
-landmark pulls at the pose while it is seen, and lets go when it is hidden. Offsets are therefore
-found again, from the poses that are steady in time.
+Where markers come and go, errors of their offsets matter more than elsewhere: they pull at the
+pose in those frames only in which the marker is seen. Offsets are therefore found again, from
+poses that are smooth in time.
 """
 
 from collections.abc import Callable
@@ -27,34 +27,34 @@ from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_p
 from recon.method.protocols import REFERENCE_FPS
 
 _AROUND = 0.5
-"""Seconds before and after a frame with a hidden marker that tell what it hides."""
+"""Seconds before and after a frame with a hidden marker that are fitted together with it."""
 _SAMPLED = 20.0
-"""Rate, Hz, at which poses are looked at: joints turn little in between."""
+"""Rate (Hz) at which poses about gaps are fitted: joints rotate little in between."""
 _PULL = 1e-2
 """Weight of the distance from the pose that neighbours in time suggest."""
 _OFTEN = 0.02
-"""Share of hidden positions from which on offsets are found again."""
+"""Share of hidden marker positions above which offsets are found again."""
 _ROUNDS = 5
 _FURTHER = 1.6
-"""Multiple of the mean residual by which an offset is moved: poses follow their markers."""
+"""Step of an offset over the mean residual; above one, because poses follow their markers."""
 _STILL = 2e-4
-"""Metres of the mean change of an offset that ends the rounds."""
+"""Mean change of the offsets (m) below which the rounds end."""
 _MARKER = 0.02
-"""Standard deviation of a marker about its place on the body, metres, in each thirtieth of a
-second. It is larger than residuals are, because skin moves slowly: frames err alike."""
+"""Standard deviation (m) of a marker about its fitted position, in each thirtieth of a second. It
+exceeds usual residuals, because skin moves slowly, so that errors of frames are correlated."""
 _RATE = 6.0
-"""The square root of three over the length scale of a joint's rotation, 1 / second."""
+"""√3 over the length scale of the Gaussian process of a joint's rotation, 1 / second."""
 _SPREAD = 0.3
 """Standard deviation of a joint's rotation about its mean, radians."""
 _MEAN = 1.0
-"""Information about every joint's mean that the natural pose has, 1 / radian²."""
+"""Inverse variance of a joint's mean rotation about the natural pose, 1 / radian²."""
 _LEAST = 1e-6
 _AT_ONCE = 500
-"""Frames whose curvatures are inverted together, for memory's sake."""
+"""Number of frames whose Hessians are inverted together, which bounds the memory."""
 
 
 def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool[Tensor, " time"]:
-    """Mask of frames with a marker hidden that other frames show, and of frames near them."""
+    """Return a mask of frames in or near which a marker is hidden that other frames show."""
     hidden = (~visible & visible.any(0)).any(-1)
     return widened_flags(hidden, max(1, round(_AROUND * fps)))
 
@@ -68,28 +68,28 @@ def joined_in_time(
     keys: Int[Tensor, " keys"],
     near_gaps: Bool[Tensor, " time"],
 ) -> tuple[PoseEnergies, Tensor, Motion, Int[Tensor, " frames"]]:
-    """Solve frames in and around gaps by their markers and the neighbouring frames.
+    """Fit frames in and around gaps by their markers and the neighbouring frames.
 
-    Returns the energies of all frames, drawn to the poses that neighbours in time suggest about
-    gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.
+    Returns the energies of all frames, with a pull to the poses that neighbours in time suggest
+    about gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.
 
     Args:
-        energies: of all frames.
-        points: the markers on the body, by their offsets.
+        energies: energies of all frames.
+        points: returns the markers as points of the body, given their offsets.
         offsets: of the markers from the skin, in the frames of their bones, metres.
         bones: the bone that moves each marker most.
         motion: poses of key frames.
         keys: numbers of the key frames, ascending.
-        near_gaps: frames in and about gaps that place a body.
+        near_gaps: frames in and about gaps, if they have enough markers to place a body.
     """
     stride = max(1, round(motion.fps / _SAMPLED))
-    asked = near_gaps.nonzero()[:, 0]
-    asked = asked[asked % stride == 0]
-    if len(asked) == 0:
+    sampled = near_gaps.nonzero()[:, 0]
+    sampled = sampled[sampled % stride == 0]
+    if len(sampled) == 0:
         return energies, offsets, motion, keys
-    some, step = energies.frames(asked), stride / motion.fps
-    moments = (asked - asked[0]) // stride
-    found = solved_near(some, interpolated_poses(motion, keys, asked))
+    some, step = energies.frames(sampled), stride / motion.fps
+    moments = (sampled - sampled[0]) // stride
+    found = solved_near(some, interpolated_poses(motion, keys, sampled))
     hidden = (some.visible == 0) & (some.visible > 0).any(0)
     for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
         some = _tied_energies(some, found, moments, step)
@@ -101,7 +101,7 @@ def joined_in_time(
             break
     some = _tied_energies(some, found, moments, step)
     suggested = found.replace(rotations=torch.cat((found.rotations[:, :1], some.natural), 1))
-    everywhere = interpolated_poses(suggested, asked, torch.arange(len(near_gaps))).rotations[
+    everywhere = interpolated_poses(suggested, sampled, torch.arange(len(near_gaps))).rotations[
         :, 1:
     ]
     everything = replace(
@@ -110,8 +110,8 @@ def joined_in_time(
         natural=everywhere.where(near_gaps[:, None, None, None], energies.natural),
         pull=some.pull[:1].where(near_gaps, energies.pull),
     )
-    frames = torch.cat((keys[~near_gaps[keys]], asked)).unique()
-    rows = torch.searchsorted(frames, asked)
+    frames = torch.cat((keys[~near_gaps[keys]], sampled)).unique()
+    rows = torch.searchsorted(frames, sampled)
     start = with_poses(interpolated_poses(motion, keys, frames), rows, found)
     return everything, offsets, start, frames
 
@@ -119,7 +119,7 @@ def joined_in_time(
 def _tied_energies(
     energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
 ) -> PoseEnergies:
-    """The energies with a pull to the rotations that neighbouring frames suggest."""
+    """Return the energies with a pull to the rotations that neighbouring frames suggest."""
     natural = _smoothed_rotations(
         energies, energies.poses_of(motion.translation, motion.rotations), moments, step
     )
@@ -129,7 +129,7 @@ def _tied_energies(
 def _offset_changes(
     energies: PoseEnergies, motion: Motion, bones: tuple[int, ...]
 ) -> Float[Tensor, "markers 3"]:
-    """Changes of marker offsets towards where the markers are seen; zero for unseen markers."""
+    """Return changes (m) of marker offsets towards observed positions; zero for unseen markers."""
     poses = energies.poses_of(motion.translation, motion.rotations)
     force, weight = energies.forces(poses)
     turns = poses.orientations[:, list(bones)]
@@ -140,13 +140,13 @@ def _offset_changes(
 def _smoothed_rotations(
     energies: PoseEnergies, poses: Poses, moments: Int[Tensor, " frames"], step: float
 ) -> Float[Tensor, "frames 21 3 3"]:
-    """Rotations of all body joints, smoothed over time by how well markers determine them.
+    """Smooth joint rotations over time, most where the markers determine them least.
 
     Args:
-        energies: of the poses, which have been minimised.
-        poses: of some frames.
-        moments: when they are, in steps.
-        step: seconds.
+        energies: energies of the poses, which are at their minimum.
+        poses: fitted poses of some frames.
+        moments: times of the frames, in steps.
+        step: length of a step, seconds.
     """
     count = step * REFERENCE_FPS / energies.weight
     known = _inverse_covariances(energies, poses) * (count / _MARKER**2)
@@ -160,9 +160,10 @@ def _smoothed_rotations(
 
 
 def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
-    """Inverse covariance of every joint's rotation, given the markers; m² / radian².
+    """Return the inverse covariance of each joint's rotation, given the markers; m² / radian².
 
-    The other joints are free: two joints that only turn against each other unseen are not known.
+    It is marginal over all other joints: where the markers allow two joints to rotate against each
+    other, neither is determined.
     """
     rows = torch.arange(len(poses.translation)).split(_AT_ONCE)
     blocks = torch.cat([_rotation_covariances(energies, poses, some) for some in rows])
@@ -179,7 +180,7 @@ def _inverse_covariances(energies: PoseEnergies, poses: Poses) -> Float[Tensor, 
 def _rotation_covariances(
     energies: PoseEnergies, poses: Poses, rows: Int[Tensor, " rows"]
 ) -> Float[Tensor, "rows 21 3 3"]:
-    """Inverse Hessian blocks for the rotation of every joint about the axes of the world."""
+    """Return each joint's block of the inverse Hessian, for rotations about the world's axes."""
     curvature = energies.curvature(poses, rows).double()
     curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
     inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
@@ -194,7 +195,7 @@ def _smoothed_over_time(
     moments: Int[Tensor, " frames"],
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
-    """Posterior means of random processes, given values and their inverse covariances."""
+    """Return posterior means of Gaussian processes, given values and their inverse covariances."""
     from scipy.linalg import solveh_banded  # needed only for gaps
 
     at = moments.numpy()
@@ -214,7 +215,7 @@ def _smoothed_over_time(
 
 
 def _precision_band(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
-    """Lower band of the precision matrix of three random processes over time.
+    """Return the lower band of the precision matrix of three Gaussian processes over time.
 
     The energy of a Matérn 3/2 process is ∫ (κ⁴ x² + 2 κ² x'² + x''²) dt / (4 κ³ σ²).
     """

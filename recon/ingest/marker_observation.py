@@ -1,7 +1,7 @@
 """Makes a marker sensor of a recording, for fits under a prior.
 
-The body that meets the markers, as a conversion finds it, tells where each marker sits on the
-skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.
+A fit of the body to the markers, as for a conversion, gives each marker's offset from the skin and
+its standard deviation, since soft tissue moves and no body has exactly the model's surface.
 """
 
 from functools import partial
@@ -34,18 +34,18 @@ def seen_markers(
     robust: float | None = None,
     hand: Hand | None = None,
 ) -> tuple[Markers3D, tuple[str, ...]]:
-    """The known markers of a recording as a sensor, and notes on how they were read.
+    """Return the known markers of a recording as a sensor, and notes on how they were read.
 
-    Their offsets from the skin are those of the body that meets them best, and their standard
-    deviations its residuals, at least a centimetre: below that, the body errs more than markers.
+    Their offsets from the skin are those of the best fitting body, and their standard deviations
+    its residuals, at least a centimetre: below that, the body errs more than markers.
 
     Args:
         recording: in metres, z up.
-        body: on whose surface they sit.
+        body: the body model on whose surface the markers sit.
         mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels. Of
             points without names it is as in `placed_markers`.
         robust: distance in metres beyond which a marker counts ever less; None is least squares.
-        hand: handedness of the axes; None tells it from the body.
+        hand: handedness of the axes; None finds it by the body.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -85,7 +85,7 @@ def seen_markers(
 
 
 def _standard_deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
-    """Standard deviation of each marker's coordinates about its fitted position, metres."""
+    """Return the standard deviation (m) of each marker's coordinates about its fitted position."""
     seen = found.recording.visible
     square = np.where(seen, np.square(marker_distances(found.fit, found.recording)), 0.0).sum(
         0

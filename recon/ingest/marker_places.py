@@ -1,4 +1,4 @@
-"""A body with a set of markers on it: from a trial in which they have names, or from a table."""
+"""Makes bodies with markers on them: from a trial whose markers have names, or from a table."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,19 +16,19 @@ from recon.ingest.marker_sets import MarkerSet, full_body_markers
 from recon.mocap.recording import MarkerRecording
 
 _FITTED, _DRAWN = 40, 100
-"""Frames of a named trial that the body is fitted to, and poses drawn from the density."""
+"""Number of frames of a named trial that the body is fitted to, and of poses drawn at random."""
 _KNOWN, _TABLE, _LOOSE_TABLE = 0.02, 0.05, 0.08
-"""Standard deviations of a marker from its place, metres: once its offset is known, by a table,
-and by a table that names no more than a region, such as the thigh."""
+"""Standard deviations (m) of a marker from its place on the body: with an offset from a fit, with
+a place from a table, and with a table that names only a region, such as the thigh."""
 _JOINT_SPREAD = 0.6
 """Standard deviation of joints from the natural pose, radians."""
 _STATURES = (-3.0, -1.5, 0.0, 1.5)
-"""First coefficients of the shapes that somebody unknown may have: 1.3 to 1.9 m."""
+"""First shape coefficients of the bodies that are tried for an unknown person: 1.3 to 1.9 m."""
 
 
 @dataclass(frozen=True)
 class MarkedBody:
-    """A body of known shape with markers at known places, and poses it may have."""
+    """A body of known shape with markers at known places, and usual poses to start fits from."""
 
     body: BodyModel
     markers: MarkerSet
@@ -45,7 +45,7 @@ class MarkedBody:
 
     @cached_property
     def skin(self) -> SkinPoints:
-        """The markers as points of the body."""
+        """The markers as points at constant offsets from the skin."""
         return self._energies_without_markers.markers
 
     @cached_property
@@ -61,11 +61,11 @@ class MarkedBody:
         return MarkerRecording("", self.markers.labels, positions, visible, 30.0, ())
 
     def posed(self, translation: Tensor, rotations: Tensor) -> Poses:
-        """Poses of this body from translations and joint rotations."""
+        """Return poses of this body, given translations (m) and joint rotations."""
         return Poses.of(translation, rotations, self._energies_without_markers.rest)
 
     def places(self, poses: Poses) -> Float[np.ndarray, "frames markers 3"]:
-        """Positions of the markers in some poses, metres."""
+        """Return the positions of the markers in given poses, metres."""
         return self.skin.places(poses).mT.double().numpy()
 
     def energies(
@@ -73,9 +73,9 @@ class MarkedBody:
         positions: Float[np.ndarray, "frames markers 3"],
         visible: Bool[np.ndarray, "frames markers"],
     ) -> PoseEnergies:
-        """Energies of the poses of frames that do not depend on each other.
+        """Return the energies of poses, given observed markers, without ties between frames.
 
-        Markers whose place is surer count more, and the natural pose less.
+        Markers with a smaller standard deviation have a larger weight.
         """
         weight = torch.from_numpy((self.usual_spread / self.spread) ** 2).float()
         pull = (self.usual_spread / _JOINT_SPREAD) ** 2
@@ -93,7 +93,7 @@ class MarkedBody:
         visible: Bool[np.ndarray, "frames markers"],
         poses: Poses,
     ) -> "MarkedBody":
-        """The body whose shape and offsets fit some frames, from rough poses in them."""
+        """Return this body with shape and offsets fitted to some frames, from rough poses."""
         some = subject_energies(self._recording(positions, visible), self.markers, self.body)
         free = replace(some.poses.untied(), weight=1.0)
         known = replace(some, under=None, poses=free)
@@ -105,12 +105,12 @@ class MarkedBody:
 def body_of_trial(
     trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
 ) -> MarkedBody:
-    """A body fitted to some frames of a named trial.
+    """Fit a body to some frames of a trial whose markers have names.
 
     Args:
-        trial: named.
-        body: fitted to it.
-        markers: their places on the body; None takes the known labels.
+        trial: recording of named markers.
+        body: the body model that is fitted.
+        markers: places of the markers on the body; None takes the known labels.
 
     Raises:
         ReconError: when too few labels are known.
@@ -123,7 +123,7 @@ def body_of_trial(
 
 
 def bodies_of_set(markers: MarkerSet, body: BodyModel) -> list[MarkedBody]:
-    """Bodies of several statures, each with its markers where the table of the set puts them."""
+    """Return bodies of several statures, with markers where the table of their set puts them."""
     shapes = [torch.zeros(body.shape_size) for _ in _STATURES]
     for shape, stature in zip(shapes, _STATURES, strict=True):
         shape[0] = stature

@@ -1,4 +1,4 @@
-"""Energies of poses given markers, with gradients and Gauss-Newton Hessians."""
+"""Energies of poses, given observed markers, with gradients and Gauss-Newton Hessians."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -27,14 +27,14 @@ from recon.ingest.tied_frames import TiedFrames
 
 @dataclass(frozen=True)
 class Poses(TensorStruct):
-    """Poses of frames, with the bone orientations and joint positions that follow from them."""
+    """Poses of a body in some frames, and the bone orientations and affines that they imply."""
 
     translation: Float[Tensor, "frames 3"]
     rotations: Float[Tensor, "frames 22 3 3"]
     orientations: Float[Tensor, "frames 22 3 3"]
-    """Orientations of the bones, world."""
+    """Rotations from the bones' axes at rest to the world."""
     bones: Float[Tensor, "frames 3 88"]
-    """Affine matrices of all bones; see `recon.body.levers`."""
+    """Affine matrices of all bones, in the layout of `recon.body.levers`."""
 
     @classmethod
     def of(
@@ -43,20 +43,20 @@ class Poses(TensorStruct):
         rotations: Float[Tensor, "frames 22 3 3"],
         rest: Float[Tensor, "22 3"],
     ) -> "Poses":
-        """Poses of a body whose joints at rest are at `rest`, metres."""
+        """Return poses of a body whose joints at rest are at `rest`, metres."""
         orientations, joints = forward_kinematics(rotations, rest)
         placed = bone_affines(orientations, joints + translation[:, None])
         return cls(translation, rotations, orientations, placed)
 
     def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
-        """Poses after a step of every frame, in the coordinates of `recon.body.levers`."""
+        """Return the poses after a step in every frame (coordinates of `recon.body.levers`)."""
         rotations = rotations_after_turns(self.rotations, self.orientations, steps[:, 3:])
         return Poses.of(self.translation + steps[:, :3], rotations, rest)
 
 
 @dataclass(frozen=True)
 class PoseBlendShapes(TensorStruct):
-    """Pose-dependent displacements of the skin (pose blend shapes of SMPL bodies)."""
+    """Displacements of skin points that depend on the pose (pose blend shapes of SMPL bodies)."""
 
     directions: Float[Tensor, "189 columns"]
     """Displacements of all unposed points, metres, by the entries of all body rotations."""
@@ -64,19 +64,19 @@ class PoseBlendShapes(TensorStruct):
 
     @classmethod
     def of(cls, body: BodyModel, vertices: Int[Tensor, " points"]) -> "PoseBlendShapes | None":
-        """The blend shapes of some vertices; None for a body without pose blend shapes."""
+        """Return the blend shapes of some vertices; None for a body that has none."""
         if body.pose_directions is None:
             return None
         return cls(body.pose_directions[:, vertices].flatten(1), body.weights[vertices])
 
     def moved(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
-        """Displacements of the points in a pose; world axes, metres."""
+        """Return the displacements of the points in given poses; world axes, metres."""
         return (self._blended_rotations(poses) @ self._in_bone_frames(poses)[..., None])[..., 0].mT
 
     def pull(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
-        """Derivatives of Σ forces · displacements by the coordinates of a step."""
+        """Return derivatives of Σ forces · displacements by the coordinates of a step."""
         loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._in_bone_frames(poses))
         bones = poses.orientations.transpose(1, 2)
         turns = sums_over_descendants(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
@@ -98,7 +98,7 @@ class PoseBlendShapes(TensorStruct):
 class SkinPoints(TensorStruct):
     """Points, such as markers, at constant offsets from vertices of a body of known shape.
 
-    Correctives are part of the places and of `pull`, and left out of second derivatives.
+    Pose blend shapes (`correctives`) are left out of the second derivatives.
     """
 
     carried: CarriedPoints
@@ -113,7 +113,7 @@ class SkinPoints(TensorStruct):
         vertices: Int[Tensor, " points"],
         offsets: Float[Tensor, "points 3"] | None = None,
     ) -> "SkinPoints":
-        """Points at vertices plus offsets in the frames of their main bones, metres."""
+        """Return points at vertices plus offsets (m) in the frames of the vertices' main bones."""
         eye = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
         none = shape.new_zeros(len(eye), body.weights.shape[-1])
         carried = CarriedPoints.create(body, shape, none, eye, vertices)
@@ -124,33 +124,33 @@ class SkinPoints(TensorStruct):
         return cls(carried, Levers.of(carried), PoseBlendShapes.of(body, vertices))
 
     def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
-        """Positions of the points in a pose; world, metres."""
+        """Return the positions of the points in given poses; world, metres."""
         places = self.levers.places(poses.bones)
         return places if self.correctives is None else places + self.correctives.moved(poses)
 
     def pull(
         self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
-        """Derivatives of Σ forces · points by the coordinates of a step."""
+        """Return derivatives of Σ forces · points by the coordinates of a step."""
         pull = self.levers.gradient_of(poses.bones, forces)
         return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
 
     def jacobian_by_shape(
         self, poses: Poses, body: BodyModel
     ) -> Float[Tensor, "frames points 3 shape"]:
-        """Derivatives of the points by the shape coefficients, metres."""
+        """Return derivatives of the points (m) by the shape coefficients."""
         return ShapeLevers.of(self.carried, body).jacobian_by_shape(poses.bones)
 
 
 @cache
 def pose_density() -> PoseDensity:
-    """The bundled pose prior's density of poses."""
+    """Load the density of poses of the bundled pose prior; it is kept for later calls."""
     return PosePrior.load().density
 
 
 @cache
 def natural_pose() -> Float[Tensor, "21 3 3"]:
-    """A relaxed standing pose, used for joints that no marker determines.
+    """Return a relaxed standing pose, which is used for joints that no marker determines.
 
     It is the mean rotation of every body joint over the motions that the bundled pose prior
     learned.
@@ -159,14 +159,14 @@ def natural_pose() -> Float[Tensor, "21 3 3"]:
 
 
 def drawn_poses(count: int) -> Float[Tensor, "count 21 3 3"]:
-    """Poses drawn from the bundled pose prior, always the same ones."""
+    """Draw poses from the bundled pose prior at random, the same ones in every call."""
     draw, density = torch.Generator().manual_seed(0), pose_density()
     z = torch.randn(count, len(density.basis), generator=draw, dtype=density.basis.dtype)
     return density.rotations(z).float()
 
 
 def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
-    """Poses with the same root rotation, and all other joints in the natural pose."""
+    """Keep the root rotations, and set all other joints to the natural pose."""
     pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)
     return torch.cat((rotations[..., :1, :, :], pose), -3)
 
@@ -175,8 +175,8 @@ def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor
 class PoseEnergies(TiedFrames[Poses]):
     """Energies of the poses of a body of known shape, frame by frame, and ties between frames.
 
-    Markers, ½ Σ kernel(|p - m|²); the pull to the natural pose, Σ (1 - cos angle); soles below the
-    ground, half of their mean squared depth; and turns from frame to frame, Σ (1 - cos angle).
+    Of markers, ½ Σ kernel(|p - m|²); of the distance from the natural pose, Σ (1 - cos angle); of
+    soles below the ground, half their mean squared depth; of ties, Σ (1 - cos angle) by joints.
     """
 
     rest: Float[Tensor, "22 3"]
@@ -185,19 +185,19 @@ class PoseEnergies(TiedFrames[Poses]):
     soles: SkinPoints | None
     """Points under the feet that are held above z = 0; None where the ground is elsewhere."""
     positions: Float[Tensor, "frames 3 markers"]
-    """World, metres; zero where not visible."""
+    """Observed marker positions in the world, metres; zero where not visible."""
     visible: Float[Tensor, "frames markers"]
-    """1 where a marker is visible, 0 elsewhere."""
+    """Weight of a marker where it is visible, usually 1; 0 elsewhere."""
     linked: Bool[Tensor, " between"]
     """Whether a frame is tied to the next one."""
     natural: Float[Tensor, "#frames 21 3 3"]
-    """Rotations that joints are drawn to: the same in all frames, or frame by frame."""
+    """Joint rotations of the natural pose: the same in all frames, or one per frame."""
     pull: Float[Tensor, "#frames"]
-    """Weight of the distance from them, likewise."""
+    """Weight of the distance from the natural pose, one for all frames or one per frame."""
     ground: float
-    """Weight of the soles."""
+    """Weight of the depth of soles below the ground."""
     turning: Float[Tensor, " 22"]
-    """Weight of every joint's turns from frame to frame; they are not multiplied by `weight`."""
+    """Weights of the joints' rotations from frame to frame, which `weight` does not multiply."""
     weight: float = 1.0
     """Multiplier of the energies of single frames."""
     sigma: float | None = None
@@ -205,11 +205,11 @@ class PoseEnergies(TiedFrames[Poses]):
 
     @property
     def stiffness(self) -> Float[Tensor, " 69"]:
-        """Second derivatives of a tie between frames: of rotations only, not of translations."""
+        """Second derivatives of a tie by the coordinates of a step; zero for translations."""
         return torch.cat((self.turning.new_zeros(3), self.turning.repeat(3)))
 
     def frames(self, index: Int[Tensor, " frames"]) -> "PoseEnergies":
-        """The energies of some frames in ascending order; ties between linked ones are kept."""
+        """Return the energies of some frames, ascending; neighbouring frames stay tied."""
         apart = (~self.linked).cumsum(0)
         run = pad(apart, (1, 0))[index]
         linked = (index.diff() == 1) & (run.diff() == 0)
@@ -223,19 +223,19 @@ class PoseEnergies(TiedFrames[Poses]):
         )
 
     def untied(self) -> "PoseEnergies":
-        """The same energies without ties between frames."""
+        """Return the same energies without ties between frames."""
         return replace(self, linked=torch.zeros_like(self.linked))
 
     def poses_of(
         self, translation: Float[Tensor, "frames 3"], rotations: Float[Tensor, "frames 22 3 3"]
     ) -> Poses:
-        """The poses of this body with a translation and joint rotations."""
+        """Return the poses of this body, given translations (m) and joint rotations."""
         return Poses.of(translation, rotations, self.rest)
 
     def energies_and_gradients(
         self, state: Poses, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 69"]]:
-        """Energies of some frames, without ties, and their gradients."""
+        """Return the energies of some frames, without ties, and their gradients."""
         some = _poses_of_rows(state, rows)
         value, slope, away = self._residuals(some, rows)
         gradient = self.markers.pull(some, away * slope[:, None])
@@ -254,7 +254,7 @@ class PoseEnergies(TiedFrames[Poses]):
         return self.weight * value, self.weight * gradient
 
     def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
-        """Gauss-Newton Hessians of the energies of some frames."""
+        """Return the Gauss-Newton Hessians of the energies of some frames, without ties."""
         some = _poses_of_rows(state, rows)
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
@@ -271,13 +271,13 @@ class PoseEnergies(TiedFrames[Poses]):
     def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
-        """Mask of the pairs of frames in which the same markers are visible."""
+        """Return which pairs of frames show the same markers, so that they can share a Hessian."""
         return (self.visible[some] == self.visible[others]).all(-1)
 
     def tie_energies(
         self, state: Poses
     ) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
-        """Energies of the rotations from frame to frame, and their gradients."""
+        """Return the energies of joint rotations from frame to frame, and their gradients."""
         rotations = state.rotations
         gradient = rotations.new_zeros(len(rotations), COORDINATES)
         weight = self.turning * self.linked[:, None]
@@ -290,7 +290,7 @@ class PoseEnergies(TiedFrames[Poses]):
         return value, gradient
 
     def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
-        """All poses after a step of some of the frames."""
+        """Return all poses after a step in some of the frames."""
         found = _poses_of_rows(state, rows).moved(steps, self.rest)
         if len(rows) == len(state.translation):
             return found
@@ -300,7 +300,7 @@ class PoseEnergies(TiedFrames[Poses]):
     def forces(
         self, state: Poses
     ) -> tuple[Float[Tensor, "frames 3 markers"], Float[Tensor, "frames markers"]]:
-        """Derivatives of the energies by marker positions, and the weights of residuals."""
+        """Return derivatives of the energies by marker positions, and the residuals' weights."""
         _, slope, away = self._residuals(state, torch.arange(len(state.translation)))
         slope = self.weight * slope
         return away * slope[:, None], slope
@@ -308,13 +308,13 @@ class PoseEnergies(TiedFrames[Poses]):
     def depths(
         self, state: Poses
     ) -> tuple[Float[Tensor, "frames soles"], Float[Tensor, "frames soles"]]:
-        """Heights of points under the feet, metres, and weights: zero above the ground."""
+        """Return heights of points under the feet, metres, and weights, zero above the ground."""
         assert self.soles is not None
         height = self.soles.places(state)[:, 2]
         return height, (self.ground / height.shape[-1]) * (height < 0).to(height)
 
     def _residuals(self, some: Poses, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Robust kernel of squared distances, its derivative, and predicted minus observed."""
+        """Return kernel(|r|²), its derivative, and residuals r, predicted minus observed (m)."""
         away = self.markers.places(some) - _values_of_rows(self.positions, rows)
         seen, size = _values_of_rows(self.visible, rows), away.square().sum(1)
         if self.sigma is None:
@@ -325,10 +325,10 @@ class PoseEnergies(TiedFrames[Poses]):
 
 
 def _poses_of_rows(state: Poses, rows: Tensor) -> Poses:
-    # avoid the copy that indexing makes when all frames are asked for
+    # if all frames are wanted, avoid the copy that indexing makes
     return state if len(rows) == len(state.translation) else state[rows]
 
 
 def _values_of_rows(values: Tensor, rows: Tensor) -> Tensor:
-    # a single value is shared by all frames
+    # one value for all frames is not indexed
     return values if len(values) in (1, len(rows)) else values[rows]

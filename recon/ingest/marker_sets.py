@@ -1,4 +1,4 @@
-"""Finds where on the body the markers of a recording sit, and which parts they cover."""
+"""Finds where on the body model the markers of a recording sit, and which parts they cover."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,15 +30,15 @@ from recon.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
 from recon.mocap.recording import MarkerRecording
 
 _TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"}
-"""Bones that carry points between joints of both sides."""
+"""Bones that move those keypoints that lie between joints of both sides."""
 
 
 def keypoint_places(
     labels: Sequence[str], body: BodyModel
 ) -> tuple[tuple[int, ...], Float[Tensor, "points 3"]]:
-    """For each keypoint a vertex that moves with its bone, and the keypoint's offset from it.
+    """Return for each keypoint a vertex that moves with its bone, and its offset (m) from there.
 
-    The places are those of the average body at rest, metres.
+    Offsets are those on the average body at rest.
     """
     vertices: list[int] = []
     offsets: list[Tensor] = []
@@ -64,7 +64,7 @@ def keypoint_places(
 
 
 def keypoint_finding(labels: Sequence[str]) -> Finding:
-    """The finding about recordings whose markers are keypoints."""
+    """Make the finding that a recording's points are keypoints inside the body, not markers."""
     return Finding(
         "joint centres",
         f"the points are joint centres by their names ({listed(labels)}), as detectors of "
@@ -75,45 +75,45 @@ def keypoint_finding(labels: Sequence[str]) -> Finding:
 
 
 _LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|chest")
-"""Landmarks that are a region: markers are put anywhere on it."""
+"""Matches names of landmarks that are regions: markers may sit anywhere on them."""
 STANDOFF = 0.0095
-"""Metres from the skin to a marker's centre, along the normal (MoSh)."""
+"""Distance (m) from the skin to a marker's centre, along the normal (MoSh)."""
 _BONES_ABOVE, _ON_TORSO = 3, 3
-"""Bones from the chest up with a marker, and markers of the torso, that place an upper body."""
+"""Fewest bones from the chest up with a marker, and of torso markers, to place an upper body."""
 
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """Markers whose vertices on the body are known."""
+    """Markers with their labels, and the vertices of the body model at which they sit."""
 
     labels: tuple[str, ...]
     vertices: tuple[int, ...]
     loose: tuple[bool, ...]
-    """Whether the place is only roughly known."""
+    """Whether each marker's place is known only roughly, as anywhere on a thigh."""
     nominal: Float[Tensor, "markers 3"]
     """Expected offset of each marker from its vertex, in the frame of its bone, metres."""
     bones: tuple[int, ...]
     """The bone that moves each marker most."""
     unknown: tuple[str, ...]
-    """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
+    """Labels without a known vertex: of virtual markers, joint centres, unlabelled points."""
     inside: bool = False
-    """Whether they are joint centres that a detector found, rather than markers on the skin."""
+    """Whether the points are joint centres from a detector, rather than markers on the skin."""
     bare: tuple[str, ...] = ()
-    """Parts of the body on which there is none: trunk, pelvis, left shank or foot, ..."""
+    """Parts of the body without a marker: trunk, pelvis, left shank or foot, ..."""
     decisions: tuple[str, ...] = ()
     """What was chosen among the points, one sentence each."""
     guessed: bool = False
-    """Whether they were found at usual places, by no label, and may be other markers."""
+    """Whether names were guessed by usual places of markers, so that they may be wrong."""
 
 
 def full_body_markers(
     recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
 ) -> MarkerSet:
-    """The visible markers of a recording whose vertices on the body are known.
+    """Find the vertices of the body at which the visible markers with known labels sit.
 
     Args:
         recording: with labels of any protocol; of several subjects the one seen most is taken.
-        body: on whose mesh they sit.
+        body: the body model on whose mesh the markers sit.
         mapping: JSON or TOML file, marker label = landmark or vertex, for labels that are not
             known or that mean another place here; None uses the known labels.
 
@@ -161,7 +161,7 @@ def full_body_markers(
 def markers_at(
     vertices: Mapping[str, int], loose: Mapping[str, bool], body: BodyModel
 ) -> MarkerSet:
-    """Markers on the skin at these vertices."""
+    """Make a set of markers on the skin at given vertices of the body."""
     places = tuple(vertices.values())
     return MarkerSet(
         labels=tuple(vertices),
@@ -174,11 +174,11 @@ def markers_at(
 
 
 def markers_of_set(name: str | Path, body: BodyModel) -> MarkerSet:
-    """Markers of a set, by its name (pig, cmu, ...) or a mapping file; keypoints are left out.
+    """Return a known set of markers by its name (pig, cmu, ...), or one from a mapping file.
 
     Raises:
         FileNotFoundError: when there is no such set and no such file.
-        ReconError: when the file is damaged, or fewer than ten markers lie on the skin.
+        ReconError: when the file is damaged, or gives fewer than ten markers on the skin.
     """
     known = landmarks()
     if (table := marker_sets().get(str(name))) is not None:
@@ -203,7 +203,7 @@ def markers_of_set(name: str | Path, body: BodyModel) -> MarkerSet:
 def right_handed_markers(
     recording: MarkerRecording, markers: MarkerSet, hand: Hand | None
 ) -> MarkerRecording:
-    """The recording in right-handed axes, and a note if they were mirrored."""
+    """Return the recording in right-handed axes, with a note in it if it was mirrored."""
     chosen = recording.select(markers.labels)
     meant = meant_keypoints(markers.labels) if markers.inside else ()
     places = {landmark(name): name for name in landmarks()}
@@ -219,7 +219,7 @@ def right_handed_markers(
 def _of_one_subject(
     recording: MarkerRecording, seen: Sequence[str]
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Labels of the subject seen most, where labels name several (Ann:LASI, Bob:LASI)."""
+    """Return the labels of the person seen most, if some name others (Ann:LASI, Bob:LASI)."""
     shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
     counts: dict[str, int] = {}
     for label in seen:
@@ -260,10 +260,10 @@ def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
 def _bare_parts(
     name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
 ) -> tuple[str, ...]:
-    """Names of the parts of the body without a marker.
+    """Return the names of those parts of the body on which no marker sits.
 
     Raises:
-        ValueError: when the others are neither two legs with their pelvis nor a trunk.
+        ValueError: when the markers cover neither both legs and the pelvis nor the trunk.
     """
     bones = _bones(vertices.values(), body)
     parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
@@ -289,5 +289,5 @@ def _bare_parts(
 
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
-    """Offset of a marker's centre from the skin, along the rest body's normal, metres."""
+    """Return offsets (m) of markers' centres from the skin, along the normals of the rest body."""
     return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]

@@ -1,15 +1,15 @@
-"""Cuts the trajectories of a recording where they jump, and links what belongs together.
+"""Finds tracks in a recording of points: cuts trajectories where they jump, and joins others.
 
-A track is what one marker does while it is seen without a break: a stretch of a column, or of
-several columns where a file has a cloud of points in no order.
+A track is the path of one marker while it is seen without a break: a part of one column, or parts
+of several columns where a file has a cloud of points in no order.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 _JUMP, _ACCELERATION = 0.012, 60.0
-"""A marker lies at most so many metres, plus what an acceleration of so many metres per second
-squared moves it between two frames, from where its velocity would carry it."""
+"""Largest distance of a marker from the position that its velocity predicts: a constant (m), plus
+the way between two frames at an acceleration (m/s²)."""
 
 
 def tracks_of(
@@ -17,7 +17,7 @@ def tracks_of(
     visible: Bool[np.ndarray, "time points"],
     fps: float,
 ) -> Int[np.ndarray, "time points"]:
-    """Number of the track of every visible point, from 0; -1 where a point is not visible."""
+    """Return the number of every visible point's track, from 0; -1 where it is not visible."""
     reach = _JUMP + _ACCELERATION / fps**2
     before, after = _displacements(positions, visible)
     steps = positions[1:] - positions[:-1]
@@ -35,7 +35,7 @@ def tracks_of(
 def _displacements(
     x: Float[np.ndarray, "time points 3"], visible: Bool[np.ndarray, "time points"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements of points since the previous frame and to the next; 0 where unknown."""
+    """Return displacements from the previous frame and to the next; 0 where either is hidden."""
     steps = np.where((visible[1:] & visible[:-1])[..., None], np.diff(x, axis=0), 0.0)
     none = np.zeros_like(x[:1])
     return np.concatenate((none, steps)), np.concatenate((steps, none))
@@ -49,7 +49,7 @@ def _joined_tracks(
     velocity: Float[np.ndarray, "time points 3"],
     reach: float,
 ) -> Int[np.ndarray, "time points"]:
-    """Join a track that ends to one that begins near its expected place in the next frame."""
+    """Join each track to one that begins in the next frame near its predicted position."""
     from scipy.optimize import linear_sum_assignment
 
     former = np.arange(track.max() + 1)

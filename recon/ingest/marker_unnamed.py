@@ -1,4 +1,4 @@
-"""Finds the markers of a recording whose points have no names, as optical systems export them."""
+"""Names the points of a recording without marker names, as optical systems export them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,21 +20,21 @@ from recon.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.solver.solution import one_thread
 
 USUAL = "cmu"
-"""The set whose places a body is looked for by, where nobody says which it is."""
+"""The set of markers that is assumed for points without names, if the user gives none."""
 _TABLES = (".toml", ".json")
 
 
 def placed_markers(
     recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
 ) -> tuple[MarkerRecording, MarkerSet]:
-    """A recording, and its markers whose places on the body are known by labels or were found.
+    """Find a recording's markers on the body, by their labels or, without labels, by their motion.
 
-    In a recording without names, the body is found among the points and followed. A track gets
-    the place of a marker, which the fit then moves over the skin; doubtful ones are left out.
+    In a recording without names, a body is fitted to the points and followed over time. Tracks get
+    the names of markers of this body; doubtful tracks are left out.
 
     Args:
         recording: in metres, z up.
-        body: on whose mesh markers sit.
+        body: the body model on whose mesh the markers sit.
         mapping: as in `full_body_markers`; for points without names, the table of their set, or a
             recording of the same person and markers that has names. None takes usual places.
 
@@ -61,7 +61,7 @@ def marker_recording(
     unit: Unit | None = None,
     up: Up | None = None,
 ) -> MarkerRecording:
-    """A recording of markers, read if it is a file.
+    """Return a recording of markers, which is read if a file is given.
 
     Raises:
         ReconError: when it holds the joints of a skeleton, or cannot be read.
@@ -76,10 +76,10 @@ def marker_recording(
 def body_like(
     trial: MarkerRecording, body: BodyModel, markers: MarkerSet | None = None
 ) -> MarkedBody:
-    """The body of a trial in which markers have names, with these markers on it.
+    """Fit a body to a trial whose markers have names; return it with these markers.
 
     Raises:
-        ReconError: when fewer than ten have one.
+        ReconError: when fewer than ten markers have names.
     """
     known = () if markers is None else markers.labels
     named = [name for name in trial.marker_names if name in known or not is_nameless(name)]
@@ -97,16 +97,16 @@ def named_tracks(
     bodies: list[MarkedBody],
     like: str,
 ) -> Naming:
-    """Name the tracks of some points of a recording, by whichever of several bodies fits them.
+    """Name the tracks of points of a recording, by that of several bodies that fits them best.
 
     Args:
         seen: the recording.
         visible: which of its points may be markers.
-        bodies: with markers.
-        like: where these are from, for messages.
+        bodies: bodies with named markers.
+        like: origin of these markers, for messages.
 
     Raises:
-        ReconError: when none fits.
+        ReconError: when no body fits.
     """
     with one_thread(), torch.no_grad():
         naming = Naming(seen, tracks_of(seen.positions, visible, seen.fps), bodies)
@@ -120,7 +120,7 @@ def named_tracks(
 
 
 def _named_only(naming: Naming, like: str) -> MarkerRecording:
-    """The markers that have a name, and a note on the share of the others."""
+    """Return a recording of the named markers alone, with a note on the share of other points."""
     seen, names = naming.seen, naming.bodies[0].markers.labels
     x, visible = naming.named(np.arange(seen.frames))
     share = visible.sum() / seen.visible.sum()

@@ -1,4 +1,4 @@
-"""Converts a single recording of any kind to a motion of our body."""
+"""Converts a single recording of any kind to a motion of the body model."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,17 +27,17 @@ def convert(
     fps: float | None = None,
     keep_frame: bool = False,
 ) -> Conversion:
-    """Convert a full-body recording of joints or markers to a motion of our body.
+    """Convert a recording of a body's joints or markers to a motion of the body model.
 
     Args:
         recording: a file (.bvh, .amc, .c3d, .trc, ...) or what its reader made of it.
-        body: whose motion it becomes; None is the bundled body.
-        unit: of the file; None finds it out.
+        body: the body model; None is the bundled one.
+        unit: unit of the file's lengths; None finds it out.
         up: axis of the file that points up, or down; None finds it out.
         hand: handedness of the axes of markers; None finds it out.
         subject: shape, offsets and alignments from other recordings of the same skeleton; None
             finds them from this one.
-        mapping: TOML or JSON file that says which of its joints or markers are ours.
+        mapping: TOML or JSON file that maps the model's joints or landmarks to the recording's.
         fps: resample to this rate; None keeps the recording's.
         keep_frame: leave the motion where the recording has it, z up, instead of on z = 0.
 

@@ -1,4 +1,4 @@
-"""Fits our body to a recorded skeleton: poses of all frames, with calibrated shape held."""
+"""Fits poses of the body model to a recorded skeleton, with a shape calibrated before."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,22 +29,22 @@ SOLVE_ITERATIONS = 90
 
 @dataclass(frozen=True)
 class FittedSkeleton:
-    """The motion of our body fitted to one recording."""
+    """The motion of the body model fitted to one recorded skeleton, with its residuals."""
 
     motion: Motion
     residuals: Float[Tensor, " points"]
-    """Mean distance of every mapped joint from the recorded one after offsets, metres."""
+    """Mean distance (m) of each fitted joint, with its constant offset, from the recorded one."""
     source_feet: Float[Tensor, "time feet 3"]
-    """Recorded ankles and toes, metres."""
+    """Recorded positions of ankles and toes, metres."""
 
 
 def solve(
     recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
 ) -> list[FittedSkeleton]:
-    """Fit recordings with one frame rate as a batch of independent clips.
+    """Fit poses to recordings with one frame rate, as a batch of independent clips.
 
-    Every frame begins with the recorded orientations, aligned to our bones, and is moved until
-    joints meet theirs: no term couples frames, so nothing is smoothed or delayed.
+    The first guess of every frame has the recorded orientations, aligned to the model's bones;
+    then joint positions are fitted. No term couples frames, so nothing is smoothed or delayed.
     """
     frames = [MappedFrames.of(r, subject.skeleton) for r in recordings]
     motion = padded_batch(
@@ -89,7 +89,7 @@ def solve(
 def _first_guess(
     frames: MappedFrames, subject: SubjectModel, body: BodyModel, fps: float
 ) -> Motion:
-    """First guess: recorded orientations; bones without one keep their rest rotation."""
+    """Make a first guess from recorded orientations; bones without one follow their parents."""
     targets = frames.orientations @ subject.alignments
     recorded = {bone: targets[:, row] for row, bone in enumerate(subject.skeleton.bones)}
     identity = torch.eye(3).expand(len(targets), 3, 3)

@@ -1,4 +1,4 @@
-"""Calibrates our body to a recorded skeleton: shape, joint offsets, bone alignments."""
+"""Calibrates the body model to a recorded skeleton: shape, joint offsets, bone alignments."""
 
 import logging
 from collections.abc import Sequence
@@ -35,12 +35,12 @@ class BoneOrientations(TensorStruct):
     orientations: Float[Tensor, "*batch time bones 3 3"]
     """Rotation of each bone from its rest pose to the world."""
     bones: tuple[int, ...]
-    """The joints whose bones they are."""
+    """Numbers of the joints whose bones have recorded orientations."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Σ (1 - cos angle) over bones and existing frames, at 30 Hz: ½ angle² for small ones.
+        """Return Σ (1 - cos angle) over bones and valid frames, at 30 Hz: ½ angle² if small.
 
-        It shows what joint positions leave open: turns about a bone, the head, hands and toes.
+        It determines what joint positions do not: rotations about a bone, of head, hands and toes.
         """
         motion = estimate.motion
         ours = estimate.body.orientations[..., list(self.bones), :, :]
@@ -51,21 +51,21 @@ class BoneOrientations(TensorStruct):
 
 @dataclass(frozen=True)
 class FlatSoles(TensorStruct):
-    """Half the squared height of the heel above the ball of every standing foot; metres²."""
+    """Energy of the height of heel above ball of standing feet: half of its square, metres²."""
 
     standing: Bool[Tensor, "*batch time 2"]
-    """Frames in which the left and the right foot stand flat."""
+    """Whether the left and the right foot stand flat in each frame."""
     heels: Int[Tensor, "2 points"]
     """Vertices under the left and the right heel."""
     balls: Int[Tensor, "2 points"]
     """Vertices under the balls of the feet."""
 
     def __getitem__(self, index: Tensor) -> "FlatSoles":
-        """The energy of some clips of the batch."""
+        """Return this energy restricted to some clips of the batch."""
         return self.replace(standing=self.standing[index])
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ (z_heel - z_ball)² over standing feet, at 30 Hz."""
+        """Return ½ Σ (z_heel - z_ball)² over standing feet, at 30 Hz."""
         motion, body = estimate.motion, estimate.body
         shape = self.heels.shape
         heels = body.points(self.heels.flatten())[..., 2].unflatten(-1, shape).mean(-1)
@@ -77,13 +77,13 @@ class FlatSoles(TensorStruct):
 logger = logging.getLogger(__name__)
 
 FRAMES = 240
-"""Frames of different poses from which a subject is calibrated."""
+"""Most frames, of different poses, from which a person is calibrated."""
 _CANDIDATES = 3000
 _ROOT = frozenset({"translation", "root"})
 _BODY = _ROOT | {"pose", "shape"}
 
 FEET_WEIGHT = 6.0
-"""Ankles and toes count this many times more than other joints: feet must not slip."""
+"""Weight of ankles and toes relative to other joints: feet must not slip."""
 
 
 @dataclass(frozen=True)
@@ -91,33 +91,33 @@ class CalibrationWeights:
     """Weights of the calibration's energies relative to ½ Σ distance² of joints, metres²."""
 
     shape: float = 6e-5
-    """Per frame: a coefficient of one costs as much as 2 mm at all joints."""
+    """Weight per frame of the squared shape coefficients: one of 1 costs as 2 mm at all joints."""
     offsets: float = 0.15
-    """Per frame, of what the same distance costs as an error."""
+    """Weight per frame of offsets, relative to that of the same distance as an error."""
     feet_offsets: float = 3.0
-    """Weight of the offsets of ankles and toes besides: a foot that rolls would slip where it is
-    offset."""
+    """Additional weight of the offsets of ankles and toes: with an offset, a foot that rolls would
+    slip."""
     rest: float = 1e-3
-    """Holds what nothing else shows in the first, uncalibrated stage."""
+    """Weight of the rest pose in the first stage, for joints that nothing else determines."""
     bones: float = 0.02
     soles: float = 4.0
 
 
 @dataclass(frozen=True)
 class SubjectModel(TensorStruct):
-    """Calibration of a recorded skeleton: shape, offsets and alignments on our body."""
+    """The body model calibrated to a recorded skeleton: shape, joint offsets, bone alignments."""
 
     shape: Float[Tensor, " shape"]
     offsets: Float[Tensor, "points 3"]
-    """Offset of each recorded joint from ours, in our bone's frame, metres."""
+    """Offset of each recorded joint from the model's, in the frame of the model's bone, metres."""
     alignments: Float[Tensor, "bones 3 3"]
-    """Our bone's orientation = recorded orientation · alignment."""
+    """Rotations such that the model's bone orientation = recorded orientation · alignment."""
     skeleton: SkeletonMap
 
 
 @dataclass(frozen=True)
 class MappedFrames(TensorStruct):
-    """Positions and orientations of the mapped joints of recordings, in recon's joint order."""
+    """Recorded positions and orientations of the mapped joints, in the order of the map."""
 
     positions: Float[Tensor, "time points 3"]
     orientations: Float[Tensor, "time bones 3 3"]
@@ -125,7 +125,7 @@ class MappedFrames(TensorStruct):
 
     @classmethod
     def of(cls, recording: SkeletonRecording, skeleton: SkeletonMap) -> "MappedFrames":
-        """The mapped joints in all frames of a recording."""
+        """Take the mapped joints from all frames of a recording, and judge where feet stand."""
         points = [recording.joint(name) for _, name in skeleton.positions]
         bones = [recording.joint(name) for _, name in skeleton.orientations]
         positions = torch.from_numpy(recording.positions[:, points]).float()
@@ -147,9 +147,9 @@ def calibrate(
     """Find shape, offsets and alignments of one skeleton from frames of all its recordings.
 
     Frames of different poses make one clip without any temporal term. Where the skeleton's zero
-    pose is a T-pose it gives the first alignments; otherwise turns about bones start as near to
-    rest as the positions allow, on average over the frames. Bone lengths go to the shape first,
-    what remains to constant offsets.
+    pose is a T-pose it gives the first alignments; otherwise rotations about bones start as near
+    to rest as the positions allow, on average over the frames. The shape is fitted to bone lengths
+    first; constant offsets then take up the remaining differences.
     """
     weights = CalibrationWeights()
     frames = _diverse_frames(recordings, skeleton)
@@ -211,7 +211,7 @@ def calibrate(
 
 
 def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
-    """Terms of all joints, and of ankles and toes once more with their extra weight."""
+    """Return terms for the positions of all joints, and an additional one for ankles and toes."""
     first, last = sum(j not in FEET for j in seen.joints), len(seen.joints)
     rows = None if seen.offset_rows is None else (first, last)
     feet = seen.replace(
@@ -226,7 +226,7 @@ def joint_terms(seen: Joints3D) -> tuple[Term, ...]:
 def _orientation_terms(
     frames: MappedFrames, alignments: Tensor, skeleton: SkeletonMap, weight: float
 ) -> tuple[Term, ...]:
-    """Terms that hold bones at recorded orientations, and other bones weakly at rest."""
+    """Return terms that hold bones at recorded orientations, and all bones weakly at rest."""
     targets = (frames.orientations @ alignments)[None]
     return (
         Term("bones", BoneOrientations(targets, skeleton.bones), weight),
@@ -237,7 +237,7 @@ def _orientation_terms(
 def _mean_alignments(
     frames: MappedFrames, ours: Float[Tensor, "time 22 3 3"], skeleton: SkeletonMap
 ) -> Float[Tensor, "bones 3 3"]:
-    """Chordal mean over frames of the rotations from recorded bones to ours."""
+    """Return the mean over frames (chordal) of the rotations from recorded to model bones."""
     between = frames.orientations.transpose(-1, -2) @ ours[:, list(skeleton.bones)]
     return so3.nearest(between.double().mean(0)).to(ours)
 
@@ -245,7 +245,7 @@ def _mean_alignments(
 def _diverse_frames(
     recordings: Sequence[SkeletonRecording], skeleton: SkeletonMap
 ) -> MappedFrames:
-    """Frames whose poses differ most (farthest point sampling), each moved over the origin."""
+    """Choose frames whose poses differ most (farthest point sampling), moved over the origin."""
     total = sum(r.frames for r in recordings)
     step = max(1, total // _CANDIDATES)
     parts = [MappedFrames.of(r, skeleton).map(lambda t: t[::step]) for r in recordings]

@@ -1,10 +1,10 @@
 """Levenberg-Marquardt for sequences of frames that are weakly tied to their neighbours.
 
-Every frame has variables and an energy of its own; ties between neighbours are springs. All
-frames step at once, by the solution of one banded system, but each frame has its own damping, is
-refused its step where that would raise its energy, and leaves when it has converged. A curvature
-is kept as long as the steps that are made with it shrink well. `recon.solver.gauss_newton` damps a
-whole sequence and computes all of its curvature in every iteration.
+Every frame has variables and an energy of its own; ties between neighbours are quadratic. All
+frames step at once, by the solution of one banded system, but each frame has its own damping,
+makes no step that would raise its energy, and ends when it has converged. A frame's Hessian is
+kept as long as steps with it shrink fast. `recon.solver.gauss_newton`, in contrast, damps a whole
+sequence and computes all Hessians in every iteration.
 """
 
 from abc import ABC, abstractmethod
@@ -18,18 +18,18 @@ from torch import Tensor
 from recon.core.struct import S
 
 _FIRST_RAISE = 1e-3
-"""Damping of a frame whose undamped step was refused."""
+"""Damping of a frame after its undamped step was rejected."""
 _RAISE, _LOWER = 10.0, 0.1
 _MAX_DAMPING = 1e6
-"""Damping beyond which a frame is taken to be as good as it gets."""
+"""Damping at which a frame ends, since no step lowers its energy."""
 _SHRINKS = 0.1
-"""Share of the last predicted decrease that the next one may be while a curvature is kept."""
+"""Largest ratio of a predicted decrease to the one before at which a Hessian is kept."""
 _ROUNDING = 8.0
-"""Relative rise of an energy, in units of the last place, that is taken for none."""
+"""Relative rise of an energy, in units of the last place, that counts as rounding."""
 _MAX_EXCESS_SHARE = 0.9
-"""Share of a step's size in the model by which a frame's energy may exceed what was foreseen."""
+"""Largest excess of an energy over its prediction, over a step's size, to accept the step."""
 _CHUNK_FRAMES = 128
-"""Frames whose curvatures are computed together: what they need stays in the cache."""
+"""Number of frames whose Hessians are computed together, so that their data fit in the cache."""
 
 
 class TiedFrames(ABC, Generic[S]):
@@ -41,33 +41,33 @@ class TiedFrames(ABC, Generic[S]):
     @property
     @abstractmethod
     def stiffness(self) -> Float[Tensor, " n"]:
-        """Second derivatives of a tie by the variables of one of its frames."""
+        """Second derivatives (diagonal) of a tie by the variables of one of its two frames."""
 
     @abstractmethod
     def energies_and_gradients(
         self, state: S, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows n"]]:
-        """Energies of some frames without ties, and their gradients by each frame's variables."""
+        """Return the energies of some frames, without ties, and gradients by their variables."""
 
     @abstractmethod
     def curvature(self, state: S, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """Gauss-Newton Hessians of some frames without ties; positive semidefinite."""
+        """Return the Gauss-Newton Hessians of some frames, without ties; positive semidefinite."""
 
     @abstractmethod
     def share_data_kind(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
-        """Mask of pairs of frames with the same kind of data, which can share a Hessian."""
+        """Return which pairs of frames have the same kind of data, so can share a Hessian."""
 
     @abstractmethod
     def tie_energies(
         self, state: S
     ) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
-        """Energies of the ties between neighbouring frames, and their gradients."""
+        """Return the energies of the ties between neighbouring frames, and their gradients."""
 
     @abstractmethod
     def moved(self, state: S, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> S:
-        """The state after steps of some frames."""
+        """Return the state of all frames after steps in some of them."""
 
 
 @dataclass(frozen=True)
@@ -75,35 +75,35 @@ class LevenbergMarquardt:
     """Settings of `minimise_frames`: limits, tolerances and damping."""
 
     max_iterations: int = 50
-    """A safety net: frames end by tolerance."""
+    """Largest number of iterations; frames usually end by tolerance."""
     tolerance: float = 1e-4
-    """A frame has converged when its step promises, and brings, less than this share of its
-    energy."""
+    """A frame has converged when the predicted and the actual decrease of its energy in a step are
+    below this share of it."""
     floor: float = 0.0
-    """Energy of a frame below which decreases count as if it were this large."""
+    """Least energy to which a frame's decrease is related."""
     damping: float = 0.0
-    """Share of the diagonal that it is raised by at first."""
+    """Share of the Hessian's diagonal that is added to it at first."""
     stride: int = 1
-    """Frames of such a run share one curvature until that turns out not to do."""
+    """Number of neighbouring frames that share one Hessian at first."""
     inner_tolerance: float = 0.1
-    """Relative residual of a step's equations."""
+    """Relative residual at which the linear solver of a step ends."""
     inner_iterations: int = 8
 
 
 @dataclass(frozen=True)
 class MinimisedFrames(Generic[S]):
-    """The frames after a minimisation, with their energies."""
+    """The state of all frames after a minimisation, with their energies."""
 
     state: S
     value: Float[Tensor, " frames"]
     """Energies of the frames without ties."""
     between: Float[Tensor, " between"]
-    """Energies of the ties."""
+    """Energies of the ties between neighbouring frames."""
     converged: Bool[Tensor, " frames"]
-    """Whether a frame ended by tolerance."""
+    """Whether each frame ended by tolerance."""
     iterations: int
     curvatures: int
-    """Curvatures computed, over all frames and iterations."""
+    """Number of Hessians computed, over all frames and iterations."""
 
     @property
     def total(self) -> float:
@@ -120,10 +120,10 @@ def minimise_frames(
     """Minimise the energies of frames and of ties between them; their sum never rises.
 
     Args:
-        energies: of the frames.
-        state: where to begin.
-        settings: of the minimisation.
-        rows: frames that move, ascending; others stay where they are. None moves all.
+        energies: energies of the frames and ties.
+        state: first guess.
+        settings: settings of the minimisation.
+        rows: frames that move, ascending; others stay as they are. None moves all.
     """
     count = len(energies.linked) + 1
     every = torch.arange(count)
@@ -191,28 +191,28 @@ def minimise_frames(
 
 @dataclass
 class _HessianFactors:
-    """Cholesky factors of the frames' damped Hessians, ties included."""
+    """Cholesky factors of the frames' damped Hessians, with the ties' diagonal blocks."""
 
     factors: Float[Tensor, "frames n n"]
     owner: Int[Tensor, " frames"]
-    """The frame whose factor a frame uses."""
+    """Number of the frame whose factor each frame uses."""
     count: int
-    """Curvatures computed so far."""
+    """Number of Hessians computed so far."""
 
     @classmethod
     def none(cls, gradient: Float[Tensor, "frames n"]) -> "_HessianFactors":
-        """An empty store for the factors of all frames."""
+        """Return a store for the factors of all frames, none of which is computed yet."""
         frames, size = gradient.shape
         return cls(gradient.new_zeros(frames, size, size), torch.arange(frames), 0)
 
     def of(self, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """Cholesky factors of the damped Hessians of some frames."""
+        """Return the Cholesky factors of the damped Hessians of some frames."""
         return self.factors[self.owner[rows]]
 
     def size(
         self, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Float[Tensor, " rows"]:
-        """Half of each step's squared length in the metric of its frame's Hessian."""
+        """Return half of each step's squared length in the metric of its frame's Hessian."""
         return 0.5 * (self.of(rows).mT @ steps[..., None]).square().sum((1, 2))
 
     def recompute(
@@ -223,7 +223,7 @@ class _HessianFactors:
         damping: Float[Tensor, " frames"],
         stride: int,
     ) -> None:
-        """Recompute the factors of some frames; up to `stride` similar frames share one."""
+        """Compute the factors of some frames anew; up to `stride` similar frames share one."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
         self.owner[rows] = middle.where(energies.share_data_kind(rows, middle), rows)
         for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
@@ -238,7 +238,7 @@ class _HessianFactors:
 def _with_tied_neighbours(
     flags: Bool[Tensor, " frames"], linked: Bool[Tensor, " between"]
 ) -> Bool[Tensor, " frames"]:
-    """The flags, true also for frames tied to a flagged one."""
+    """Return flags that are true also for the frames that are tied to a flagged one."""
     found = flags.clone()
     found[1:] |= flags[:-1] & linked
     found[:-1] |= flags[1:] & linked
@@ -246,22 +246,22 @@ def _with_tied_neighbours(
 
 
 def _half_of_adjacent_ties(between: Float[Tensor, " between"]) -> Float[Tensor, " frames"]:
-    """Half of the energies of the ties on both sides of every frame."""
+    """Return half of the energies of the ties on both sides of every frame."""
     ends = torch.nn.functional.pad(0.5 * between, (1, 1))
     return ends[1:] + ends[:-1]
 
 
 @dataclass(frozen=True)
 class Ties:
-    """Off-diagonal blocks -l_i T of the Hessian, from springs between neighbouring frames."""
+    """Off-diagonal blocks -l_i T of the Hessian, from ties between neighbouring frames."""
 
     stiffness: Float[Tensor, " n"]
     """Diagonal of T."""
     linked: Bool[Tensor, " between"]
-    """l_i: whether block i is tied to block i + 1; one fewer than there are blocks."""
+    """l_i: whether block i is tied to block i + 1; one fewer than blocks."""
 
     def times_vector(self, x: Float[Tensor, "blocks n"]) -> Float[Tensor, "blocks n"]:
-        """The springs' product with a vector: T (l_i x_(i+1) + l_(i-1) x_(i-1))."""
+        """Return the product of minus these blocks with x: T (l_i x_(i+1) + l_(i-1) x_(i-1))."""
         out = torch.zeros_like(x)
         if len(x) > 1:
             linked = self.linked[:, None]
@@ -278,22 +278,22 @@ def solve_tied(
     tolerance: float,
     iterations: int,
 ) -> Float[Tensor, "blocks n"]:
-    """Solve the system of blocks and ties by conjugate gradients, preconditioned by blocks.
+    """Solve the linear system of blocks and ties by block-preconditioned conjugate gradients.
 
     The product of a block with a direction follows from the recurrence of the directions, so that
     only the factors are needed.
 
     Args:
-        factors: lower Cholesky factors of the blocks A_i.
-        ties: between them; the whole matrix must be positive definite.
-        right: r.
+        factors: lower Cholesky factors of the diagonal blocks.
+        ties: off-diagonal blocks; the whole matrix must be positive definite.
+        right: right side.
         tolerance: of the residual's norm in the inverse of the blocks, relative to the first one.
-        iterations: at most so many; without any the ties are left out.
+        iterations: largest number of iterations; at 0 the ties are left out.
     """
     x = _solved_blocks(factors, right)
     if iterations == 0 or not bool(ties.linked.any() & (ties.stiffness > 0).any()):
         return x
-    # x solves the system without ties of neighbouring frames: what it leaves is the ties' force
+    # x solves the system without ties: the residual of the whole one is the ties' product with x
     residual = ties.times_vector(x)
     target = tolerance**2 * float((right * x).sum())
     direction, product = torch.zeros_like(x), torch.zeros_like(x)

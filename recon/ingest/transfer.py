@@ -22,50 +22,50 @@ from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 ROUNDS = 20
 """Most rounds of finding nearest points and moving towards them."""
 _STEP = 1e-4
-"""Metres, radians and units of shape over which derivatives are differences."""
+"""Step of finite differences, in metres, radians and shape coefficients."""
 _OUTLIER_AT_REST = 0.02
-"""Metres beyond which points count ever less: hands and faces of two bodies differ."""
+"""Scale (m) of the robust kernel of distances at rest: hands and faces of two bodies differ."""
 _ALONG = 0.15
-"""Weight of distances along the surface beside those across it, along which points may slide."""
+"""Factor of residuals along the surface, relative to those across it: points may slide."""
 _SHAPE_STD, _TURN_STD = 0.02, 0.05
-"""Metres of a point's distance that weigh as much as one standard deviation of shape, and as one
-radian of a joint's turn; there are thousands of points."""
+"""Distance (m) of one point that costs as much as a shape coefficient of 1, and as a joint's
+rotation by 1 radian; there are thousands of points."""
 _FACING = 0.3
 """Cosine between normals below which two points belong to different sides of a limb."""
 _SURFACE_OPTIONS = GaussNewton(ROUNDS, tolerance=1e-6, scale=1.0, damping=0.0)
-"""No other round is made when the sum of squared distances falls by less than 1e-6 metres²."""
+"""Settings of the fit to a surface; it ends when the energy falls by less than 1e-6 metres²."""
 _JOINT_OPTIONS = GaussNewton(6, tolerance=0.0, damping=0.0)
 _JOINTS_WEIGH = 10.0
 _POINTS = 1000
-"""Vertices of either surface that are compared, about."""
+"""Approximate number of vertices of either surface that are compared."""
 _TURNS = slice(3, 3 + 3 * len(JOINTS))
-"""Place of the turns of joints in a state: after the translation, before the shape."""
+"""Rows of joints' rotation vectors in a state: after the translation, before the shape."""
 _LIMBS = tuple(
     joint_index(f"{side}_{name}")
     for side in ("left", "right")
     for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 )
-"""Joints that are at like places in all bodies of people; those of trunks are not."""
+"""Joints of limbs, which are at like places in all body models; those of trunks are not."""
 
 
 @dataclass(frozen=True)
 class AlignedBody:
-    """Shape and pose in which one body model matches another one at rest."""
+    """Shape and pose in which a body model's surface matches that of another one at rest."""
 
     shape: Float[Tensor, " shape"]
     turns: Float[Tensor, "22 3"]
     """Rotation vectors of the joints relative to their parents, radians."""
     translation: Float[Tensor, "3"]
-    """Metres."""
+    """Translation of the root, metres."""
 
     def motion(self) -> Motion:
-        """A motion of one frame with this shape and pose."""
+        """Return a motion of one frame with this shape and pose."""
         rotations = so3.exp(self.turns)[None]
         return Motion.create(self.translation[None], rotations, self.shape, 30.0)
 
     @property
     def orientations(self) -> Float[Tensor, "22 3 3"]:
-        """Rotations of the bones from one body's rest pose to the other's."""
+        """Rotations of the model's bones from its own rest pose to this pose."""
         local = so3.exp(self.turns)[None]
         return forward_kinematics(local, local.new_zeros(len(JOINTS), 3))[0][0]
 
@@ -75,15 +75,15 @@ def align(
 ) -> AlignedBody:
     """Find shape and pose in which the target's surface is nearest to a body at rest.
 
-    Gauss-Newton over translation, turns and shape: first on the joints of the limbs, then on the
-    distances of points of either surface to the other, across it above all. Both bodies are in
-    double precision.
+    Gauss-Newton over translation, joint rotations and shape: first on the joints of the limbs,
+    then on the distances of points of either surface to the other, mostly those along its normal.
+    Both bodies are in double precision.
 
     Args:
-        body: whose surface is met, unposed.
-        shape: its shape.
-        target: the body that is shaped and posed.
-        count: coefficients of its shape, the first ones; None is all.
+        body: the body at rest, to which the target is fitted.
+        shape: shape coefficients of that body.
+        target: the body whose shape and pose are found.
+        count: number of the target's first shape coefficients that are found; None is all.
     """
     rest = body.rest_vertices(shape).numpy()
     met = _Surface(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
@@ -98,19 +98,19 @@ def align(
 
 @dataclass(frozen=True)
 class _SurfacePairs:
-    """Vertices of the moved body, with residuals to the points that they should meet."""
+    """Vertices of the posed body, with residuals to the nearest points of the other surface."""
 
     vertices: Int[Tensor, " pairs"]
     residuals: Float[Tensor, "pairs 3"]
-    """Distances from there, metres."""
+    """Vertex minus its partner on the other surface, metres."""
     directions: Float[Tensor, "pairs 3"]
-    """Normals of the surface that is met."""
+    """Unit normals of the other surface."""
     weights: Float[Tensor, " pairs"]
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """A surface that another one is aligned with."""
+    """The surface of a body at rest (metres), with which another surface is aligned."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -119,7 +119,7 @@ class _Surface:
     def pairs(
         self, here: Float[np.ndarray, "others 3"], faces: Int[np.ndarray, "faces 3"]
     ) -> _SurfacePairs:
-        """Pair vertices of either surface with the nearest points of the other one."""
+        """Pair some vertices of either surface with the nearest points of the other one."""
         own = vertex_normals(here, faces)
         some, ours = _sparse_indices(len(here)), _sparse_indices(len(self.vertices))
         near = closest_points(here[some], self.vertices, self.faces)
@@ -141,7 +141,7 @@ def _sparse_indices(count: int) -> Int[np.ndarray, " some"]:
 
 
 def _posed_with_states(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
-    """The target body posed with several states, one frame each."""
+    """Pose the target body with several states (translation, rotations, shape), one frame each."""
     turns = states[:, _TURNS].unflatten(-1, (len(JOINTS), 3))
     motion = Motion.create(
         states[:, None, :3], so3.exp(turns)[:, None], states[:, _TURNS.stop :], 30.0
@@ -152,7 +152,7 @@ def _posed_with_states(target: BodyModel, states: Float[Tensor, "states n"]) -> 
 def _points_and_derivatives(
     target: BodyModel, state: Float[Tensor, " n"], vertices: Int[Tensor, " points"] | None
 ) -> tuple[Float[Tensor, "points 3"], Float[Tensor, "points 3 n"]]:
-    """Vertices of the target, or its limbs' joints, and their derivatives by the state."""
+    """Return vertices of the target, or its limbs' joints, and their derivatives by the state."""
     states = torch.cat((state[None], state + _STEP * torch.eye(len(state)).to(state)))
     posed = _posed_with_states(target, states)
     if vertices is None:
@@ -165,16 +165,16 @@ def _points_and_derivatives(
 
 @dataclass(frozen=True)
 class _Alignment(Problem[Tensor]):
-    """½ Σ w |distance|² of joints from given positions, or of vertices from another surface.
+    """Energy ½ Σ w |distance|² of joints from given positions, or of vertices from a surface.
 
-    Turns and shape are drawn to zero.
+    It includes weighted squares of joint rotations and shape.
     """
 
     target: BodyModel
     goal: Float[Tensor, "limbs 3"] | _Surface
 
     def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Quadratic model of the distances about a state."""
+        """Return the Gauss-Newton model of the energy about a state."""
         slopes, away, weights = self._residuals(x)
         count = len(x) - _TURNS.stop
         pull = torch.cat((
@@ -189,12 +189,12 @@ class _Alignment(Problem[Tensor]):
     def moved(
         self, x: Tensor, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
     ) -> Tensor:
-        """The state after a step."""
+        """Return the state after a step."""
         del rows
         return x + steps[0]
 
     def _residuals(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The Jacobian, the residuals, and the residuals' weights."""
+        """Return the Jacobian, the residuals (m), and the residuals' weights."""
         if isinstance(self.goal, Tensor):
             here, slopes = _points_and_derivatives(self.target, x, None)
             away = (here - self.goal).flatten()
@@ -213,34 +213,34 @@ class _Alignment(Problem[Tensor]):
 
 
 POINTS = 700
-"""Vertices of the target that hold its poses."""
+"""Approximate number of the target's vertices to which its poses are fitted."""
 _OUTLIER_IN_MOTION = 0.03
-"""Metres beyond which a point counts ever less."""
+"""Scale (m) of the robust kernel of points' distances in a motion."""
 _SETTINGS = LevenbergMarquardt(max_iterations=30)
 _JUDGED = 20
-"""Frames at which the distance of the surfaces is measured, spread over the motion."""
+"""Number of frames at which the distance of the surfaces is measured, spread over the motion."""
 
 
 @dataclass(frozen=True)
 class MotionOnOtherBody:
-    """A motion on another body, and the distance between the two surfaces."""
+    """A motion transferred to another body model, and distances between the two surfaces."""
 
     motion: Motion
     distances: Float[np.ndarray, "frames vertices"]
-    """Distance of every vertex of the target from the first body's surface, at some frames spread
-    over the motion, metres."""
+    """Distance of every vertex of the target from the first body's surface, in up to 20 frames
+    spread over the motion, metres."""
 
 
 def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> MotionOnOtherBody:
-    """Convert a motion of one body to another body, with shape coefficients of that body.
+    """Convert a motion of one body model to another one, with shape coefficients of the latter.
 
-    Shape and rest pose are fitted to the first body's surface; then every frame's pose brings
-    points of the target's skin to those points of the first one's on which they lie at rest.
+    The target's shape and rest pose are fitted to the first body's surface; then, in every frame,
+    its pose is fitted so that points of both skins coincide that coincide at rest.
 
     Args:
         motion: one clip without a batch axis.
-        body: whose motion it is.
-        target: the body that moves then.
+        body: the model that the motion is of.
+        target: the model to which it is transferred.
 
     Raises:
         ReconError: when the motion has a batch axis.
@@ -251,24 +251,24 @@ def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> MotionOnOthe
     motion = motion.to(dtype=torch.float64)
     body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
     rest = align(body, motion.shape, target)
-    moved = _first_guess(motion, body, target, rest)
+    moved = _fit_to_skin(motion, body, target, rest)
     return MotionOnOtherBody(
         moved.to(dtype=dtype), _surface_distances(motion, body, moved, target)
     )
 
 
-def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody) -> Motion:
+def _fit_to_skin(motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody) -> Motion:
     vertices = torch.arange(0, len(target.template), max(1, len(target.template) // POINTS))
     there = target.pose(rest.motion()).points(vertices)[0].numpy()
     surface = body.rest_vertices(motion.shape).numpy()
     met = closest_points(there, surface, body.faces.numpy())
     shares = torch.from_numpy(met.shares)
-    corners, back = np.unique(met.triangles, return_inverse=True)
-    skin = body.pose(motion).points(torch.from_numpy(corners))
-    asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
-    positions = torch.einsum("pc,tpcd->tdp", shares, asked)
+    used, back = np.unique(met.triangles, return_inverse=True)
+    skin = body.pose(motion).points(torch.from_numpy(used))
+    corners = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
+    positions = torch.einsum("pc,tpcd->tdp", shares, corners)
     local, translation = carried_rotations(motion, body, target, rest)
-    # vertices far from the other body's surface at rest belong to parts that only one has
+    # leave out vertices far from the other body's surface at rest: only one body has such parts
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
         rest=target.rest_joints(rest.shape),
@@ -283,8 +283,8 @@ def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
         turning=torch.zeros(len(JOINTS), dtype=torch.float64),
         sigma=_OUTLIER_IN_MOTION,
     )
-    begun = Poses.of(translation, local, energies.rest)
-    found = minimise_frames(energies, begun, _SETTINGS).state
+    start = Poses.of(translation, local, energies.rest)
+    found = minimise_frames(energies, start, _SETTINGS).state
     return motion.replace(
         translation=found.translation, rotations=found.rotations, shape=rest.shape
     )
@@ -293,7 +293,7 @@ def _first_guess(motion: Motion, body: BodyModel, target: BodyModel, rest: Align
 def carried_rotations(
     motion: Motion, body: BodyModel, target: BodyModel, rest: AlignedBody
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
-    """Bone rotations and root of one body applied to the other, from the pose where both agree."""
+    """Return joint rotations and translation of the target with the first body's bone motion."""
     posed = body.pose(motion)
     world = posed.orientations @ rest.orientations
     local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)

@@ -120,10 +120,10 @@ def show_of_files(
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
-    """The scene that `view` draws, made of motion and observation files.
+    """Read motion and observation files, and make the scene that `view` draws of them.
 
     Raises:
-        FileNotFoundError, ValueError: as there.
+        FileNotFoundError, ValueError: as `view` does.
     """
     model = BodyModel.load(body)
     file = load_motion_of(motion, model)
@@ -166,26 +166,26 @@ def show_of_files(
 
 
 def _second_name(path: Path, first: Path) -> str:
-    """Name of a second motion in the legend, different from that of the first."""
+    """Return the name of a second motion in the legend, different from that of the first."""
     return path.stem if path.stem != first.stem else f"{path.stem} (2)"
 
 
 def _with_measures(figure: Figure) -> Figure:
-    """The figure, with height and weight of its body added to its name."""
+    """Add height and weight of a figure's body to its name."""
     shape = figure.motion.shape
     tall, heavy = figure.body.height(shape), body_weight(figure.body, shape)
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 
 def draw_html(path: Path, show: Show, overlay: Path | None = None) -> None:
-    """Draw the page; imports the code of its player, which is slow to load."""
+    """Write the page of a scene; its player is imported here, since it loads slowly."""
     from recon.view.html import write_html
 
     write_html(path, show, overlay)
 
 
 def _at_times_of_first(file: MotionFile, motion: Motion, path: Path) -> Motion:
-    """Another motion resampled to the times of the first."""
+    """Resample another motion to the times of the first."""
     try:
         return file.motion.at(motion.times, motion.fps)
     except ValueError as error:
@@ -193,13 +193,13 @@ def _at_times_of_first(file: MotionFile, motion: Motion, path: Path) -> Motion:
 
 
 _GAP_M = 0.2
-"""Metres left between two bodies where they come nearest."""
+"""Gap between two bodies side by side where they come nearest, metres."""
 
 
 def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Motion]:
-    """Two motions, both from their first frames on and as long as the shorter one.
+    """Cut two motions, from their first frames on, to the length of the shorter one.
 
-    The other takes the rate and the clock of the first.
+    The other is resampled to the times of the first.
     """
     motion, second = file.motion, other.motion.replace(start_time=file.motion.start_time)
     lasts = min((m.frames - 1) / m.fps for m in (motion, second))
@@ -215,9 +215,9 @@ def at_common_times(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Mo
 
 
 def put_beside(figure: Figure, other: Figure) -> Figure:
-    """Move another figure to the right of the first one, as far as they overlap in pictures.
+    """Move another figure to the right of the first one, so far that pictures do not overlap.
 
-    Their first pelvises are level with each other; nothing else about the other changes.
+    In the first frame their pelvises are equally far from the viewer; poses stay as they are.
     """
     right = torch.from_numpy(direction_to_the_right(figure)).float()
     first, second = figure.posed.joints[..., :2], other.posed.joints[..., :2]
@@ -233,18 +233,18 @@ def put_beside(figure: Figure, other: Figure) -> Figure:
 TIME, FRAME = "time", "frame"
 """Names of the timelines: seconds of the recording's clock, and numbers of frames."""
 JOINT_RADIUS_M, BONE_RADIUS_M, CONTACT_RADIUS_M, CLOUD_RADIUS_M = 0.015, 0.006, 0.055, 0.004
-"""Radii of spheres and lines."""
+"""Radii of the spheres of joints, contacts and scans, and of the lines of bones, metres."""
 
 
 def write_rrd(path: Path, show: Show) -> None:
-    """Write figures (mesh, joints, bones, contacts), observed points and cameras over time.
+    """Write figures, observed points and cameras over time as a recording for Rerun's viewer.
 
-    Everything is an entity of its own below `world`, which the viewer shows and hides: metres,
-    z up.
+    Mesh, joints, bones, contacts and the others are separate entities below `world`, which the
+    viewer shows and hides; metres, z up.
 
     Args:
         path: file to write.
-        show: what is written.
+        show: the scene to write.
 
     Raises:
         ReconError: when rerun-sdk is not installed.

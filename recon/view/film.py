@@ -1,4 +1,4 @@
-"""Films behind what cameras see: which camera took each, and its pictures at a motion's times."""
+"""Assigns films to the cameras of a motion, and reads their pictures at the motion's times."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from recon.reading.places import match_cameras, view_name
 from recon.view.scene import View
 
 _SLACK_S = 0.1
-"""Seconds by which a film may be shorter than the motion at either end."""
+"""Time by which a film may be shorter than the motion at either end, seconds."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FilmOnClock:
     def pictures(
         self, times: Iterable[float]
     ) -> Iterator[UInt8[ndarray, "height width 3"] | None]:
-        """The picture nearest to each of some rising times; None before and after the film."""
+        """Yield the picture nearest to each of some rising times; None outside the film."""
         slack = 1 / self.film.frame_rate
         frames = self.film.decoded([])
         before, after = None, next(frames, None)
@@ -49,7 +49,7 @@ class FilmOnClock:
 
 
 def views_of_cameras(cameras: Sequence[FilmingCamera]) -> tuple[View, ...]:
-    """Cameras of a motion file as views without points."""
+    """Convert the cameras of a motion file to views without points."""
     found: list[View] = []
     for one in cameras:
         camera, poses = one.camera, one.camera.T_camera_world
@@ -66,15 +66,15 @@ def with_films(
     name: str,
     frame_rate: float | None = None,
 ) -> tuple[View, ...]:
-    """The views that have a film, each with its film.
+    """Return the views that have a film, each with its film.
 
-    Films belong to cameras by their names, or, where these differ and there are as many of both,
-    in their order.
+    Films are assigned to cameras by name, or, where names differ and there are as many of both,
+    by order.
 
     Args:
         views: cameras of the motion.
         films: paths.
-        motion: which the films show.
+        motion: the motion that the films show.
         name: of the motion, for messages.
         frame_rate: as of `open_film`.
 
@@ -104,7 +104,7 @@ def with_films(
 
 
 def _with_film(view: View, film: Film, motion: Motion, name: str) -> View:
-    """A camera with its film, after a check of the film's size and time.
+    """Add a film to a camera's view, after a check of the film's size and time.
 
     Raises:
         ValueError: as `with_films` does.

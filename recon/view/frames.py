@@ -1,4 +1,4 @@
-"""Draws images and films of a show on the processor, without GPU, display or browser."""
+"""Draws images and films of a scene on the processor, without GPU, display or browser."""
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -26,7 +26,7 @@ from recon.view.scene import CAMERA, FAINT, WHITE, Show, View
 from recon.view.viewpoint import Viewpoint, viewpoints
 
 MAP_SHARE = 0.13
-"""Width of the little map as a share of the picture's."""
+"""Width of the map of a close-up's place in the image, as a share of the picture's width."""
 
 
 def write_png(
@@ -39,8 +39,8 @@ def write_png(
 
     Args:
         path: file to write.
-        shows: what is drawn; cameras are those of the first.
-        frames: to draw; None is five evenly spread, six with cameras.
+        shows: scenes to draw; cameras are those of the first.
+        frames: numbers of the frames to draw; None is five evenly spread, six with cameras.
         width: of a single picture, pixels; None is 360, 400 with cameras.
 
     Raises:
@@ -62,7 +62,7 @@ def write_png(
         row: list[Picture] = []
         for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
             row.append(paint_view(show, view, frame, part, width))
-            _outline_of_image(row[-1], view, part)
+            _draw_map(row[-1], view, part)
         _write_camera_name(row[0], view)
         rows.append(row)
     sheet = join([join(row, axis=1) for row in rows], axis=0)
@@ -77,7 +77,7 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
 
     Args:
         path: file to write.
-        show: what is drawn.
+        show: the scene to draw.
         width: of the scene and of each camera's image, pixels; None is 640, 480 with cameras.
 
     Raises:
@@ -106,7 +106,7 @@ def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
 
 
 def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    """Write pictures of one size as a film."""
+    """Write pictures of one size as an H.264 film."""
     import av
 
     with (
@@ -130,7 +130,7 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
 def _scene_pictures(
     show: Show, frames: Sequence[int], views: Sequence[Viewpoint]
 ) -> list[Picture]:
-    """Pictures of the scene with cameras' names and the time; the first also has a title."""
+    """Draw the scene in some frames, with cameras' names and time; the first has a title."""
     row: list[Picture] = []
     for frame in frames:
         picture, view = paint(show, frame, views[frame]), views[frame]
@@ -160,8 +160,8 @@ def _write_camera_name(picture: Picture, view: View) -> None:
         write_corner_label(picture, f"median error {error:.1f} px")
 
 
-def _outline_of_image(picture: Picture, view: View, part: ImageRegion) -> None:
-    """Draw in the lower left corner which part of the camera's image is shown."""
+def _draw_map(picture: Picture, view: View, part: ImageRegion) -> None:
+    """Draw a map in the lower left corner of which part of the camera's image is shown."""
     height, width = picture.shape[:2]
     size = np.array(view.camera.image_size, float)
     scale = MAP_SHARE * width / size.max()
@@ -179,7 +179,7 @@ def _outline_of_image(picture: Picture, view: View, part: ImageRegion) -> None:
 
 
 def evenly_spread(count: int, wanted: int) -> list[int]:
-    """Numbers of at most `wanted` of `count` frames, evenly spread from the first to the last."""
+    """Choose at most `wanted` of `count` frames, evenly spread from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 

@@ -1,4 +1,4 @@
-"""Writes a self-contained page that plays a show in any browser, by viser's player."""
+"""Writes a self-contained page that plays a scene in any browser, by viser's player."""
 
 import contextlib
 import html
@@ -42,21 +42,21 @@ from recon.view.viewpoint import following_viewpoints, viewpoints
 logger = logging.getLogger(__name__)
 
 Layer = Callable[[int], None]
-"""Shows one frame of something."""
+"""Function that moves one part of the page's scene to its state in a frame."""
 
 INFLUENCES = 4
-"""Joints per vertex that a browser's skinning takes."""
+"""Most joints per vertex in a browser's skinning."""
 CONTACT_RADIUS_M = 0.055
 CLOUD_LIMIT = 1500
-"""Points of a scan kept per frame: 90 frames stay below 2 MB."""
+"""Most points of a scan that are kept per frame: 90 frames stay below 2 MB."""
 SEE_THROUGH = 0.62
 """Opacity of solid bodies while points or contacts, which lie inside, are shown."""
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
-"""Directions of four bones with which a sphere can grow; three radii away they hold it inside."""
+"""Directions of the four bones around a sphere that scale it by skinning, three radii away."""
 SUNK_M = 0.004
 """Depth of the drawn ground below the true one, metres: soles may sink a little."""
 HIDDEN_M = -1e4
-"""Height at which spheres are that are not shown, metres."""
+"""Height to which spheres that are not shown are moved, metres."""
 HALO_OPACITY = 0.35
 """Opacity of the spheres of standard deviations."""
 
@@ -72,8 +72,8 @@ def write_html(path: str | Path, show: Show, overlay: Path | None = None) -> Non
 
     Args:
         path: file to write.
-        show: what is drawn.
-        overlay: what `write_overlay` wrote of it; None where it is to be drawn.
+        show: the scene to draw.
+        overlay: film that `write_overlay` drew of the scene; None draws it now.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
@@ -108,7 +108,7 @@ def prune_weights(
 
 
 def _recorded_page(server: ViserServer, show: Show) -> str:
-    """Play the show on a local server, and return the page that replays its messages."""
+    """Play the scene on a local server, and return the page that replays its messages."""
     scene = server.scene
     scene.set_up_direction("+z")
     touching = any(bool(figure.touching.any()) for figure in show.figures)
@@ -302,7 +302,7 @@ def _darker_colour(colour: Colour) -> Colour:
 
 
 def _legend_html(show: Show) -> str:
-    """HTML of the title and a legend with switches, in the page's upper left corner."""
+    """Return HTML of the title and a legend with switches, in the page's upper left corner."""
     rows = [
         _legend_row(
             one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown

@@ -1,4 +1,4 @@
-"""Films in a page: beside the scene and in step with it."""
+"""Makes the HTML of films that play beside a page's scene, synchronised with it."""
 
 import base64
 import html
@@ -13,19 +13,19 @@ from recon.view.overlay import write_overlay
 from recon.view.scene import Show
 
 EMBEDDED_FRAMES = 3000
-"""Frames up to which a film is part of the page: about 10 MB at most."""
+"""Most frames of a film that is embedded in the page: about 10 MB."""
 
 
 def films_html(show: Show, page: Path, overlay: Path | None = None) -> str:
-    """HTML of the films of a scene, with the body over them; "" where there are none.
+    """Return HTML of a scene's films, with the body over them; "" where there are none.
 
-    Long films are not part of the page: it plays the files themselves, without the body, from
-    where they lie as seen from the page.
+    Long films are not embedded: the page plays the files themselves, without the body, by their
+    paths relative to the page.
 
     Args:
         show: the scene.
         page: file of the page.
-        overlay: what `write_overlay` wrote of the scene; None where it is to be drawn.
+        overlay: film that `write_overlay` drew of the scene; None draws it now.
     """
     if not any(view.film for view in show.cameras):
         return ""
@@ -67,7 +67,7 @@ def _linked_films(show: Show, page: Path) -> str:
 
 
 def _video_html(source: str, offset: float, speed: float) -> str:
-    """A video without sound; at t seconds of the scene it shows (t + offset) * speed seconds."""
+    """Return HTML of a mute video, which shows second (t + offset) * speed at scene time t."""
     return (
         f'<video src="{html.escape(source)}" muted playsinline preload="auto" '
         f'data-offset="{offset:.6f}" data-speed="{speed:.6f}"></video>'

@@ -28,24 +28,24 @@ from recon.view.scene import (
 )
 
 BEYOND = 0.5
-"""Share of the image's size around it within which surfaces are drawn: far outside, the equations
-of a lens fold points back into the image."""
+"""Margin around the image, as a share of its size, in which surfaces are still drawn: far outside,
+the equations of a lens fold points back into the image."""
 MARGIN = 0.14
 """Empty space around the people on each side, as a share of their extent."""
 SMALLEST = 0.1
-"""Share of the image's width that is shown at least."""
+"""Least width of a shown region, as a share of the image's width."""
 BACKGROUND = (245.0, 246.0, 248.0)
 FRAME: Colour = (206, 211, 219)
 FILM_SMALLEST = 0.5
-"""Share of a film's width that is shown at least: enough to see a person beside a wrong body."""
+"""Least share of a film's width that is shown: enough to see a person beside a wrong body."""
 BODY_OPACITY = 0.85
-"""Opacity of solid bodies, so that the image's frame and other bodies stay seen."""
+"""Opacity of solid bodies, so that the image's frame and other bodies stay visible."""
 FILM_OPACITY = 0.6
-"""Opacity of solid bodies over a film, so that the person below stays seen."""
+"""Opacity of solid bodies over a film, so that the person below stays visible."""
 DOT_PX, RING_PX, SPECK_PX, GRAIN_PX = 7.0, 8.5, 3.5, 2.0
-"""Radii of detected, unsure and reprojected points and of a scan's, in the finer pixels."""
+"""Radii of detected, unsure, reprojected and scanned points, in supersampled pixels."""
 LINE_PX = 2
-"""Thickness of lines and rings, in the finer pixels."""
+"""Thickness of lines and rings, in supersampled pixels."""
 
 
 @dataclass(frozen=True)
@@ -55,28 +55,28 @@ class ImageRegion:
     left: float
     top: float
     width: float
-    """Pixels of the image."""
+    """In pixels of the image, as all four."""
     height: float
 
     def place(
         self, pixels: Float[np.ndarray, "points 2"], across: int
     ) -> Float[np.ndarray, "points 2"]:
-        """Where pixels of the image lie in a picture of the region, `across` pixels wide."""
+        """Map pixels of the image to those of a picture of the region, `across` pixels wide."""
         return (pixels - (self.left, self.top)) * (across / self.width)
 
     def size(self, across: int) -> tuple[int, int]:
-        """Size of a picture of the region that is `across` pixels wide."""
+        """Return width and height of a picture of the region that is `across` pixels wide."""
         return across, max(1, round(across * self.height / self.width))
 
 
 def whole_image(view: View) -> ImageRegion:
-    """The region of a camera's whole image."""
+    """Return the region of a camera's whole image."""
     width, height = view.camera.image_size
     return ImageRegion(0.0, 0.0, float(width), float(height))
 
 
 def clip_region(show: Show, view: View) -> ImageRegion:
-    """The part of a camera's image in which people are during the clip; same aspect ratio."""
+    """Return the part of a camera's image that people enter in the clip; same aspect ratio."""
     low, high, seen = _bounds_over_time(show, view)
     if not seen.any():
         return whole_image(view)
@@ -89,7 +89,7 @@ def clip_region(show: Show, view: View) -> ImageRegion:
 
 
 def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion]:
-    """Squares of one size around the people in some frames."""
+    """Return a square around the people in each of some frames, all of one size."""
     low, high, seen = (values[list(frames)] for values in _bounds_over_time(show, view))
     size = np.array(view.camera.image_size, float)
     side = (high - low)[seen].max() * (1 + 2 * MARGIN) if seen.any() else size.max()
@@ -101,7 +101,7 @@ def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[ImageRegion
 def drawable(
     camera: Camera, points: Float[Tensor, "*time points 3"]
 ) -> Bool[Tensor, "*time points"]:
-    """Mask of points in front of the camera and not far outside its image."""
+    """Return a mask of points in front of the camera and not far outside its image."""
     straight = camera.replace(distortion=None).project(points)
     size = straight.pixels.new_tensor(camera.image_size)
     near = (straight.pixels > -BEYOND * size) & (straight.pixels < (1 + BEYOND) * size)
@@ -111,7 +111,7 @@ def drawable(
 def _bounds_over_time(
     show: Show, view: View
 ) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time 2"], Bool[np.ndarray, " time"]]:
-    """Bounding box of people and of confident points in every frame, and a mask of frames."""
+    """Return the bounding box of people and confident points per frame, and whether it exists."""
     camera = view.camera.detach().to(device="cpu", dtype=torch.float64)
     pixels: list[Tensor] = []
     counted: list[Tensor] = []
@@ -142,8 +142,8 @@ def paint_view(
 ) -> Picture:
     """Draw a region of a camera's image in one frame, `across` pixels wide.
 
-    Paper lies around the image; what is drawn on it the camera could not see. A photograph of any
-    resolution lies below the body.
+    White paper surrounds the image; anything drawn on it is outside the camera's view. Bodies are
+    drawn over a photograph of any resolution, or over an empty image.
     """
     picture = _background(view, part, across, photograph)
     camera = view.at(frame)
@@ -185,7 +185,7 @@ def paint_view(
 
 
 def _background(view: View, part: ImageRegion, across: int, photograph: Picture | None) -> Picture:
-    """A region of an empty image, or of a photograph, and paper around."""
+    """Draw a region of an empty image, or of a photograph, with paper around it."""
     width, height = part.size(across)
     edges = part.place(np.array([(0, 0), view.camera.image_size], float), across)
     corner, opposite = np.round(edges).astype(int).tolist()
@@ -215,13 +215,13 @@ class _LitBody:
     pixels: Float[np.ndarray, "vertices 2"]
     depth: Float[np.ndarray, " vertices"]
     faces: Int[np.ndarray, "faces 3"]
-    """Those that can be drawn."""
+    """Faces whose vertices are all `drawable`."""
     light: Float[np.ndarray, "vertices 3"]
     opacity: float
 
     @classmethod
     def of(cls, figure: Figure, camera: Camera, frame: int) -> "_LitBody":
-        """The surface of a figure in a frame."""
+        """Project and light the surface of a figure in a frame."""
         points = figure.posed.vertices[frame].double()
         faces = figure.body.faces.cpu().numpy()
         faces = faces[drawable(camera, points).numpy()[faces].all(1)]

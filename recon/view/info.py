@@ -48,7 +48,7 @@ _RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
 """Names of the frame rate in motion files; estimates of networks have none."""
 
 _ANY_RATE = 30.0
-"""Frames per second with which nothing is told but times."""
+"""Frames per second assumed for points without a rate; only times depend on it."""
 
 
 def info(
@@ -133,7 +133,7 @@ def _describe_project(project: Project) -> dict[str, Any]:
 def _describe_motion(path: Path) -> dict[str, Any]:
     file = load_motion(path)
     motion = file.motion
-    still = notes_on_missing_path(motion.translation.numpy(), motion.rotations.numpy())
+    note = notes_on_missing_path(motion.translation.numpy(), motion.rotations.numpy())
     return {
         "format": "motion (AMASS .npz)",
         "frames": motion.frames,
@@ -148,12 +148,12 @@ def _describe_motion(path: Path) -> dict[str, Any]:
         **_describe_certainty(file),
         **_describe_alternatives(path),
         "units": "metres, z up",
-        **({"decisions": [still]} if still else {}),
+        **({"decisions": [note]} if note else {}),
     }
 
 
 def _describe_certainty(file: MotionFile) -> dict[str, Any]:
-    """Median standard deviations of joints, if the motion is the result of a fit."""
+    """Describe the standard deviations of joints by medians, if the motion file has them."""
     found = JointCertainty.of(file)
     if found is None:
         return {"has_joint_std": False}
@@ -167,7 +167,7 @@ def _describe_certainty(file: MotionFile) -> dict[str, Any]:
 
 
 def _describe_ground(file: MotionFile) -> dict[str, float]:
-    """Standard deviations of an estimated ground."""
+    """Describe the standard deviations of an estimated ground; empty where there are none."""
     if file.ground_std is None:
         return {}
     normal, height = file.ground_std.tolist()
@@ -175,7 +175,7 @@ def _describe_ground(file: MotionFile) -> dict[str, float]:
 
 
 def _describe_alternatives(path: Path) -> dict[str, list[str]]:
-    """Other motions that explain the same data, from the report next to the file."""
+    """Read messages on other motions that explain the data, from the report next to the file."""
     beside = path.with_name(f"{path.name}.json")
     report = read_report(beside)
     if report is None or report.checksum_if_own(path.name, path) is None:
@@ -272,7 +272,7 @@ def _describe_estimate(path: Path, up: Up | None) -> dict[str, Any]:
         ValueError: when the file holds no such parameters.
     """
     found = read_estimate(path, up=up)
-    still = notes_on_missing_path(found.translation[found.known], found.rotations[found.known])
+    note = notes_on_missing_path(found.translation[found.known], found.rotations[found.known])
     return {
         "format": "per-frame SMPL parameters (for `recon refine`)",
         "frames": len(found.translation),
@@ -281,7 +281,7 @@ def _describe_estimate(path: Path, up: Up | None) -> dict[str, Any]:
         "shape_coefficients": len(found.betas),
         "up": found.up,
         "units": "metres",
-        "decisions": [*found.notes, *([still] if still else [])],
+        "decisions": [*found.notes, *([note] if note else [])],
     }
 
 

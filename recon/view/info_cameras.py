@@ -19,10 +19,10 @@ from recon.reading.places import files_of_views, view_name
 from recon.reading.tracks import tracks_of_people
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
-_FRAMES_LOOKED_AT = 2_000
-"""Of a film; more would take longer than half a minute."""
-_LOOKED_AT = 5
-"""Clouds of a folder that are read to tell their unit."""
+_SEARCHED_FRAMES = 2_000
+"""Most frames of a film in which cuts are searched; more would take more than half a minute."""
+_SAMPLED_CLOUDS = 5
+"""Number of clouds of a folder that are read to find unit and up axis."""
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def describe_detections(path: Path) -> dict[str, Any]:
 
 
 def describe_film(path: Path) -> dict[str, Any]:
-    """Describe a film, without looking for the people in it; its cuts where it is short.
+    """Describe a film's rate, size, lens and, where it is short, cuts; people are not detected.
 
     Raises:
         FileNotFoundError, ValueError: as `recon.films.decoding.open_film` does.
@@ -99,7 +99,7 @@ def describe_film(path: Path) -> dict[str, Any]:
 
     film = open_film(path)
     shots = "not looked for in a film so long"
-    if film.frames <= _FRAMES_LOOKED_AT:
+    if film.frames <= _SEARCHED_FRAMES:
         sum(1 for _ in film)
         shots = ", ".join(f"{start / film.frame_rate:.2f} s" for start in (0, *film.shots))
     width, height = film.image_size
@@ -117,7 +117,7 @@ def describe_film(path: Path) -> dict[str, Any]:
 
 
 def _describe_lens(image_size: tuple[int, int], stated: float | None) -> str:
-    """With which focal length the fit of a film without calibration begins, and why."""
+    """Describe the focal length with which the fit of an uncalibrated film begins, and why."""
     camera = guessed_camera(image_size, stated)
     why = "of a usual phone, as the file states none" if stated is None else "as the file states"
     return (
@@ -164,8 +164,8 @@ def _describe_scans(path: Path) -> dict[str, Any]:
         fps = in_time_order(times, paths).fps
     else:
         decisions.append("no times.csv: give --frame-rate to fit")
-    step = max(len(paths) // _LOOKED_AT, 1)
-    clouds = [read_cloud(one) for one in paths[::step][:_LOOKED_AT]]
+    step = max(len(paths) // _SAMPLED_CLOUDS, 1)
+    clouds = [read_cloud(one) for one in paths[::step][:_SAMPLED_CLOUDS]]
     try:
         unit = unit_of_clouds(clouds, str(path))
     except ValueError as error:

@@ -17,11 +17,11 @@ PAPER = 255
 REGULAR, BOLD = 400, 650
 """Weights of the letters."""
 GAP_PX = 4
-"""Pixels between pictures."""
+"""Width of the gaps between joined pictures, pixels."""
 FRACTION_BITS = 4
-"""Bits of a pixel's fractions that OpenCV draws with."""
+"""Number of fractional bits in the fixed-point positions with which OpenCV draws."""
 FARTHEST_PX = 1e5
-"""Pixels beyond which nothing is drawn: OpenCV counts in whole numbers."""
+"""Largest coordinate that is drawn, pixels: OpenCV stores positions as 32-bit integers."""
 
 
 def draw_dots(
@@ -39,7 +39,7 @@ def draw_dots(
 
 
 def fixed_point(places: Float[np.ndarray, "*n 2"]) -> np.ndarray:
-    """Pixel positions as OpenCV's fixed-point numbers, whose first pixel's centre is at 0."""
+    """Convert pixel positions to OpenCV's fixed-point numbers, with the first centre at 0."""
     return np.round((places - 0.5) * 2**FRACTION_BITS).astype(np.int32)
 
 
@@ -57,7 +57,7 @@ def save_picture(path: Path, picture: Picture) -> None:
 
 
 def text_size(size: tuple[int, int]) -> int:
-    """Height of letters for a picture of this size, pixels."""
+    """Return the height of letters, pixels, for a picture of a given width and height."""
     return min(max(10, min(size) // 26), 24)
 
 
@@ -74,11 +74,11 @@ def join(pictures: list[Picture], axis: int) -> Picture:
 
 
 def with_legend(picture: Picture, entries: Iterable[tuple[str, Colour]], text: int) -> Picture:
-    """A picture with a legend below it: coloured discs with words, on several lines.
+    """Add a legend below a picture: coloured discs with words, on several lines.
 
     Args:
-        picture: what is explained.
-        entries: words and their colours; the same entry stands once.
+        picture: the picture to explain.
+        entries: words and their colours; repeated entries are written once.
         text: height of the letters, pixels.
     """
     width, x, line = picture.shape[1], text, 0
@@ -105,7 +105,7 @@ def write_line(
     weight: int = REGULAR,
     colour: Colour = FAINT,
 ) -> None:
-    """Write one line whose baseline starts at `place`."""
+    """Write one line of text whose baseline starts at `place`."""
     # OpenCV would abort the process at invalid Unicode, which file names may contain
     cv2.putText(picture, visible(words), place, colour, cv2.FontFace("sans"), text, weight)
 
@@ -127,7 +127,7 @@ def write_title(picture: Picture, title: str) -> None:
 
 
 def write_corner_label(picture: Picture, words: str) -> None:
-    """Write one line into the lower right corner."""
+    """Write one line of text into the lower right corner."""
     height, width = picture.shape[:2]
     text = text_size((width, height))
     place = (width - text // 2 - line_width(words, text), height - text // 2)
@@ -135,5 +135,5 @@ def write_corner_label(picture: Picture, words: str) -> None:
 
 
 def line_width(words: str, text: int) -> int:
-    """Width of a line in pixels, at `text` pixels high."""
+    """Return the width of a line of text, pixels, with letters `text` pixels high."""
     return cv2.getTextSize((0, 0), visible(words), (0, 0), cv2.FontFace("sans"), text, REGULAR)[2]

@@ -28,7 +28,7 @@ Cloud = tuple[Float[Tensor, "_ 3"], ...]
 def observed(
     paths: Sequence[Path], file: MotionFile, body: BodyModel
 ) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
-    """Points, a scan and cameras of observation files, at the frames of a motion.
+    """Read points, a scan and cameras of observation files, at the frames of a motion.
 
     Cameras of unknown pose take that of the motion file.
 
@@ -66,7 +66,7 @@ def observed(
 def _points_at_frames(
     seen: PositionsFile, path: Path, motion: Motion, body: BodyModel
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Observed positions of points, a mask, and their positions on the body."""
+    """Return observed positions of points in every frame, a mask, and positions on the body."""
     observation = positions_of(seen, path, body)
     at = _sample_times(observation.positions.shape[1], observation.start_time, observation.fps)
     nearest, close = nearest_samples(motion.times, at)
@@ -100,7 +100,7 @@ def _view_of_keypoints(
 
 
 def _cloud_at_frames(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:
-    """The points of every frame in the world; none in frames without a sample."""
+    """Return the points of every frame in the world; none in frames without a sample."""
     frames = int(seen.frame.max()) + 1
     nearest, close = nearest_samples(
         motion.times, _sample_times(frames, seen.start_time, seen.fps)
@@ -118,7 +118,7 @@ def _cloud_at_frames(seen: PointsFile, camera: Camera | None, motion: Motion) ->
 
 
 def _camera_at_frames(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> Camera:
-    """The camera at the motion's frames; a moving one stays at its first and last poses."""
+    """Make the camera at the motion's frames; a moving one stays at its first and last poses."""
     arrays = seen.camera
     assert arrays is not None
     lens = None if arrays.distortion is None else torch.from_numpy(arrays.distortion).float()
@@ -139,7 +139,7 @@ def _camera_at_frames(seen: KeypointsFile | PointsFile, path: Path, file: Motion
 
 
 def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
-    """The camera poses of the motion file: one, or one per frame."""
+    """Return the camera poses that the motion file has, one or one per frame, after a check."""
     if file.T_world_camera is None:
         raise ValueError(
             f"{path}: the camera has no pose and the motion file has none (T_world_camera) "
@@ -154,5 +154,5 @@ def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
 
 
 def _sample_times(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
-    """Times of `count` samples, seconds."""
+    """Return the times of `count` samples, seconds."""
     return start_time + torch.arange(count, dtype=torch.float64) / fps

@@ -19,9 +19,9 @@ from recon.view.lettering import (
 from recon.view.scene import Show, View
 
 MOMENTS, COLUMNS = 8, 4
-"""Pictures of a sheet for every film, and in a row."""
+"""Number of pictures of each film in a sheet, and of pictures in a row."""
 SHEET_SIDE, ONE_FILM_SIDE, FILM_SIDE = 400, 720, 480
-"""Sides, pixels, of squares as large as a picture of a sheet, of one film and of several."""
+"""Square roots of the areas of pictures, pixels: in a sheet, of one film, of several films."""
 TEXT_PX = 14
 """Height of the letters of legends."""
 
@@ -29,11 +29,11 @@ TEXT_PX = 14
 def write_sheet(path: str | Path, show: Show) -> None:
     """Write eight moments of every film with the body over it, evenly spread, in two rows.
 
-    They show the part of the image in which people are.
+    Pictures show the part of the image in which people are.
 
     Args:
         path: file to write.
-        show: whose cameras have films.
+        show: a scene whose cameras have films.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
@@ -50,7 +50,7 @@ def write_overlay(path: str | Path, show: Show) -> None:
 
     Args:
         path: file to write.
-        show: whose cameras have films.
+        show: a scene whose cameras have films.
 
     Raises:
         FileNotFoundError: when the folder of `path` does not exist.
@@ -72,7 +72,7 @@ def write_overlay(path: str | Path, show: Show) -> None:
 def _film_pictures(
     show: Show, view: View, frames: Sequence[int], part: ImageRegion, side: int
 ) -> Iterator[Picture]:
-    """A region of a camera's film with the body, its name and the time, in rising frames."""
+    """Draw a region of a camera's film with body, name and time, in each of some rising frames."""
     assert view.film is not None
     across = round(side * (part.width / part.height) ** 0.5)
     times = show.figures[0].motion.times[list(frames)].tolist()
@@ -86,5 +86,5 @@ def _film_pictures(
 
 
 def _legend(show: Show) -> list[tuple[str, tuple[int, int, int]]]:
-    """The legend of the scene, of which cameras are not drawn."""
+    """Return the legend of the scene without cameras, which are not drawn."""
     return [(word, colour) for word, colour in show.legend if word != "camera"]

@@ -1,4 +1,4 @@
-"""Paints one frame of a show: lit surfaces over a tiled floor, on the processor.
+"""Paints one frame of a scene: lit surfaces over a tiled floor, on the processor.
 
 Bodies, points and cameras are all faces whose vertices have a light; whatever lies between them is
 interpolated. Only the pixels around them are painted finely.
@@ -30,7 +30,7 @@ from recon.view.scene import (
 from recon.view.viewpoint import Viewpoint
 
 SUPERSAMPLING = 2
-"""Pixels along each side of a picture's pixel, where edges of bodies and tiles are smoothed."""
+"""Number of finer pixels along a pixel's side, by which edges of bodies and tiles are smoothed."""
 SKY = np.array([246.0, 247.5, 250.0], np.float32)
 TILES = np.array([[231.0, 233.0, 237.0], [219.0, 222.0, 228.0]], np.float32)
 TILE_M = 0.5
@@ -38,15 +38,15 @@ TILE_M = 0.5
 FADE_M = 4.2
 """Distance from the person, metres, over which the floor fades into the sky."""
 FADE_SHARE = 0.35
-"""Share of the distance to what is looked at over which the floor fades, where that is more."""
+"""Least distance over which the floor fades, as a share of the viewer's distance to the target."""
 FARTHEST_M = 1e4
-"""Depth that pixels above the horizon are given, metres."""
+"""Depth of the floor at pixels above the horizon, metres."""
 SHADE = 0.42
 """Share of the floor's light that a full shadow takes."""
 PENUMBRA_M = 0.03
 """Width over which the edge of a shadow is blurred, metres."""
 NEAREST_M = 0.05
-"""Depth, metres, from which on things are drawn."""
+"""Least depth of things that are drawn, metres."""
 
 Mesh = tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]
 """Vertices in the world, metres, and faces."""
@@ -62,7 +62,7 @@ class Plane:
 
     @classmethod
     def of(cls, ground: Ground | None) -> "Plane":
-        """The floor plane of a ground; None is z = 0."""
+        """Make the floor's plane from a ground; None is z = 0."""
         if ground is None:
             ground = Ground(torch.tensor([0.0, 0.0, 1.0]), torch.tensor(0.0))
         ground = ground.detach().to(device="cpu", dtype=torch.float64)
@@ -70,7 +70,7 @@ class Plane:
         return cls(ground.normal.numpy(), float(ground.offset), basis.numpy())
 
     def depth(self, view: Viewpoint, sunk: float = 0.0) -> Float[np.ndarray, "height width"]:
-        """Depth of the floor at every pixel, metres, if it is `sunk` metres lower."""
+        """Return the floor's depth at every pixel, metres, if it is lowered by `sunk` metres."""
         above = float(view.position @ self.normal - self.offset) + sunk
         width, height = view.size
         unit = np.ones((height, width), np.float32)
@@ -85,7 +85,7 @@ class Plane:
 
 
 def direction_to_lamp(view: Viewpoint) -> Float[np.ndarray, "3"]:
-    """Unit vector towards a lamp far above the viewer's left shoulder."""
+    """Return the unit vector towards a lamp far above the viewer's left shoulder."""
     right, _, forward = view.R_camera_world
     level = np.array([-forward[0], -forward[1], 0.0])
     toward = 0.75 * level / np.linalg.norm(level) - 0.65 * right + np.array([0, 0, 1.1])
@@ -95,7 +95,7 @@ def direction_to_lamp(view: Viewpoint) -> Float[np.ndarray, "3"]:
 def shadow_on_floor(
     bodies: list[Mesh], plane: Plane, view: Viewpoint
 ) -> Float[np.ndarray, "height width"]:
-    """Share of the lamp's light that bodies block at every pixel of the floor."""
+    """Return the share of the lamp's light that bodies block at every pixel of the floor."""
     toward = direction_to_lamp(view)
     dark = np.zeros(view.size[::-1], np.float32)
     for vertices, faces in bodies:
@@ -128,21 +128,21 @@ def floor_picture(
 DIRECT = 0.95
 """Light of the lamp on a surface that faces it; 1 shows a colour as it is."""
 DARKEST = 1e-6
-"""Light that shows as black; OpenCV takes ten times as long over the power of zero."""
+"""Least light, which shows as black; OpenCV takes ten times as long for powers of zero."""
 FLOOR_SLACK_M = 0.004
 """Depth, metres, up to which a sole may sink before the floor hides it."""
 CLOUD_LIMIT = 3000
-"""Points of a scan drawn per frame."""
+"""Most points of a scan that are drawn per frame."""
 GRAIN_M = 0.006
 """Radius of a scan's points, metres."""
 SMALLEST_PX = 1.5
-"""Least radius of a sphere, in the finer pixels."""
+"""Least radius of a sphere, in supersampled pixels."""
 HALO = 0.4
 """Opacity of the spheres that show standard deviations: the body is seen through them."""
 PYRAMID_M = 0.4
 """Length of a camera's pyramid along the viewing axis, metres."""
 EDGE_PX = 1.8
-"""Radius of the edges of a pyramid, in the finer pixels."""
+"""Radius of the edges of a camera's pyramid, in supersampled pixels."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class LitSurface:
 
 
 def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height width 3"]:
-    """Paint one frame of a show as an RGB picture."""
+    """Paint one frame of a scene as an RGB picture."""
     plane = Plane.of(show.ground)
     bodies: list[Mesh] = [
         (figure.posed.vertices[frame].double().numpy(), figure.body.faces.cpu().numpy())
@@ -188,7 +188,7 @@ def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height 
 
 
 def linear_light(colour: Colour) -> Float[np.ndarray, "3"]:
-    """A colour as linear amounts of light, 0 to 1."""
+    """Convert a colour to linear amounts of light, 0 to 1."""
     return (np.array(colour) / 255) ** 2.2
 
 
@@ -203,9 +203,9 @@ def blend(
 
 
 def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """Linear colour of every vertex: the figure's, or that of a mark near its joint.
+    """Return the linear colour of every vertex: the figure's, or that of a mark near its joint.
 
-    Limbs that are unsure or were inferred are marked, and joints that touch the ground.
+    Marks are on limbs that are unsure or were inferred, and on joints that touch the ground.
     """
     light = np.broadcast_to(linear_light(figure.colour), (len(figure.body.weights), 3))
     for marked, colour in (
@@ -221,9 +221,9 @@ def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
 
 
 def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
-    """Edges of a camera's pyramid: from its centre to the image's corners, and between these.
+    """Return the edges of a camera's pyramid: from centre to image corners, and between these.
 
-    World, metres. The lens is left out: its inverse need not exist at the corners.
+    World, metres. Distortion is ignored: its inverse need not exist at the corners.
     """
     width, height = camera.image_size
     outline = [[0, 0], [width, 0], [width, height], [0, height]]
@@ -237,7 +237,7 @@ def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
 
 
 def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
-    """The body's surface, lit by sky, floor and lamp, with a little gloss."""
+    """Light the body's surface by sky, floor and lamp, with a little gloss."""
     vertices, faces = mesh
     normals = vertex_normals(vertices, faces)
     eye = view.position - vertices
@@ -255,7 +255,7 @@ def _lit_body(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSur
 
 
 def _lit_points(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
-    """Surfaces of standard deviations, scan and points, which shine through the body."""
+    """Make surfaces of standard deviations, scan and points, which shine through the body."""
     found: list[LitSurface] = []
     if show.certainty:
         for figure in show.figures:
@@ -283,20 +283,20 @@ def _lit_spheres(
     opacity_in_front: float = 1.0,
     opacity_behind: float = 0.62,
 ) -> LitSurface:
-    """Spheres lit from the viewer's upper left, not smaller than a pixel."""
+    """Make spheres that are lit from the viewer's upper left and at least a pixel large."""
     places = centres.detach().cpu().double().numpy()
     ball = trimesh.creation.icosphere(subdivisions=1 if len(places) > 200 else 2)
     across, down, away = view.R_camera_world @ ball.vertices.T
-    direction_to_lamp = np.clip(-0.35 * across - 0.45 * down - 0.75 * away, 0, 1)
+    facing = np.clip(-0.35 * across - 0.45 * down - 0.75 * away, 0, 1)
     depth = np.abs((places - view.position) @ view.R_camera_world[2])
     radii = np.maximum(radii, SMALLEST_PX * depth / (SUPERSAMPLING * view.focal))
     vertices = places[:, None] + radii[:, None, None] * ball.vertices
-    light = linear_light(colour) * (0.45 + 0.7 * direction_to_lamp)[:, None]
+    light = linear_light(colour) * (0.45 + 0.7 * facing)[:, None]
     return _copies_of_mesh(vertices, ball.faces, light[None], opacity_in_front, opacity_behind)
 
 
 def _camera_pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
-    """Cameras as pyramids of thin rods, faint where a surface hides them."""
+    """Make the cameras' pyramids of thin rods, faint where a surface hides them."""
     found: list[LitSurface] = []
     for camera in show.cameras:
         lines = frustum(camera.at(frame))
@@ -316,7 +316,7 @@ def _copies_of_mesh(
     opacity_in_front: float = 1.0,
     opacity_behind: float = 0.0,
 ) -> LitSurface:
-    """Many copies of one mesh as a single surface."""
+    """Join many copies of one mesh to a single surface."""
     copies, count = vertices.shape[:2]
     every = np.arange(copies)[:, None, None] * count + faces
     light = np.broadcast_to(light, vertices.shape).reshape(-1, 3)
@@ -328,9 +328,9 @@ def _copies_of_mesh(
 def _bounding_box(
     points: Float[np.ndarray, "points 3"], view: Viewpoint
 ) -> tuple[int, int, int, int]:
-    """Bounding box of points in a picture, pixels: left, top, right, bottom.
+    """Return the bounding box of points in a picture, pixels: left, top, right, bottom.
 
-    It is the whole picture where one is not well before the viewer.
+    It is the whole picture if any point is behind the viewer or very near.
     """
     pixels, depth = view.project(points)
     if depth.min() <= NEAREST_M:

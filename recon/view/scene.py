@@ -26,18 +26,18 @@ BLUE: Colour = (116, 160, 214)
 CORAL: Colour = (232, 150, 122)
 GREY: Colour = (182, 186, 192)
 VISIBLE: Colour = (0, 128, 98)
-"""Observed points, in space and in images."""
+"""Colour of observed points, in space and in images."""
 MISSING: Colour = (214, 40, 96)
-"""Points that were not observed, where the estimate has them."""
+"""Colour of points that were not observed, at their estimated positions."""
 REPROJECTED: Colour = (38, 42, 50)
-"""Observed points where the estimate has them in an image."""
+"""Colour of observed points at their estimated positions, projected into an image."""
 CONTACT: Colour = (248, 160, 24)
 CERTAINTY: Colour = (160, 60, 205)
-"""Spheres of one standard deviation around joints."""
+"""Colour of spheres of one standard deviation around joints."""
 CLOUD: Colour = (92, 98, 110)
 CAMERA: Colour = (108, 88, 178)
 GROUND: Colour = (188, 194, 203)
-"""Lines of the grid on the ground."""
+"""Colour of the grid's lines on the ground."""
 INK: Colour = (38, 42, 50)
 FAINT: Colour = (112, 118, 128)
 WHITE: Colour = (255, 255, 255)
@@ -48,9 +48,9 @@ UNSURE = 0.3
 
 
 UNSURE_M = 0.1
-"""Standard deviation of a joint beside the surest one from which a limb is drawn as unsure."""
+"""Standard deviation, metres, of a joint against the surest one above which a limb is unsure."""
 _TRUNK = [joint_index(name) for name in ("pelvis", "spine1", "spine2", "spine3")]
-_ABOVE = [joint_index(f"{side}_shoulder") for side in ("left", "right")]
+_SHOULDERS = [joint_index(f"{side}_shoulder") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Figure:
     motion: Motion
     """A single clip: no batch axis, every frame valid."""
     name: str = "reconstruction"
-    """Shown in the legend."""
+    """Name in the legend."""
     colour: Colour = BLUE
     opacity: float = 1.0
     """1 is solid; a reference to compare with reads well at 0.4."""
@@ -105,7 +105,7 @@ class Figure:
         return self.body.detach().to(device="cpu", dtype=torch.float32).pose(motion)
 
     def node(self, part: str) -> str:
-        """Path of a part of the figure in the viewer's scene tree."""
+        """Return the path of a part of the figure in the viewer's scene tree."""
         return f"/world/{_tree_name(self.name)}/{part}"
 
     @property
@@ -125,7 +125,7 @@ class Figure:
         if self.observed is None:
             return torch.zeros(self.motion.frames, 22, dtype=torch.bool)
         lost = ~self.observed.detach().cpu()
-        lost[:, _TRUNK] &= lost[:, _ABOVE].all(1, keepdim=True)
+        lost[:, _TRUNK] &= lost[:, _SHOULDERS].all(1, keepdim=True)
         return _limb_mask(lost)
 
     @cached_property
@@ -136,12 +136,12 @@ class Figure:
         squared = self.joint_std.detach().cpu().square()
         apart = squared - squared.amin(
             1, keepdim=True
-        )  # without the error of the body's place, common to all joints
+        )  # removes the error of the body's position, which all joints share
         return _limb_mask(apart > UNSURE_M**2) & ~self.inferred_limbs
 
 
 def _limb_mask(joints: Bool[Tensor, "time 22"]) -> Bool[Tensor, "time 22"]:
-    """Mask of these joints and of their parents, whose limbs end there, except in the trunk."""
+    """Add to a mask of joints their parents, whose limbs end there, except in the trunk."""
     limbs = joints.clone()
     for joint, parent in enumerate(PARENTS):
         if parent >= 0 and parent not in _TRUNK:
@@ -176,11 +176,11 @@ class View:
     """A camera of a scene, fixed or moving, perhaps with detected and reprojected points."""
 
     name: str
-    """Shown beside the camera and above its images."""
+    """Name of the camera, written beside it and above its images."""
     camera: Camera
     """The camera in the world of the figures; poses () or one per frame."""
     pixels: Float[Tensor, "time points 2"] | None = None
-    """Detected points."""
+    """Positions of detected points in the image, pixels."""
     confidence: Float[Tensor, "time points"] | None = None
     """0 where a point was not detected, 1 where it is certain; None: all are certain."""
     reprojected: Projection | None = None
@@ -188,7 +188,7 @@ class View:
     start_time: float = 0.0
     """Time of its first picture, seconds of the motion's clock."""
     film: FilmOnClock | None = None
-    """What it filmed; drawn below the body."""
+    """The film that the camera took, which is drawn below the body; None where there is none."""
 
     def __post_init__(self) -> None:
         if self.camera.T_camera_world.ndim > 3 or self.camera.camera_matrix.ndim > 3:
@@ -216,7 +216,7 @@ class View:
 
     @property
     def node(self) -> str:
-        """The camera's path in the viewer's scene tree."""
+        """Path of the camera in the viewer's scene tree."""
         return f"/world/cameras/{_tree_name(self.name)}"
 
     @property
@@ -227,7 +227,7 @@ class View:
         return next(iter(_frame_counts(self.camera)), None)
 
     def at(self, frame: int) -> Camera:
-        """The camera of one frame, in double precision."""
+        """Return the camera of one frame, in double precision."""
         camera = self.camera.detach().to(device="cpu", dtype=torch.float64)
         matrix, lens, pose = camera.camera_matrix, camera.distortion, camera.T_camera_world
         return camera.derived(
@@ -264,9 +264,9 @@ class LegendLayer:
     word: str
     colour: Colour
     nodes: tuple[str, ...]
-    """Names of what belongs to it in the tree of the scene; a page switches them together."""
+    """Paths of its parts in the scene tree; a page shows and hides them together."""
     shown: bool = True
-    """Whether it is shown at first."""
+    """Whether the layer is shown at first."""
 
 
 @dataclass(frozen=True)
@@ -365,14 +365,14 @@ class Show:
 
 
 def _tree_name(name: str) -> str:
-    """A name as one level of the viewer's scene tree, without slashes."""
+    """Convert a name to one level of the viewer's scene tree, without slashes."""
     return visible(name).replace("/", "-").strip() or "unnamed"
 
 
 def nearest_samples(
     times: Float[Tensor, " frames"], observed_at: Float[Tensor, " time"]
 ) -> tuple[Int[Tensor, " frames"], Bool[Tensor, " frames"]]:
-    """Index of the sample nearest to every time, and whether it is within half a sample."""
+    """Find the sample nearest to every time, and whether it is within half a time step."""
     gap = (times[:, None].double() - observed_at[None].double()).abs()
     distance, nearest = gap.min(1)
     step = observed_at.double().diff().median() if len(observed_at) > 1 else gap.new_tensor(0)
@@ -380,7 +380,7 @@ def nearest_samples(
 
 
 def _frame_counts(camera: Camera) -> set[int]:
-    """Numbers of frames of the camera's tensors that have an axis of frames."""
+    """Return the numbers of frames of those camera tensors that have an axis of frames."""
     tensors = (camera.camera_matrix, camera.distortion, camera.T_camera_world)
     dims = (3, 2, 3)
     return {
@@ -391,5 +391,5 @@ def _frame_counts(camera: Camera) -> set[int]:
 
 
 def thinned(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
-    """Every n-th point, so that at most `most` points are left."""
+    """Keep every n-th point, so that at most `most` points are left."""
     return points[:: max(1, -(-len(points) // most))]

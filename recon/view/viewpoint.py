@@ -12,17 +12,17 @@ from jaxtyping import Float
 from recon.view.scene import Figure, Show
 
 FIELD_OF_VIEW = math.radians(32)
-"""Across the shorter side of the picture: a portrait lens, which keeps limbs in proportion."""
+"""Angle of view along a picture's shorter side: a portrait lens keeps limbs in proportion."""
 AZIMUTH = math.radians(38)
-"""Azimuth of the camera, seen from above, away from the person's front."""
+"""Angle, seen from above, between the person's front and the direction to the camera."""
 ELEVATION = math.radians(13)
 OVERVIEW_ELEVATION = math.radians(20)
 OVERVIEW_REACH = 10.0
-"""Metres from the people's middle within which cameras are kept in the picture."""
+"""Distance from the people, metres, within which cameras are kept in the picture."""
 MARGIN = 0.9
 """Share of the picture, around its middle, within which people are kept."""
 FOLLOW_SECONDS = 0.4
-"""Standard deviation of the window that smooths the followed path."""
+"""Standard deviation of the Gaussian window that smooths the followed path, seconds."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +31,18 @@ class Viewpoint:
 
     R_camera_world: Float[np.ndarray, "3 3"]
     position: Float[np.ndarray, "3"]
-    """World, metres."""
+    """Position in the world, metres."""
     target: Float[np.ndarray, "3"]
-    """The point looked at; world, metres."""
+    """Point on the viewing axis in the middle of what is shown; world, metres."""
     focal: float
-    """Pixels."""
+    """Focal length, pixels."""
     size: tuple[int, int]
     """Width and height, pixels."""
     centre: tuple[float, float]
-    """Pixel that the viewing axis goes through."""
+    """Principal point, pixels."""
 
     def scaled(self, factor: int) -> "Viewpoint":
-        """The same view with `factor` times as many pixels along each side."""
+        """Return the same view with `factor` times as many pixels along each side."""
         x, y = self.centre
         return dataclasses.replace(
             self,
@@ -52,7 +52,7 @@ class Viewpoint:
         )
 
     def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
-        """The view of a rectangle of the picture, without column `right` and row `bottom`."""
+        """Cut out a rectangle of the picture, without column `right` and row `bottom`."""
         x, y = self.centre
         size, centre = (right - left, bottom - top), (x - left, y - top)
         return dataclasses.replace(self, size=size, centre=centre)
@@ -60,7 +60,7 @@ class Viewpoint:
     def project(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-        """Pixels of points (the first pixel's centre is 0.5) and their depths, metres."""
+        """Project points to pixels (the first pixel's centre is 0.5) and depths, metres."""
         local = (points - self.position) @ self.R_camera_world.T
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-6, 1e-6, depth)
@@ -69,7 +69,7 @@ class Viewpoint:
     def coordinates_along(
         self, axes: Float[np.ndarray, "axes 3"], depth: Float[np.ndarray, "height width"]
     ) -> Float[np.ndarray, "axes height width"]:
-        """Coordinates, along some axes, of the points that pixels show at given depths; metres."""
+        """Return coordinates along axes of the points at given depths in all pixels, metres."""
         x = (np.arange(self.size[0]) + 0.5 - self.centre[0]) / self.focal
         y = (np.arange(self.size[1]) + 0.5 - self.centre[1]) / self.focal
         x, y = x.astype(np.float32), y.astype(np.float32)[:, None]
@@ -83,7 +83,7 @@ class Viewpoint:
 
 
 def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """A viewpoint per frame, which follows the person, or is fixed if cameras are shown."""
+    """Choose a viewpoint per frame that follows the person, or is fixed if cameras are shown."""
     centres = [
         view.at(frame).T_world_camera[:3, 3].numpy()
         for view in show.cameras
@@ -97,7 +97,7 @@ def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
 def following_viewpoints(
     figures: Sequence[Figure], size: tuple[int, int]
 ) -> tuple[Viewpoint, ...]:
-    """Viewpoints per frame that keep all figures in view from a constant direction.
+    """Choose viewpoints per frame that keep all figures in view from a constant direction.
 
     The direction is `AZIMUTH` from the first figure's mean heading, the distance the smallest at
     which the surface stays within `MARGIN` of the picture in 98 % of the frames.
@@ -119,9 +119,9 @@ def fixed_viewpoint(
     others: Float[np.ndarray, "points 3"],
     size: tuple[int, int],
 ) -> tuple[Viewpoint, ...]:
-    """A fixed viewpoint, repeated for every frame, that shows figures and other points.
+    """Choose a fixed viewpoint, repeated for every frame, that shows figures and other points.
 
-    Points farther than `OVERVIEW_REACH` from everybody are left out of it.
+    Other points farther than `OVERVIEW_REACH` from the figures need not be in view.
     """
     surface = np.concatenate([_sparse_vertices(figure) for figure in figures], 1).reshape(-1, 3)
     middle = (surface.min(0) + surface.max(0)) / 2
@@ -139,14 +139,14 @@ def fixed_viewpoint(
 
 
 def _focal_length(size: tuple[int, int]) -> float:
-    """Focal length, pixels, for the constant field of view and a picture of this size."""
+    """Return the focal length, pixels, for `FIELD_OF_VIEW` and a picture of a given size."""
     return min(size) / 2 / math.tan(FIELD_OF_VIEW / 2)
 
 
 def _distance_needed(
     local: Float[np.ndarray, "*shape 3"], size: tuple[int, int]
 ) -> Float[np.ndarray, "*shape"]:
-    """Distance from the target at which points are within `MARGIN` of the picture, metres.
+    """Return distances from the target at which points are in `MARGIN` of the picture, metres.
 
     The points are given from the target along the camera's axes.
     """
@@ -155,12 +155,12 @@ def _distance_needed(
 
 
 def direction_to_the_right(figure: Figure) -> Float[np.ndarray, "3"]:
-    """Horizontal unit vector that points to the right in pictures of a figure."""
+    """Return the horizontal unit vector that points to the right in pictures of a figure."""
     return _three_quarter(figure, ELEVATION)[0]
 
 
 def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """R_camera_world of a camera at an angle to a figure's mean heading, looking down."""
+    """Return R_camera_world of a camera at an angle to a figure's mean heading, looking down."""
     front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
     heading = math.atan2(front[1], front[0]) - AZIMUTH
     level = np.array([math.cos(heading), math.sin(heading), 0.0])
@@ -170,7 +170,7 @@ def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]
 
 
 def _sparse_vertices(figure: Figure) -> Float[np.ndarray, "time points 3"]:
-    """Every fortieth vertex over time, enough to know how far a body reaches."""
+    """Return every fortieth vertex over time, enough to know how far a body reaches."""
     some = torch.arange(0, len(figure.body.template), 40)
     return figure.posed.points(some).double().numpy()
 
@@ -178,7 +178,7 @@ def _sparse_vertices(figure: Figure) -> Float[np.ndarray, "time points 3"]:
 def _smoothed_path(
     path: Float[np.ndarray, "time 3"], window_std: float
 ) -> Float[np.ndarray, "time 3"]:
-    """A path smoothed by local linear regression with a Gaussian window, without lag."""
+    """Smooth a path by local linear regression with a Gaussian window, without lag."""
     offset = np.arange(len(path))[None] - np.arange(len(path))[:, None]
     window = np.exp(-0.5 * (offset / max(window_std, 1e-3)) ** 2)
     first, second = window * offset, window * offset**2

@@ -57,6 +57,7 @@ def test_examples_are_commands(command):
         ("view a.npz --hmtl b.html", "did you mean --html?", "--mp4"),
         ("fit a.npz --out b.npz --hide-below 1", "no option --hide-below;", "did you mean"),
         ("fitt a.npz", "did you mean fit?", "Unrecognized"),
+        ("info -trial.c3d", "a file of this name is ./-trial.c3d", "did you mean"),
         ("--versoin", "no option --versoin", "--person"),
         ("fit a.npz --out b.npz --device gpu", "'cpu', 'cuda'", "did you mean"),
     ],
@@ -141,6 +142,18 @@ def test_every_argument_that_is_read_says_what_it_should_be():
             if "Path" in str(parameter.annotation) and name not in written:
                 assert name in inputs.EXPECTED, f"{verb}: {name}"
     assert {"camera", "body", "masks"} <= set(inputs.EXPECTED)
+
+
+def test_a_marker_set_is_given_by_its_name(tmp_path, capsys):
+    markers, out = tmp_path / "m.trc", tmp_path / "named.trc"
+    assert cli.run(["export", str(DEMO), "--trc", str(markers), "--markers", "pig"]) == cli.OK
+    label = ["label", str(markers), "--out", str(out), "--set"]
+    assert cli.run([*label, "nosuchset"]) == cli.BAD_INPUT
+    assert "expected one of the marker sets" in capsys.readouterr().err
+    assert cli.run([*label, str(tmp_path / "mine.toml")]) == cli.BAD_INPUT
+    assert "expected a marker set by its name" in capsys.readouterr().err
+    assert cli.run([*label, "pig"]) == cli.OK
+    assert "100.0 % of the points named" in capsys.readouterr().err
 
 
 def test_a_missing_file_is_answered_with_its_like(tmp_path, capsys):
