@@ -290,7 +290,7 @@ def _held_at_every_frame(
     translation: np.ndarray,
     finite: Bool[np.ndarray, " time"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill gaps from the frame before; return rotations, translations and the estimated frames."""
+    """Fill frames without the person from those before; return rotations, translations, mask."""
     frames = np.arange(len(finite))
     key = next((key for key in _FRAMES if key in arrays), None)
     if key is not None:
